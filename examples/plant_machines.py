@@ -13,9 +13,9 @@ import numpy as np
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import encode
 from pmfid.simulation import CART, CART_LOADED, Scenario, Schedule, make_scenario, mass_step
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
 
 AXES, SAMPLES = 12, 25
 LOADED = 7

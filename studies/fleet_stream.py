@@ -25,8 +25,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from pmfid.service.wire.layout import MAGIC, VERSION, block_type
 from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.layout import MAGIC, VERSION, block_type
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
 

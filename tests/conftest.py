@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.service.groups import Prepared, prepare
 from pmfid.simulation.drive import quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
+from pmfid.stream.groups import Prepared, prepare
 from studies.monitoring.pipe import write_axis
 
 #: Of simulated normal work: enough for thresholds that nobody relies on.

@@ -56,10 +56,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "design": {"errors", "types", "shown", "lazy_imports", "models", "simulation"},
     "export": JUDGE | {"pmfid"},
     "session": SESSION,
-    "service": SESSION | {"session"},
-    "fleet": SESSION | {"session", "service", "lazy_imports", "pmfid"},
+    "stream": SESSION | {"session"},
+    "service": SESSION | {"session", "stream"},
+    "fleet": SESSION | {"session", "stream", "lazy_imports", "pmfid"},
     "report": SESSION | {"session", "fleet"},
-    "cli": SESSION | {"session", "service", "fleet", "report", "simulation", "pmfid"},
+    "cli": SESSION | {"session", "stream", "service", "fleet", "report", "simulation", "pmfid"},
     "pmfid": SESSION | {"session"},
 }
 

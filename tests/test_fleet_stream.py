@@ -19,9 +19,9 @@ from pmfid.fleet.stream.shard import Plan, Shard, shard_of
 from pmfid.fleet.stream.states import States
 from pmfid.fleet.stream.tables import table_of
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.service.checkpoint import read_snapshot
-from pmfid.service.groups import Pace, Prepared
-from pmfid.service.wire.blocks import encode
+from pmfid.stream.blocks import encode
+from pmfid.stream.checkpoint import read_snapshot
+from pmfid.stream.groups import Pace, Prepared
 from tests.spark.streams import block_of, estimates_of, in_one_process, parts_of, rows_of
 
 PACE = Pace(window=0.6, every=0.1)

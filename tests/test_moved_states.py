@@ -15,10 +15,10 @@ from pmfid.export.firmware import export_firmware
 from pmfid.fleet.stream.shard import Plan, Shard
 from pmfid.fleet.stream.states import States
 from pmfid.monitor import Monitor
-from pmfid.service.delivery import Block
-from pmfid.service.groups import Pace, Prepared
-from pmfid.service.wire.blocks import encode
 from pmfid.simulation import CART_DT
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
+from pmfid.stream.groups import Pace, Prepared
 from pmfid.types import Counts, Floats
 from tests.firmware.build import GCC, HERE, M7, Target, compiled, run
 from tests.spark.streams import block_of

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pmfid.cli.serve_lines import line
-from pmfid.service.outcome import Notice
+from pmfid.stream.outcome import Notice
 from studies.service.hall import Hall, Metrics, Told
 
 #: Metrics that a fault may change; the others change by themselves.

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from paho.mqtt.enums import CallbackAPIVersion
 
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.service.delivery import Block
-from pmfid.service.groups import prepare
-from pmfid.service.wire.blocks import encode
 from pmfid.simulation import make_scenario
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
+from pmfid.stream.groups import prepare
 from pmfid.types import Floats
 from studies.service.machines import DT, NAME, write_plant
 from studies.service.processes import BROKER, Service, broker, free_port, service

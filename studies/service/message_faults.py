@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import encode
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
 from studies.service.finding import Finding, changes, others_unchanged, sentences, without_alarm
 from studies.service.hall import SAMPLES, Change, Hall, Metrics, hall, lost, name_of
 from studies.service.machines import DT

@@ -18,8 +18,8 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import encode
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
 from studies.service.finding import Finding, others_unchanged
 from studies.service.hall import Hall, hall, name_of
 

@@ -22,12 +22,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pmfid.service import arrangement
-from pmfid.service.groups import prepare
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.sources.mqtt import MqttSection
 from pmfid.service.wire.sender import Sender
 from pmfid.session.monitored import setup
 from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.groups import prepare
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis

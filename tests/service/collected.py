@@ -9,10 +9,10 @@ from typing import Any
 
 from pmfid.monitor.events import STATES
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.service.groups import Prepared
-from pmfid.service.outcome import Notice, Rows
 from pmfid.session.monitored.run import watch
 from pmfid.session.monitored.timeline import Sample
+from pmfid.stream.groups import Prepared
+from pmfid.stream.outcome import Notice, Rows
 
 #: theta, std, innovation, status, state: bit by bit.
 Bits = tuple[Any, ...]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from threading import Thread
 from typing import Any
 
-from pmfid.service.delivery import Block, Delivery, Lines, Unusable, one_by_one
 from pmfid.service.sources import Source
+from pmfid.stream.delivery import Block, Delivery, Lines, Unusable, one_by_one
 
 
 @dataclass

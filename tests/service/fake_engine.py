@@ -15,12 +15,12 @@ import numpy as np
 
 from pmfid.monitor.events import STATES
 from pmfid.service.board import Board
-from pmfid.service.counters import Counters
-from pmfid.service.outcome import Kindred, Notice, Rows
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import serve
 from pmfid.session.records import Record
 from pmfid.status import Status
+from pmfid.stream.counters import Counters
+from pmfid.stream.outcome import Kindred, Notice, Rows
 
 DT = 0.01
 WATCHING, CANNOT_TELL, SUSPICIOUS, STARTING = (

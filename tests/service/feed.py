@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.service.counters import Counters
-from pmfid.service.outcome import Kindred, Notice, Rows
+from pmfid.stream.counters import Counters
+from pmfid.stream.outcome import Kindred, Notice, Rows
 
 ALARM = {
     "event": "alarm",

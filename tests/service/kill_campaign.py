@@ -27,22 +27,23 @@ from typing import IO, Literal
 
 import numpy as np
 
-from pmfid.service import arrangement, crash
-from pmfid.service.checkpoint import Saved, Snapshot, read_snapshot
+from pmfid.service import arrangement
 from pmfid.service.context import Context, SourceSection
-from pmfid.service.delivery import Delivery, Item, Lines, Mark
-from pmfid.service.groups import prepare
 from pmfid.service.log import Log
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
 from pmfid.service.sources import Source, Take
 from pmfid.service.sources.file import FileSource, Player
-from pmfid.service.vault import Vault
 from pmfid.session.monitored import setup
 from pmfid.session.monitored.timeline import Line
 from pmfid.session.records import Record, read_record
 from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream import crash
+from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
+from pmfid.stream.delivery import Delivery, Item, Lines, Mark
+from pmfid.stream.groups import prepare
+from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.vault import Vault
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
 from tests.service.orders import made

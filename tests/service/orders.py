@@ -9,8 +9,8 @@ from random import Random
 
 import numpy as np
 
-from pmfid.service.delivery import Block
-from pmfid.service.order import ANEW
+from pmfid.stream.delivery import Block
+from pmfid.stream.order import ANEW
 from pmfid.types import Counts, Floats
 
 DT = 0.01

@@ -9,10 +9,10 @@ import zlib
 import numpy as np
 import pytest
 
-from pmfid.service.delivery import Block, Unusable
-from pmfid.service.wire.alike import alike
-from pmfid.service.wire.blocks import decode, encode
-from pmfid.service.wire.layout import CRC, HEADER, block_type
+from pmfid.stream.alike import alike
+from pmfid.stream.blocks import decode, encode
+from pmfid.stream.delivery import Block, Unusable
+from pmfid.stream.layout import CRC, HEADER, block_type
 
 SIZE = 7
 

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
-from pmfid.service.delivery import Block, Unusable
-from pmfid.service.wire.blocks import BlockStream, decode, encode
-from pmfid.service.wire.layout import MAGIC, MOST_BYTES, MOST_SAMPLES
+from pmfid.stream.blocks import BlockStream, decode, encode
+from pmfid.stream.delivery import Block, Unusable
+from pmfid.stream.layout import MAGIC, MOST_BYTES, MOST_SAMPLES
 from tests.firmware.build import GCC
 
 ROOT = Path(__file__).parents[2]

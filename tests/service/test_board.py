@@ -10,8 +10,8 @@ import pytest
 
 from pmfid.service.board import Board
 from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel, row_bytes
-from pmfid.service.counters import Counters
-from pmfid.service.outcome import Kindred, Notice, Rows
+from pmfid.stream.counters import Counters
+from pmfid.stream.outcome import Kindred, Notice, Rows
 from tests.service.fake_engine import FakePlant
 
 

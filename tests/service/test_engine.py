@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from pmfid.service.arrangement import arranged
-from pmfid.service.checkpoint import read_snapshot, snapshot
-from pmfid.service.counters import Counters
-from pmfid.service.delivery import Block, Delivery, Lines, Unusable
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Pace, Prepared
-from pmfid.service.order import ANEW
 from pmfid.session.monitored.timeline import Line, Sample
 from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.counters import Counters
+from pmfid.stream.delivery import Block, Delivery, Lines, Unusable
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Pace, Prepared
+from pmfid.stream.order import ANEW
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Collected, monitored
 from tests.service.orders import Sending, made

@@ -14,12 +14,12 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.service.context import Context
-from pmfid.service.counters import Counters
-from pmfid.service.delivery import Block, Delivery, Lines, Mark
 from pmfid.service.sources import Source
 from pmfid.service.sources.file import Follower, Piped, Player
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.monitored.timeline import Line
+from pmfid.stream.counters import Counters
+from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 
 
 @pytest.fixture(scope="module")

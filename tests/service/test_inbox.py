@@ -6,9 +6,9 @@ from threading import Thread
 
 import numpy as np
 
-from pmfid.service import inbox as module
-from pmfid.service.delivery import Block, Delivery, Table
-from pmfid.service.inbox import Inbox
+from pmfid.stream import inbox as module
+from pmfid.stream.delivery import Block, Delivery, Table
+from pmfid.stream.inbox import Inbox
 from tests.service.engine import wait_for
 
 

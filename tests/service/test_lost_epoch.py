@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.service.delivery import Block, Delivery
-from pmfid.service.groups import Prepared
-from pmfid.service.order import NOTHING_NEW
 from pmfid.session.monitored.timeline import Sample
 from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.delivery import Block, Delivery
+from pmfid.stream.groups import Prepared
+from pmfid.stream.order import NOTHING_NEW
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Bits, Collected, monitored
 from tests.service.fake_engine import FakePlant

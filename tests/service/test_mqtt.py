@@ -15,12 +15,12 @@ from pydantic import Field
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import BrokerSection, pauses
-from pmfid.service.delivery import Block, Lines, Unusable
 from pmfid.service.secrets import secret
 from pmfid.service.sources.mqtt import MqttSection, MqttSource
-from pmfid.service.wire.blocks import encode
 from pmfid.service.wire.sender import Sender
 from pmfid.session.toml_file import FileSection, validate_sections
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block, Lines, Unusable
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_lines import axis

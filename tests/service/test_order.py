@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmfid.service.delivery import Block, Lines
-from pmfid.service.order import ANEW, Order, Piece, Verdict
-from pmfid.service.timed import Timed
 from pmfid.session.monitored.timeline import Line
+from pmfid.stream.delivery import Block, Lines
+from pmfid.stream.order import ANEW, Order, Piece, Verdict
+from pmfid.stream.timed import Timed
 from tests.service.orders import DT, sending_of
 
 WINDOW = 100

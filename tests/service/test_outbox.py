@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import decode
 from pmfid.service.wire.numbering import Numbering
 from pmfid.service.wire.outbox import Outbox
+from pmfid.stream.blocks import decode
+from pmfid.stream.delivery import Block
 
 
 class Link:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmfid.service.outcome import Kindred
+from pmfid.stream.outcome import Kindred
 from tests.service.chromium import chromium, tab, until, violations
 from tests.service.fake_engine import FakePlant, troubled
 from tests.service.loopback import Served, served

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks import queued
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.sinks.waiting import Limits, Waiting, size_of
+from pmfid.stream.outcome import Notice, Rows
 from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
 
 GROUP = kindred(10)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from pmfid.service.delivery import Delivery, Mark
-from pmfid.service.inbox import Inbox
 from pmfid.service.running import Running
 from pmfid.service.sources import Take
+from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.inbox import Inbox
 
 
 class Failing:

@@ -20,22 +20,22 @@ import numpy as np
 import pytest
 
 from pmfid.cli.serve_lines import line
-from pmfid.service import silence as module
 from pmfid.service.arrangement import arranged
 from pmfid.service.board import Board
-from pmfid.service.checkpoint import read_snapshot, snapshot
-from pmfid.service.counters import Counters
-from pmfid.service.delivery import Block, Delivery
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Pace, Prepared
 from pmfid.service.kinds import SINKS
 from pmfid.service.log import Log
 from pmfid.service.metrics import exposition
-from pmfid.service.outcome import Notice
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
+from pmfid.stream import silence as module
+from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.counters import Counters
+from pmfid.stream.delivery import Block, Delivery
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Pace, Prepared
+from pmfid.stream.outcome import Notice
 from studies.service.processes import service
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.feed import Faulty, Host, kindred, notice, until

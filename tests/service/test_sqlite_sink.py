@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks import sqlite
 from pmfid.service.sinks.sqlite import SqliteSection, SqliteSink
 from pmfid.session.toml_file import FileSection, validate_sections
+from pmfid.stream.outcome import Notice, Rows
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.kills import killed_after
 

@@ -8,17 +8,17 @@ from random import Random
 import numpy as np
 import pytest
 
-from pmfid.service import clock
 from pmfid.service.arrangement import arranged
-from pmfid.service.checkpoint import read_snapshot, snapshot
-from pmfid.service.counters import Counters
-from pmfid.service.delivery import Block, Delivery, Item, Lines, Table, one_by_one
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Pace, Prepared
-from pmfid.service.intake import take_expected
-from pmfid.service.order import Order
 from pmfid.session.monitored.timeline import Line
 from pmfid.simulation import CART_DT
+from pmfid.stream import clock
+from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.counters import Counters
+from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, one_by_one
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Pace, Prepared
+from pmfid.stream.intake import take_expected
+from pmfid.stream.order import Order
 from tests.service.collected import Collected
 
 AXES = tuple(f"x{k}" for k in range(6))

@@ -17,16 +17,16 @@ from pmfid.durable import vault as module
 from pmfid.errors import UsageError
 from pmfid.service import keeping
 from pmfid.service.arrangement import arranged
-from pmfid.service.checkpoint import Room, read_snapshot, snapshot
-from pmfid.service.counters import Counters
-from pmfid.service.delivery import Block, Delivery
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Pace, Prepared
 from pmfid.service.keeping import Checkpoints
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.queued import Queued
-from pmfid.service.vault import Vault
 from pmfid.simulation import CART_DT
+from pmfid.stream.checkpoint import Room, read_snapshot, snapshot
+from pmfid.stream.counters import Counters
+from pmfid.stream.delivery import Block, Delivery
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Pace, Prepared
+from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.vault import Vault
 
 Told = list[dict[str, Any]]
 

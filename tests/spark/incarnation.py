@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 from pmfid.fleet.stream.shard import Plan
-from pmfid.service.groups import Pace, prepare
 from pmfid.session.monitored import setup
+from pmfid.stream.groups import Pace, prepare
 
 #: Of simulated normal work: enough for thresholds that nobody relies on.
 HOURS = 0.5

@@ -13,10 +13,10 @@ import polars as pl
 
 from pmfid.fleet.stream.shard import Plan, Shard, shard_of
 from pmfid.fleet.stream.tables import table_of
-from pmfid.service.checkpoint import Saved
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import encode
 from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.blocks import encode
+from pmfid.stream.checkpoint import Saved
+from pmfid.stream.delivery import Block
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.orders import made
 

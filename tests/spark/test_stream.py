@@ -14,11 +14,11 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.fleet.stream.shard import Plan
 from pmfid.fleet.stream.states import States
-from pmfid.service.delivery import Block
-from pmfid.service.groups import Pace, prepare
-from pmfid.service.wire.blocks import encode
 from pmfid.session.monitored import setup
 from pmfid.simulation import CART_DT
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
+from pmfid.stream.groups import Pace, prepare
 from studies.monitoring.pipe import write_axis
 from tests.firmware.build import GCC, M7, Target
 from tests.spark.kill_campaign import campaign

@@ -11,7 +11,7 @@ from pmfid.cli.options import config_option
 from pmfid.cli.progress import progress
 
 if TYPE_CHECKING:
-    from pmfid.service.groups import Prepared
+    from pmfid.stream.groups import Prepared
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 MASTER = click.option(
@@ -64,7 +64,7 @@ def stream(
     from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
     from pmfid.fleet.stream.shard import Plan
     from pmfid.fleet.stream.states import States
-    from pmfid.service.groups import Pace
+    from pmfid.stream.groups import Pace
 
     kind_of(source)  # before anything takes long
     prepared = _prepare(config)
@@ -87,7 +87,7 @@ def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, mast
     Exit code 0: written; 2: no states, of another configuration, or no such axis.
     """
     from pmfid.fleet.spark.stream import check_states, states_of
-    from pmfid.service.groups import Pace
+    from pmfid.stream.groups import Pace
 
     check_states(checkpoint)  # before anything takes long
     prepared = _prepare(config)
@@ -97,6 +97,6 @@ def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, mast
 
 def _prepare(config: Path) -> Prepared:
     with progress("calibration") as tell:
-        from pmfid.service.groups import prepare
+        from pmfid.stream.groups import prepare
 
         return prepare(config, progress=tell)

@@ -7,7 +7,7 @@ from typing import Any
 
 from pmfid.cli.monitor_lines import sentence
 from pmfid.errors import printable
-from pmfid.service.outcome import Notice
+from pmfid.stream.outcome import Notice
 
 Fields = dict[str, Any]
 

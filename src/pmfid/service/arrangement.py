@@ -10,10 +10,10 @@ from time import monotonic, time
 from typing import Any
 
 from pmfid.errors import PmfidError
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Group, Pace, Prepared, prepare
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.records import Record
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
 __all__ = ["Configurations", "arranged", "remember", "tell_configurations"]
 

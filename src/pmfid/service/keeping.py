@@ -8,11 +8,11 @@ from threading import Condition, Thread
 from time import monotonic
 from typing import Any
 
-from pmfid.service.checkpoint import Draft, Room, draft, state_size
-from pmfid.service.counters import Counters
-from pmfid.service.crash import crash_point
-from pmfid.service.engine import Engine
-from pmfid.service.vault import Vault
+from pmfid.stream.checkpoint import Draft, Room, draft, state_size
+from pmfid.stream.counters import Counters
+from pmfid.stream.crash import crash_point
+from pmfid.stream.engine import Engine
+from pmfid.stream.vault import Vault
 
 __all__ = ["Checkpoints"]
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import IO
 
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.plain import as_json, notice_object
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["Log", "json_line"]
 

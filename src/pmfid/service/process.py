@@ -12,8 +12,8 @@ from time import monotonic
 from types import FrameType
 from typing import Any
 
-from pmfid.service.counters import Counters
 from pmfid.session.monitored.stream import catch_signals
+from pmfid.stream.counters import Counters
 
 __all__ = ["Signals", "Standing", "notify"]
 

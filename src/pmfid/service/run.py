@@ -12,22 +12,22 @@ from typing import Any
 from pmfid.errors import PmfidError, UsageError
 from pmfid.service.arrangement import Configurations, arranged, remember, tell_configurations
 from pmfid.service.board import Board
-from pmfid.service.checkpoint import Snapshot, read_snapshot
 from pmfid.service.context import Context
-from pmfid.service.counters import Counters
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Group, Pace, Prepared
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.log import Log
-from pmfid.service.outcome import Notice, Outlet
 from pmfid.service.plant import Plant, page_config
 from pmfid.service.process import Signals, Standing, notify
 from pmfid.service.running import Sources
 from pmfid.service.sinks.queued import Queued
-from pmfid.service.vault import Vault
 from pmfid.service.web.server import Page
 from pmfid.session.config import Axis
 from pmfid.session.records import Record, read_record
+from pmfid.stream.checkpoint import Snapshot, read_snapshot
+from pmfid.stream.counters import Counters
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Group, Pace, Prepared
+from pmfid.stream.outcome import Notice, Outlet
+from pmfid.stream.vault import Vault
 
 __all__ = ["Service"]
 

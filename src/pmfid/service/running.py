@@ -9,9 +9,9 @@ from threading import Event, Thread
 from typing import Any
 
 from pmfid.errors import PmfidError
-from pmfid.service.delivery import Delivery, Mark
-from pmfid.service.inbox import Inbox
 from pmfid.service.sources import Source
+from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.inbox import Inbox
 
 __all__ = ["Running", "Sources"]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from pyspark.sql.datasource import DataSource, DataSourceStreamReader, InputPartition
 
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import BlockStream, encode
+from pmfid.stream.blocks import BlockStream, encode
+from pmfid.stream.delivery import Block
 
 if TYPE_CHECKING:
     from pyspark.sql.types import StructType

@@ -17,7 +17,7 @@ from pmfid.durable.lock import hold
 from pmfid.errors import UsageError
 from pmfid.fleet.store import whole
 from pmfid.fleet.stream.tables import COUNTS, ESTIMATE, NOTICE
-from pmfid.service.crash import crash_point
+from pmfid.stream.crash import crash_point
 
 if TYPE_CHECKING:
     import polars as pl

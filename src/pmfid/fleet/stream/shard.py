@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
-from pmfid.service.checkpoint import read_snapshot, snapshot
-from pmfid.service.counters import Counters
-from pmfid.service.delivery import Block, Delivery, Item, Table, Unusable
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Group, Pace, Prepared
-from pmfid.service.outcome import Notice, Rows
-from pmfid.service.wire import blocks
-from pmfid.service.wire.layout import HEADER, MAGIC
+from pmfid.stream import blocks
+from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.counters import Counters
+from pmfid.stream.delivery import Block, Delivery, Item, Table, Unusable
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Group, Pace, Prepared
+from pmfid.stream.layout import HEADER, MAGIC
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["Outcomes", "Plan", "Shard", "shard_of"]
 

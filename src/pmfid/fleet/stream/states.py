@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.fleet.stream.shard import Plan, shard_of
-from pmfid.service.checkpoint import Saved, Snapshot, read_snapshot
-from pmfid.service.moved import body_from, body_of, joined
-from pmfid.service.vault import Vault
+from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
+from pmfid.stream.moved import body_from, body_of, joined
+from pmfid.stream.vault import Vault
 
 if TYPE_CHECKING:
     from pmfid.monitor.monitor import Monitor
-    from pmfid.service.groups import Pace, Prepared
+    from pmfid.stream.groups import Pace, Prepared
 
 __all__ = ["States"]
 

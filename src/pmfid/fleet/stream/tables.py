@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.monitor.events import STATES
-from pmfid.service.notices import OF_AXIS, OWN
+from pmfid.stream.notices import OF_AXIS, OWN
 
 if TYPE_CHECKING:
     import polars as pl
 
     from pmfid.fleet.stream.shard import Plan, Shard
-    from pmfid.service.outcome import Notice, Rows
+    from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["COUNTS", "ESTIMATE", "NOTICE", "columns_of", "table_of"]
 

@@ -10,10 +10,10 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.service.board.alarms import Alarms, Standing
 from pmfid.service.board.panel import Overview, Panel, Records, row_bytes
-from pmfid.service.counters import Counters
-from pmfid.service.outcome import Kindred, Notice, Rows
+from pmfid.stream.alarms import Alarms, Standing
+from pmfid.stream.counters import Counters
+from pmfid.stream.outcome import Kindred, Notice, Rows
 
 __all__ = ["Board", "News", "Subscription"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.service.outcome import Kindred, Rows
+from pmfid.stream.outcome import Kindred, Rows
 from pmfid.types import Floats
 
 __all__ = ["Overview", "Panel", "Records", "row_bytes", "row_type"]

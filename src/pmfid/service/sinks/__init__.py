@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from pmfid.errors import PmfidError
-from pmfid.service.outcome import Notice, Rows
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["RefusedError", "Sink"]
 

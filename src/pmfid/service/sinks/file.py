@@ -9,10 +9,10 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.plain import as_json, notice_object, row_object, single_rows
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["FileSink", "FileSinkSection"]
 

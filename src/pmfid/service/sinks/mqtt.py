@@ -11,11 +11,11 @@ from pydantic import Field
 
 from pmfid.monitor.events import STATES
 from pmfid.service.broker import BrokerSection, Text, new_client
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.broker_link import BrokerLink
 from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_object, single_rows
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.service.sinks.waiting import URGENT
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["MqttSection", "MqttSink"]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pmfid.monitor.events import STATES
-from pmfid.service.outcome import Notice, Rows
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["Row", "alarm_of", "as_json", "notice_object", "row_object", "single_rows"]
 

@@ -8,10 +8,10 @@ from threading import Condition, Event, Thread
 from typing import Any
 
 from pmfid.errors import PmfidError, printable
-from pmfid.service.counters import Counters
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks import Sink
 from pmfid.service.sinks.waiting import MOST_ENTRIES, Entry, Limits, Lost, Waiting, is_urgent
+from pmfid.stream.counters import Counters
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["Queued", "Tell"]
 

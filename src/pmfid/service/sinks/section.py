@@ -7,11 +7,11 @@ from typing import Protocol
 
 from pydantic import Field
 
-from pmfid.service.counters import Counters
 from pmfid.service.sinks import Sink
 from pmfid.service.sinks.queued import Queued, Tell
 from pmfid.service.sinks.waiting import Limits
 from pmfid.session.toml_file import FileSection
+from pmfid.stream.counters import Counters
 
 __all__ = ["Host", "SinkSection"]
 

@@ -11,10 +11,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.sinks.plain import alarm_of, as_json
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["SqliteSection", "SqliteSink"]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from pmfid.service.outcome import Notice, Rows
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["MOST_ENTRIES", "URGENT", "Entry", "Limits", "Lost", "Waiting", "is_urgent"]
 

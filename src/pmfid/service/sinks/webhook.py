@@ -9,12 +9,12 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.service.outcome import Notice, Rows
 from pmfid.service.secrets import secret
 from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.service.sinks.posting import Poster, checked_address
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name, Positive
+from pmfid.stream.outcome import Notice, Rows
 
 __all__ = ["WebhookSection", "WebhookSink"]
 

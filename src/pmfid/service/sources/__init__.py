@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from pmfid.service.delivery import Delivery, Mark
+from pmfid.stream.delivery import Delivery, Mark
 
 __all__ = ["CHUNK", "Source", "Take"]
 

@@ -17,12 +17,12 @@ from pydantic import Field
 
 from pmfid.service.broker import Text
 from pmfid.service.context import Axes, Context, SourceSection
-from pmfid.service.delivery import Delivery, Mark
 from pmfid.service.sources import CHUNK, Take
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.messages import Messages
 from pmfid.service.wire.points import Readers
 from pmfid.service.wire.splitter import LineSplitter
+from pmfid.stream.delivery import Delivery, Mark
 
 __all__ = ["ExecdSection", "ExecdSource"]
 

@@ -17,7 +17,6 @@ from pydantic import AfterValidator, Field
 
 from pmfid.errors import UsageError
 from pmfid.service.context import Context, SourceSection
-from pmfid.service.delivery import Block, Delivery, Lines, Mark
 from pmfid.service.sources import CHUNK, Source, Take
 from pmfid.session.config import Axis
 from pmfid.session.model_config import Name
@@ -25,6 +24,7 @@ from pmfid.session.monitored.lines import LineParser
 from pmfid.session.monitored.stream import LONGEST_LINE, Beginning
 from pmfid.session.monitored.timeline import Line
 from pmfid.session.records import Record
+from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 
 __all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
 

@@ -19,11 +19,11 @@ from pydantic import AfterValidator, Field
 
 from pmfid.service.broker import BrokerSection, Text, new_client, pauses
 from pmfid.service.context import Axes, Context, SourceSection
-from pmfid.service.delivery import Delivery, Mark
 from pmfid.service.sources import Take
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.messages import LARGEST, Form, Messages
 from pmfid.service.wire.points import Readers
+from pmfid.stream.delivery import Delivery, Mark
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage

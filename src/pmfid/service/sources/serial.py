@@ -13,13 +13,13 @@ from pydantic import Field, model_validator
 from pmfid.errors import UsageError
 from pmfid.service.broker import Text, pauses
 from pmfid.service.context import Axes, Context, SourceSection
-from pmfid.service.delivery import Delivery, Item, Lines, Mark, Unusable
 from pmfid.service.sources import CHUNK, Take
-from pmfid.service.wire.blocks import BlockStream
 from pmfid.service.wire.splitter import LineSplitter
 from pmfid.session.config import Axis
 from pmfid.session.monitored.lines import LineParser, is_comment
 from pmfid.session.monitored.stream import FIRST_LINES
+from pmfid.stream.blocks import BlockStream
+from pmfid.stream.delivery import Delivery, Item, Lines, Mark, Unusable
 
 if TYPE_CHECKING:
     from serial import Serial

@@ -18,14 +18,14 @@ from starlette.types import Receive, Scope, Send
 from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
 from pmfid.service.board import Board
-from pmfid.service.counters import Counters
-from pmfid.service.outcome import Kindred
 from pmfid.service.web.acts import Acts
 from pmfid.service.web.hub import Hub
 from pmfid.service.web.packed import json_line, packed, packed_rows
 from pmfid.service.web.security import json_body
 from pmfid.session.records import Record
 from pmfid.status import ADVICE, Status
+from pmfid.stream.counters import Counters
+from pmfid.stream.outcome import Kindred
 
 __all__ = ["Api", "csv_of"]
 

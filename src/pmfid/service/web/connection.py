@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from pmfid.service.counters import Counters
+from pmfid.stream.counters import Counters
 
 __all__ = ["Guarded", "Limits", "guarded"]
 

@@ -8,8 +8,8 @@ import socket
 import ssl
 from collections.abc import Callable
 
-from pmfid.service.counters import Counters
 from pmfid.service.web.connection import Guarded
+from pmfid.stream.counters import Counters
 
 __all__ = ["Entrance", "most_connections"]
 

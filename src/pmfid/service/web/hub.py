@@ -13,8 +13,8 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
 from pmfid.service.board import Board, News, Subscription
-from pmfid.service.counters import Counters
 from pmfid.service.web.packed import json_line, packed_overview, packed_rows
+from pmfid.stream.counters import Counters
 
 __all__ = ["Hub"]
 

@@ -20,8 +20,8 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from pmfid.service.counters import Counters
 from pmfid.service.web.tokens import WRITE, Tokens
+from pmfid.stream.counters import Counters
 
 __all__ = ["FREE", "LARGEST_BODY", "WINDOW", "Brake", "Guard", "Refusal", "hosts_of", "json_body"]
 

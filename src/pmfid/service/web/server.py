@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, cast
 
 from pmfid.errors import UsageError
 from pmfid.service.board import Board
-from pmfid.service.counters import Counters
 from pmfid.service.web.acts import Acts
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.tokens import Tokens, load_tokens
 from pmfid.session.records import Record
+from pmfid.stream.counters import Counters
 
 if TYPE_CHECKING:
     from uvicorn import Config, Server

@@ -6,8 +6,8 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 
-from pmfid.service.delivery import Unusable
 from pmfid.service.wire.points import MOST_POINTS, Columns, Point
+from pmfid.stream.delivery import Unusable
 
 __all__ = ["AXIS_KEY", "decode"]
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from pmfid.service.delivery import Unusable
 from pmfid.service.wire.points import MOST_POINTS, Point
+from pmfid.stream.delivery import Unusable
 
 __all__ = ["PRECISIONS", "Measured", "Precision", "decode", "parse_line"]
 

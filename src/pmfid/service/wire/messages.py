@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pmfid.service.delivery import Block, Item, Lines, Unusable, one_by_one
-from pmfid.service.wire import blocks, json_lines, line_protocol
-from pmfid.service.wire.layout import MAGIC
+from pmfid.service.wire import json_lines, line_protocol
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.points import Readers
+from pmfid.stream import blocks
+from pmfid.stream.delivery import Block, Item, Lines, Unusable, one_by_one
+from pmfid.stream.layout import MAGIC
 
 __all__ = ["LARGEST", "Form", "Messages"]
 

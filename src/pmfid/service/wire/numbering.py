@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
-from pmfid.service.delivery import Block
-from pmfid.service.wire.blocks import encode, problem_of
-from pmfid.service.wire.layout import MOST_SAMPLES
+from pmfid.stream.blocks import encode, problem_of
+from pmfid.stream.delivery import Block
+from pmfid.stream.layout import MOST_SAMPLES
 from pmfid.types import Counts, Floats
 
 __all__ = ["Numbering"]

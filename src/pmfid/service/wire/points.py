@@ -9,10 +9,10 @@ from itertools import groupby
 
 from pmfid.errors import UsageError
 from pmfid.service.context import Axes
-from pmfid.service.delivery import Lines, Unusable
 from pmfid.session.config import Axis
 from pmfid.session.monitored.reading import FieldReader
 from pmfid.session.monitored.timeline import Line
+from pmfid.stream.delivery import Lines, Unusable
 
 __all__ = ["MOST_POINTS", "Columns", "Point", "Readers"]
 

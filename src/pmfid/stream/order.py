@@ -12,9 +12,9 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from pmfid.service.clock import Clock, fits
-from pmfid.service.delivery import Block
-from pmfid.service.positions import Column, Place, Positions
+from pmfid.stream.clock import Clock, fits
+from pmfid.stream.delivery import Block
+from pmfid.stream.positions import Column, Place, Positions
 from pmfid.types import Counts, Floats
 
 __all__ = ["ANEW", "Order", "Piece", "Verdict"]

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.service.clock import due, fits, right, runs
-from pmfid.service.counters import Counters
-from pmfid.service.delivery import Block, Delivery, Lines, Table, Unusable
-from pmfid.service.groups import Group, Seat
-from pmfid.service.order import Piece, Verdict
-from pmfid.service.positions import Positions
-from pmfid.service.seating import Seating, Seatings, Tables
-from pmfid.service.stepping import Found
-from pmfid.service.waiting import Batch, Waiting
+from pmfid.stream.clock import due, fits, right, runs
+from pmfid.stream.counters import Counters
+from pmfid.stream.delivery import Block, Delivery, Lines, Table, Unusable
+from pmfid.stream.groups import Group, Seat
+from pmfid.stream.order import Piece, Verdict
+from pmfid.stream.positions import Positions
+from pmfid.stream.seating import Seating, Seatings, Tables
+from pmfid.stream.stepping import Found
+from pmfid.stream.waiting import Batch, Waiting
 from pmfid.types import Flags, Floats
 
 __all__ = ["Intake", "Ordered", "take_expected"]

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.service.order import Order
-from pmfid.service.outcome import Kindred
-from pmfid.service.positions import Place, Positions
-from pmfid.service.timed import Timed
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.monitored.setup import Setup, set_up
 from pmfid.session.records import Record
+from pmfid.stream.order import Order
+from pmfid.stream.outcome import Kindred
+from pmfid.stream.positions import Place, Positions
+from pmfid.stream.timed import Timed
 
 __all__ = ["Group", "Pace", "Prepared", "Seat", "prepare"]
 

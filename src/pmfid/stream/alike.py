@@ -11,9 +11,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from pmfid.service.delivery import Table
-from pmfid.service.wire.layout import HEADER, LONGEST_NAME, MAGIC, MOST_NUMBER, MOST_SAMPLES, VERSION, block_type
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
+from pmfid.stream.delivery import Table
+from pmfid.stream.layout import HEADER, LONGEST_NAME, MAGIC, MOST_NUMBER, MOST_SAMPLES, VERSION, block_type
 from pmfid.types import Flags
 
 __all__ = ["alike"]

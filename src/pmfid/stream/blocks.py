@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.service.delivery import Block, Table, Unusable
-from pmfid.service.wire.alike import alike
-from pmfid.service.wire.layout import (
+from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
+from pmfid.stream.alike import alike
+from pmfid.stream.delivery import Block, Table, Unusable
+from pmfid.stream.layout import (
     COUNTS,
     CRC,
     HEADER,
@@ -29,7 +30,6 @@ from pmfid.service.wire.layout import (
     WIDE_U,
     U,
 )
-from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
 from pmfid.types import Counts, Floats
 
 __all__ = ["BlockStream", "decode", "encode", "items", "problem_of"]

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from threading import Condition
 from time import monotonic
 
-from pmfid.service.crash import crash_point
-from pmfid.service.delivery import Delivery
+from pmfid.stream.crash import crash_point
+from pmfid.stream.delivery import Delivery
 
 __all__ = ["Inbox"]
 

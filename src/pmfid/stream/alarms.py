@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from pmfid.service.outcome import Notice
+from pmfid.stream.outcome import Notice
 
 __all__ = ["Alarms", "Standing"]
 

@@ -10,11 +10,11 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.monitor.monitor import Monitor
-from pmfid.service.board.alarms import Standing
-from pmfid.service.checkpoint import HELD, Saved, Snapshot, snapshot
-from pmfid.service.counters import Counters
-from pmfid.service.engine import Engine
-from pmfid.service.groups import Group, Pace, Prepared
+from pmfid.stream.alarms import Standing
+from pmfid.stream.checkpoint import HELD, Saved, Snapshot, snapshot
+from pmfid.stream.counters import Counters
+from pmfid.stream.engine import Engine
+from pmfid.stream.groups import Group, Pace, Prepared
 
 __all__ = ["body_from", "body_of", "joined", "only"]
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pmfid.service.board.alarms import Alarms, Standing
-from pmfid.service.groups import Seat
-from pmfid.service.outcome import Notice, Outlet
+from pmfid.stream.alarms import Alarms, Standing
+from pmfid.stream.groups import Seat
+from pmfid.stream.outcome import Notice, Outlet
 
 __all__ = ["Notices"]
 

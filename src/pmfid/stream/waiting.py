@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.service.delivery import joined
-from pmfid.service.groups import Group, Seat
-from pmfid.service.order import Piece
+from pmfid.stream.delivery import joined
+from pmfid.stream.groups import Group, Seat
+from pmfid.stream.order import Piece
 from pmfid.types import Counts, Flags, Floats
 
 __all__ = ["Batch", "Waiting"]

@@ -11,10 +11,10 @@ from hashlib import blake2b
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.service.delivery import Lines
-from pmfid.service.order import ANEW, Piece, Verdict
 from pmfid.session.monitored.period import Saved
 from pmfid.session.monitored.timeline import COMMENT, REPEATED, Found, Line, Metronome, Sample, Timeline
+from pmfid.stream.delivery import Lines
+from pmfid.stream.order import ANEW, Piece, Verdict
 
 __all__ = ["Timed"]
 

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.monitor.saved import seal_parts
-from pmfid.service.board.alarms import Standing
-from pmfid.service.delivery import Block, Mark
-from pmfid.service.groups import Group, Pace, Prepared, Seat
-from pmfid.service.outcome import Notice
+from pmfid.stream.alarms import Standing
+from pmfid.stream.delivery import Block, Mark
+from pmfid.stream.groups import Group, Pace, Prepared, Seat
+from pmfid.stream.outcome import Notice
 
 if TYPE_CHECKING:
-    from pmfid.service.engine import Engine
+    from pmfid.stream.engine import Engine
 
 __all__ = ["Draft", "Room", "Snapshot", "draft", "read_snapshot", "snapshot", "state_size"]
 

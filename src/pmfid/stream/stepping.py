@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from pmfid.monitor.events import Event
 from pmfid.monitor.rows import FleetRows
-from pmfid.service.groups import Group, Seat
-from pmfid.service.order import Piece
-from pmfid.service.outcome import Rows
-from pmfid.service.waiting import Batch, Waiting
 from pmfid.session.monitored.run import event_object
+from pmfid.stream.groups import Group, Seat
+from pmfid.stream.order import Piece
+from pmfid.stream.outcome import Rows
+from pmfid.stream.waiting import Batch, Waiting
 from pmfid.types import Floats
 
 __all__ = ["Found", "Stepped", "step"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.service.positions import Column, Place
+from pmfid.stream.positions import Column, Place
 from pmfid.types import Flags, Floats
 
 __all__ = ["Clock", "due", "fits", "right", "runs"]

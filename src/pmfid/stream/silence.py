@@ -10,11 +10,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.service.board.alarms import Standing
-from pmfid.service.counters import Counters
-from pmfid.service.groups import Group
-from pmfid.service.notices import Notices
-from pmfid.service.outcome import Notice
+from pmfid.stream.alarms import Standing
+from pmfid.stream.counters import Counters
+from pmfid.stream.groups import Group
+from pmfid.stream.notices import Notices
+from pmfid.stream.outcome import Notice
 
 __all__ = ["Silence", "Taker"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.service.delivery import Delivery, Table
-from pmfid.service.groups import Group, Seat
+from pmfid.stream.delivery import Delivery, Table
+from pmfid.stream.groups import Group, Seat
 
 __all__ = ["Seating", "Seatings", "Tables"]
 

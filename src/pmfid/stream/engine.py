@@ -11,18 +11,18 @@ from typing import Any, Protocol
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.service.commands import Acknowledge, Anew, Command, Commands, Refer
-from pmfid.service.counters import Counters
-from pmfid.service.crash import crash_point
-from pmfid.service.delivery import Delivery, Mark
-from pmfid.service.groups import Group, Seat
-from pmfid.service.inbox import Inbox
-from pmfid.service.intake import Intake, Ordered
-from pmfid.service.notices import Notices
-from pmfid.service.outcome import Notice, Outlet
-from pmfid.service.silence import Silence
-from pmfid.service.stepping import Found, step
 from pmfid.session.monitored.run import event_object
+from pmfid.stream.commands import Acknowledge, Anew, Command, Commands, Refer
+from pmfid.stream.counters import Counters
+from pmfid.stream.crash import crash_point
+from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.groups import Group, Seat
+from pmfid.stream.inbox import Inbox
+from pmfid.stream.intake import Intake, Ordered
+from pmfid.stream.notices import Notices
+from pmfid.stream.outcome import Notice, Outlet
+from pmfid.stream.silence import Silence
+from pmfid.stream.stepping import Found, step
 
 __all__ = ["Engine", "Keeper"]
 

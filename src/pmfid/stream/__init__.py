@@ -1,0 +1,8 @@
+"""What steps many axes as their blocks arrive: `pmfid serve` and the streams of a fleet share it.
+
+    deliveries --> order --> fleets of monitors --> rows and notices --> outlets
+                                     |
+                                     +--> snapshots
+
+Nothing here knows a broker, a web page or a cluster.
+"""
