@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.configuration import configuration_of, make_estimator
+from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
 from pmfid.fleet.stream.shard import Plan, Shard
@@ -32,7 +32,7 @@ LEG = 500
 def fresh(prepared: Prepared) -> RecursiveEstimator:
     """The estimator of the watch, at its start."""
     estimator = prepared.setup.monitor.estimator
-    return make_estimator(type(estimator), configuration_of(estimator))
+    return construct_estimator(type(estimator), configuration_of(estimator))
 
 
 class Firmware:
