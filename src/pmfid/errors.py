@@ -43,7 +43,7 @@ class UnknownParameterError(UsageError, KeyError):
     """A result was asked for a parameter that it does not have; a KeyError, as of any mapping."""
 
     def __str__(self) -> str:
-        return str(self.args[0])  # that of a KeyError would quote the sentence
+        return str(self.args[0])  # KeyError's own method would quote the sentence
 
 
 def printable(text: str) -> str:

@@ -94,7 +94,7 @@ class Shown(ABC):
         return frame_of(self.columns())
 
     def plot(self, **options: object) -> Figure:
-        """The figure that the report has of it, a matplotlib Figure; options: those of `pmfid.report.plots` for it."""
+        """The report's figure of the result, a matplotlib Figure; options: see `pmfid.report.plots`."""
         return figure_of(self, **options)
 
 

@@ -11,7 +11,7 @@ _BITS = constants_of(None)
 
 
 class Status(IntFlag):
-    """Bits of `Estimate.status` and `Track.status`; their values are those of csrc/pmf.h."""
+    """Bits of `Estimate.status` and `Track.status`; their values are defined in csrc/pmf.h."""
 
     STARTING = _BITS["PMF_STARTING"]
     SETTLING = _BITS["PMF_SETTLING"]
@@ -60,7 +60,7 @@ ADVICE = {
         "beyond the error bars are possible, the larger the coarser it is; open-loop motion is free of them"
     ),
     Status.DEAD_TIME: (
-        "the plant moves later than the model: the input acts late, or friction at low speed is not that of the model; "
+        "the plant moves later than the model: the input acts late, or friction at low speed differs from the model; "
         'set dead_time = "estimate"; the error bars do not cover it. Where that is set, it is not known yet, or not '
         "believed: livelier motion shows it, best steps in open loop; or find it off-line, and give it"
     ),

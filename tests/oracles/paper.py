@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from math import comb
 
 import numpy as np
 from scipy.integrate import quad
@@ -91,3 +92,22 @@ def process_facts(zeros, dt, n, m):
     for column, zero in enumerate(zeros):
         H[n:, column] = [J(i, np.exp(zero * dt), dt, n) for i in range(n + m + 1)]
     return H
+
+
+def coefficient_matrix(n: int, cutoff: float, gain: float) -> np.ndarray:
+    """The matrix A_n (n+1, n+1) of paper eq. 13 to 16, with the exponent of the gain corrected.
+
+    M_n{d^(n+1-i) y / dt^(n+1-i)} = sum_j A_n(i, j) M_{j-1}{y}, i, j = 1 .. n+1, for the moments
+    M_k = (gain / (s + cutoff))^(k+1):
+
+        A_n(i, j) = (-1)^(j-i) C(n+1-i, j-i) cutoff^(j-i) gain^(n+1-j) for i <= j, else 0.
+
+    The first row is that of the target y_PMF^(n) (eq. 14), the others are those of the regressors (eq. 13). The paper
+    prints the exponent of the gain as n+i-j, which is right for gain = 1 alone.
+    `pmfid.filters.chain.derivative` is this matrix for gain = cutoff.
+    """
+    matrix = np.zeros((n + 1, n + 1))
+    for i in range(1, n + 2):
+        for j in range(i, n + 2):
+            matrix[i - 1, j - 1] = comb(n + 1 - i, j - i) * (-cutoff) ** (j - i) * gain ** (n + 1 - j)
+    return matrix

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pmfid.types import Floats
 
-#: Steps, of which one is enough for one given force; more only where several facts contradict each other.
+#: Steps. One step is enough for one given force; only facts that contradict each other take more.
 MOST_STEPS, CONVERGED = 30, 1e-13
 #: A fact that the others leave this part of its variance is tested by nothing.
 UNTESTED = 1e-9
@@ -38,7 +38,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Combined:
-    """theta (n, p + 1), the last one the gain over that of the estimate; noise (n, p + 1, p + 1): its covariance;
+    """theta (n, p + 1), the last one the gain over the estimate's gain; noise (n, p + 1, p + 1): its covariance;
     moves (n, p + 1, p): by how much it moves for an error of the estimate; apart (n, k): by how many standard
     deviations each fact differs from what all others say."""
 

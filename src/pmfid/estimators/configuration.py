@@ -41,8 +41,8 @@ class ByName(Mapping[str, float]):
 
 
 def explain_inherited(cls: type) -> None:
-    """Adds to a class's docstring those of the bases that have arguments of their own: `help` of a method explains all
-    that it takes."""
+    """Adds the docstrings of the bases with arguments of their own to a class's docstring: `help` of a method then
+    explains all that it takes."""
     own = cls.__dict__.get("__doc__")
     if own is None:
         return

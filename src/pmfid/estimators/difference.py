@@ -39,7 +39,7 @@ WHITE = math.sqrt(12.0)
 WORST_FIT = 0.5
 #: Time constants of the longest lag after which an input has no effect left.
 LAGGING = 16
-#: Least mass, as a part of that of the start: without any the motion has no equation.
+#: Least mass, as a part of the start's mass: without any the motion has no equation.
 LEAST_MASS = 1e-3
 #: The same of a parameter that the equation is not linear in.
 LEAST_SHAPE = 1e-2
@@ -76,7 +76,7 @@ class Difference:
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
         """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
 
-        force (n,), or (k n,) for the k equal parts of every sample: on top of that of the input [unit of the
+        force (n,), or (k n,) for the k equal parts of every sample: on top of the force of the input [unit of the
         equation].
         """
         if self.breaks:
@@ -95,7 +95,7 @@ class Difference:
         return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
 
     def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
-        """`motion` of a record with gaps; in a gap the position is that of the counts, and the velocity is zero."""
+        """`motion` of a record with gaps; in a gap the position follows the counts, and the velocity is zero."""
         split = 1 if force is None else force.size // self.u.size
         position, velocity = self.y.copy(), np.zeros(split * self.u.size)
         first, others = self._parts
@@ -135,8 +135,8 @@ class Difference:
 
     @property
     def before(self) -> Floats:
-        """(m,) inputs before the first, of which only a dead time knows: where nobody knows them none where the axis
-        rests until they act, and else as the first."""
+        """(m,) inputs before the first, for a dead time alone. If they are unknown they are zero, as long as the axis
+        rests until they act, and else equal to the first one."""
         if self.past is not None:
             return self.past
         return np.array([0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])])
@@ -168,7 +168,7 @@ class Difference:
         return first_order(signal, math.exp(-self.pole * self.dt), 1.0, -1.0)[0]
 
     def sum_by_sample(self, values: Floats) -> Floats:
-        """What stands at the samples of the difference, (n, ...), at those of the record."""
+        """Values (n, ...) at the samples of the difference, summed at the samples of the record."""
         return values
 
     @property
@@ -281,7 +281,7 @@ def least(difference: Difference, q: Floats, tolerances: Sequence[float] = (TOLE
 def remove_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
     """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
 
-    root: (n,) square roots of the samples' information, None: that of a white encoder error. The start velocity is
+    root: (n,) square roots of the samples' information, None: for a white encoder error. The start velocity is
     taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
     """
     weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]

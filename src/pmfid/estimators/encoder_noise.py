@@ -16,13 +16,13 @@ from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Networ
 PART = 2**17
 #: What the encoder shows of the leading column, at least.
 LEAST = 1e-18
-#: Frequencies at which the gain that an encoder's error meets is looked at, and the decades below that of the samples.
+#: Frequencies of the gain of an encoder's error, and their decades below the sampling frequency.
 FREQUENCIES, DECADES = 4096, 9
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
     """(p + 1, p + 1) covariance of the noise of regressors and target: sigma^2 sum g g^T, g the impulse responses of
-    the noisy columns; that of the target is zero but for an equation with known terms of the output.
+    the noisy columns. The target has noise only in an equation with known terms of the output.
 
     noise_std: standard deviation of the position [unit of y]; None: resolution / sqrt(12), as of a quantiser whose
     error is white, which holds from about one count of motion per sample on.

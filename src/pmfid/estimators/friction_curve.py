@@ -59,7 +59,7 @@ class FrictionCurve(Shown):
 
     @property
     def visited(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Velocities [m/s] of which the record says something, backward and forward; between the two, slower than the
+        """Velocities [m/s] that the record covers, backward and forward; between the two, slower than the
         first nodes, it does not tell the curve from the jump at zero."""
         back, ahead = self.velocity[self.velocity < 0], self.velocity[self.velocity > 0]
         return (float(back[0]), float(back[-1])), (float(ahead[0]), float(ahead[-1]))
@@ -219,7 +219,7 @@ def _sums(A: Floats, regressors: Floats, target: Floats) -> tuple[Floats, ...]:
 
 
 def _rising(square: Floats, right: Floats, speeds: tuple[Floats, Floats], rising_from: float) -> Floats:
-    """The best parameters of which none falls with the speed from `rising_from` on."""
+    """The best parameters whose friction does not fall with the speed from `rising_from` on."""
     from scipy.optimize import lsq_linear  # slow to import, and only this needs it
 
     k, low, first = square.shape[0], np.full(square.shape[0], -np.inf), 1

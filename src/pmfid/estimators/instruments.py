@@ -295,7 +295,7 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
 
 
 def linearise_lag(columns_at: Callable[[float], Columns], theta: NDArray[np.float64], dt: float) -> Columns:
-    """The columns for theta (p,), the last of which is the lag [s], from the columns at known lags.
+    """The columns for theta (p,), whose last element is the lag [s], from the columns at known lags.
 
     To first order a lag multiplies the change of the equation's error with it. The target counts from the present lag,
     so an iteration ends where this term is zero. The change of the error has no noise, and is its own instrument.

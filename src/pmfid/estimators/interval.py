@@ -28,7 +28,7 @@ class IntervalML(Following):
     have under this very motion.
 
     Where y - x is more than the encoder explains, and wherever `OE` has a high-pass, the edges of the counts say
-    nothing on x: the result is then that of `OE`, with `Status.FALLBACK`. drift_cutoff: pole of a first-order high-pass
+    nothing on x: the result then comes from `OE`, with `Status.FALLBACK`. drift_cutoff: pole of a first-order high-pass
     on y - x [rad/s], 0: none, None: as for `OE`. initial: parameters by name to start from.
     """
 

@@ -30,7 +30,7 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
 
-#: Standard deviations, those of both sides together, from which on a fact and a record contradict each other.
+#: Standard deviations of the difference between a fact and a record from which on they contradict each other.
 CONTRADICTED = 3.0
 #: Samples of a record over which the correlation of the parameters is taken for the same.
 PIECE = 200
@@ -213,7 +213,7 @@ class Known:
         )
 
     def rescaled(self, found: Fit | Estimate | Posterior) -> tuple[Known, Posterior]:
-        """With the gain that is found as that of the estimator, and the same estimate in forces of that machine."""
+        """The same with the found gain as the estimator's gain, and the estimate in forces of the machine."""
         gain = self.of(found)[INPUT_GAIN]
         own = np.where(self._forces, gain / self.estimator.equation.input_gain, 1.0)
         theta, covariance = found.theta * own, found.theta_cov * np.outer(own, own)

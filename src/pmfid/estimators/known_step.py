@@ -20,7 +20,7 @@ class KnownStep(BatchEstimator):
     """Off-line: theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), R = sum phi phi^T, r = sum phi z; C and c, that of phi
     and z, from the filters alone.
 
-    noise_std: of the position [unit of y]; None: that of the encoder's step. No instruments are needed and no
+    noise_std: of the position [unit of y]; None: the value for the encoder's step. No instruments are needed and no
     pre-filter; it fails where the noise is not white, below about one count of motion per sample.
     """
 
@@ -45,7 +45,7 @@ class KnownStep(BatchEstimator):
 class RKnownStep(RecursiveEstimator):
     """On-line, with forgetting: the same sums, discounted; see `KnownStep`.
 
-    noise_std: standard deviation of the position [unit of y]; None: that of the encoder's step.
+    noise_std: standard deviation of the position [unit of y]; None: the value for the encoder's step.
     """
 
     method: ClassVar[str] = "rknown-step"

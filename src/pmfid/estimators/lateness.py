@@ -64,7 +64,7 @@ def _others(equation: Equation) -> Iterator[Equation]:
 
 
 def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
-    """The best fit of another equation from that of the model; None: there is none, or none that is late."""
+    """The best fit of another equation, from the model's fit; None: there is none, or none that is late."""
     difference, start = _prepare_fit(found, equation)
     try:
         q = least(difference, start)

@@ -11,7 +11,7 @@ from pmfid.models.equation import Equation
 class Level:
     """What the output's level is in, as indices of parameters.
 
-    Of y - first the equation is that of y, with the constant theta[constant] of y less ratio * first * theta[lowest].
+    y - first has the equation of y, but its constant is theta[constant] - ratio * first * theta[lowest].
     lowest: None where the output itself is in no term, so that the constant is the same.
     """
 

@@ -32,7 +32,7 @@ def mean_velocity(
 ) -> Floats:
     """(n,) of every interval at theta (p,), shape parameters included, under u (n,), held; velocity, position: at the
     start, the position as the equation counts it. parts: of a sample, of an equation with shapes or a lag; without them
-    the motion is exact. before: inputs before the first (m,), of which a dead time or a lag knows; None: zero. on_top:
+    the motion is exact. before: inputs before the first (m,), for a dead time or a lag; None: zero. on_top:
     (n,) what acts at once in addition to the input, in its unit."""
     return simulate_motion(equation, theta, dt, u, velocity, position, parts, before, on_top)[0]
 

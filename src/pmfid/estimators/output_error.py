@@ -101,7 +101,7 @@ class Following(Simulating, BatchEstimator):
         """The difference as it is to be judged, its least squares q, and the status bits of the record.
 
         The first pass always has the high-pass: the position itself has local minima if friction drifts.
-        start: parameters (p,) to start from, None: those of `IV`.
+        start: parameters (p,) to start from, None: the estimate of `IV`.
         """
         u, counts = check_arrays(u, counts)
         theta, status = self._start(u, counts) if start is None else (start, 0)
@@ -275,19 +275,19 @@ class OE(ProcessSolver, Following):
     from the start x0, v0, which are fitted as well; mass > 0, frictions >= 0. Starts from `IV`, or where that does
     not settle from its start. theta_cov is for residuals correlated in time, on whatever scale (`scatter`), and for
     the error that the encoder makes along this very motion, wherever its lattice lies (`phase_scatter`). samples is n;
-    residual is y - x [unit of the resolution], relative_error its norm over that of y less its mean; both after
+    residual is y - x [unit of the resolution], relative_error its norm over the norm of y less its mean; both after
     the high-pass, if there is one.
 
     drift_cutoff: pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt; 0: none; None: none where y - x is
     within what the encoder explains (0.5 counts root mean square), and otherwise `cutoff`. Unmodelled friction adds
     up in the position to a random walk, and this high-pass whitens a random walk with white noise on top. The
     high-pass costs information: on the cart with 128 increments and 20 rad/s the standard deviation of the mass
-    becomes 2.4 times, that of the frictions 7 times as large. initial: parameters by name for `IV` to start from.
+    becomes 2.4 times, the one of the frictions 7 times as large. initial: parameters by name for `IV` to start from.
 
     window: for long predictions by a model whose friction is not quite the machine's: least squares of the position
     itself over windows of this length [s] that overlap by half, each from a start of its own, or "auto", the length
     that predicts parts of the record best by a free run that were not fitted to (`windows`, `window_choice`). Then
-    residual (n,) is the mean over the windows, relative_error that of all windows. For machines, without drift_cutoff.
+    residual (n,) is the mean over the windows, relative_error covers all windows. For machines, without drift_cutoff.
     """
 
     method: ClassVar[str] = "output-error"

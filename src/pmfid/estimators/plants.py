@@ -15,7 +15,7 @@ from pmfid.types import Counts, Floats
 START_PIVOT = 1e-4
 #: Time constants of the slowest pre-filter zero in a memory, at least.
 ZERO_MEMORIES = 2
-#: The other zero over that one, at least: with three the instruments of a short memory were weak.
+#: Ratio of the two zeros, at least: with three the instruments of a short memory were weak.
 APART = 5.0
 #: Candidates for the faster zero as a part of the cutoff; the slower one is a thirtieth of it.
 FRACTIONS = (1 / 5, 1 / 10, 1 / 20, 1 / 40, 1 / 80)
@@ -181,7 +181,7 @@ def limit_zeros(fast: float, slow: float, memory: float) -> tuple[float, float]:
 
 
 def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:
-    """Pre-filter zeros for a linear process of which nothing is known: n, evenly in the logarithm from half the cutoff
+    """Pre-filter zeros for an unknown linear process: n, evenly in the logarithm from half the cutoff
     down to a twentieth of it."""
     spread = np.geomspace(0.5, 0.05, n) if n > 1 else np.array([0.2])
     return tuple(-cutoff * float(part) for part in spread)

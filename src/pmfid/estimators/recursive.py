@@ -36,7 +36,7 @@ SEPARATE = constants_of(None)["PMF_SEPARATE"]
 TRACE_REGULARIZATION = 1e-6
 #: Factor by which information from larger motions than the recent ones is forgotten faster.
 HASTE = 8
-#: Multiple of the information of the last memory's motions, above which information is taken for that of larger ones.
+#: Multiple of the information of the last memory's motions, above which information is attributed to larger motions.
 OUTGROWN = 3
 #: Samples from one look of the kernel at the size of the motion to the next.
 LOOK = constants_of(None)["PMF_LOOK"]
@@ -51,7 +51,7 @@ class RecursiveEstimator(Estimator):
     forgetting: weight of the past per sample, 0 < forgetting <= 1; the memory is dt / (1 - forgetting). With 1 float64
     forgets nothing; a sum of float32 would take in no more after some millions of samples, so there what was gathered
     counts by half whenever it is 2^19 samples.
-    forgetting_scheme: one of four, none of which winds up without excitation,
+    forgetting_scheme: one of four; none winds up without excitation,
     "exponential": every sample is forgotten alike; a small part of the largest information is never forgotten, and
     theta is held where that is all there is (Levenberg-Marquardt, Ljung and Soderstrom 1983);
     "directional": only in the directions that the samples excite (Cao and Schwartz 2000); least squares only. Nothing

@@ -34,7 +34,7 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
     exact for its hold, so there is no error of discretisation. A copy that would be unstable, or have poles beyond
     2 / dt, is not taken; the last one stays. If the process rings for a good part of the record so far, the data have
     filters that settle sooner, and only the instruments have the filters of the process; the error bars are then too
-    long rather than too short. Until the model is there and the estimate as good as that of `BCRLS`, that one is given
+    long rather than too short. Until the model is there and as good as `BCRLS`, the estimate is the one of `BCRLS`
     (`Status.FALLBACK`). cutoff, order, prefilter_zeros: of `BCRLS`; the time of the copy goes with cutoff. Raises
     UsageError for another model than a `TransferFunction`, or one with initial conditions.
     """

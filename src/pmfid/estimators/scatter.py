@@ -23,7 +23,7 @@ FEWEST = 24
 TINY = 1e-300
 #: Width of the difference quotients that are compared with the fine ones, as a part of a parameter.
 COARSE = 1e-2
-#: Variances that differ by more than this factor are not those of a smooth dependence.
+#: Factor between variances beyond which the dependence is not smooth.
 SMOOTH = 4.0
 #: Further widths for a rough dependence.
 WIDTHS = (1e-3, 3e-2, 0.1, 0.3)

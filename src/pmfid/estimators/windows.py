@@ -1,6 +1,6 @@
 """Simulation over windows of a record, each from a start of its own.
 
-Least squares of a whole simulation weighs how far the position drifts, that of a force balance weighs the force. What
+Least squares of a whole simulation weighs how far the position drifts, a force balance weighs the force. What
 predicts a machine whose friction no model has lies between them: simulation over windows of some length, with starts
 that are fitted, too (multiple shooting without continuity: Bock 1983; what it does to the sum of squares: Ribeiro et
 al. 2020).

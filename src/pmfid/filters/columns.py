@@ -155,7 +155,7 @@ class ColumnBuilder:
         equation, delay = self.equation, self.network.delay
         c = (equation.order - i) / 12 if self._corrected else 0.0
         taps: Taps = []
-        if i == 0:  # the second difference of mean positions is that of the mean velocities two samples apart
+        if i == 0:  # the second difference of mean positions is the difference of mean velocities two samples apart
             for node, weight in self._derivative(VELOCITY, 0) if c else []:
                 ends = c * self.spec.dt / 2 * weight
                 taps += [(node, -ends), (delay(delay(node)), ends)]

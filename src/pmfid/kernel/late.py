@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-#: exp(-t / lag) over a part of a sample: its end, its integral, and that of t times it; t in samples.
+#: exp(-t / lag) over a part of a sample: its end, its integral, and the integral of t times it; t in samples.
 Decay = tuple[float, float, float]
 
 

@@ -96,7 +96,7 @@ def long_memory(recursion: Structured) -> bool:
 
 
 def columns_of(config: Structured) -> int:
-    """Number of columns: those of the network, then regressors, target and instruments of a linear process's model."""
+    """Number of columns: the network's, then regressors, target and instruments of a linear process's model."""
     n, linear = int(config["network"]["n_columns"]), config["linear"]
     return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
 

@@ -1,6 +1,6 @@
 """The structures of the kernel as NumPy types, read from csrc/pmf.h, so that Python and firmware share their bytes.
 
-The module's own structures have room for every configuration; an export and a saved state have those of one alone.
+The module's structures have room for every configuration; an export and a saved state have room for one alone.
 """
 
 from __future__ import annotations

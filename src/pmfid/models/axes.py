@@ -41,5 +41,5 @@ def rotary(unit: str) -> str:
 
 
 def units_by(inertia: str) -> Units:
-    """The units of an axis by that of what is accelerated."""
+    """The units of an axis, by the unit of its mass or inertia."""
     return ROTARY if inertia == INERTIA else LINEAR

@@ -111,7 +111,7 @@ class Equation:
 
     The order is the highest derivative of the output. delay: of the input, in whole samples; of a process only.
     only_simulated: of a process, why only methods that simulate it can estimate it; empty if others can.
-    further: names and units of unknowns in which it is not linear, for such methods; those of shapes are added.
+    further: names and units of unknowns in which it is not linear, for such methods; unknowns of shapes are added.
     dead_time: by which the input of a machine acts late [s], any part of a sample; "estimate": it is unknown, too, and
     the equation has a further unknown term, dead_time times the derivative of the input: what it is to first order,
     around the dead time of the model that is simulated. Late counts are the same as a late input.
@@ -159,7 +159,7 @@ class Equation:
         check_late(DEAD_TIME, self.dead_time)
         check_late(LAG, self.lag)
         if self.dead_time and self.process:
-            raise UsageError("the dead time of a linear process is that of its TransferFunction; leave dead_time out")
+            raise UsageError("the dead time of a linear process belongs to its TransferFunction; leave dead_time out")
         if self.lag and self.process:
             raise UsageError("a lag of a linear process is one of its poles; leave lag out, and take n one larger")
 
@@ -203,11 +203,11 @@ class Equation:
     def _check_process(self) -> None:
         terms = (*self.unknown, *self.known)
         if any(term.signal not in PROCESS_SIGNALS for term in terms):
-            raise UsageError(f"an equation of a linear process has no terms but those of {list(PROCESS_SIGNALS)}")
+            raise UsageError(f"an equation of a linear process has terms of {list(PROCESS_SIGNALS)} alone")
         if not any(term.signal == "process_input" for term in terms):
             raise UsageError("one term must be the process_input")
         if self.relative_degree < 1 and not self.only_simulated:
-            raise UsageError("the highest derivative of the output must be higher than that of the input")
+            raise UsageError("the highest derivative of the output must be higher than the input's")
 
     @cached_property
     def process(self) -> bool:
@@ -216,7 +216,7 @@ class Equation:
 
     @property
     def relative_degree(self) -> int:
-        """Of a process: highest derivative of the output less that of the input."""
+        """Of a process: highest derivative of the output less highest derivative of the input."""
         terms = (*self.unknown, *self.known)
         return self.order - max(term.derivative for term in terms if term.signal == "process_input")
 

@@ -86,7 +86,7 @@ class Stribeck(Shape):
             raise UsageError("the Stribeck speed is not known yet: output-error and interval find it; or give it")
         step = FADED / PIECES
         speeds = step * np.arange(PIECES + 1)
-        # the mean over every piece is that of the form: straight lines between its own values lie on one side of it
+        # the mean over every piece is the form's mean: straight lines between its own values lie on one side of it
         bend = (4 * speeds**2 - 2) * step**2 / 12
         knots = np.exp(-(speeds**2)) * (1 - bend)
         return ShapeTable("speed", tuple(knots.tolist()), step=step * self.speed, positive=self.positive)
@@ -99,7 +99,7 @@ class Stribeck(Shape):
 
 @dataclass(frozen=True)
 class Square(Shape):
-    """v^2: friction that grows more than linearly, as that of air or oil."""
+    """v^2: friction that grows more than linearly, as in air or oil."""
 
     of_speed = True
     positive = True

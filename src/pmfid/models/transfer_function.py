@@ -54,7 +54,7 @@ class TransferFunction:
 
     def __post_init__(self) -> None:
         _check_whole("n", self.n, 1, MAX_ORDER, "the order of the denominator")
-        _check_whole("m", self.m, 0, self.n, "the order of the numerator, at most that of the denominator")
+        _check_whole("m", self.m, 0, self.n, "the order of the numerator, at most the order of the denominator")
         late = "the dead time in whole samples; for a longer one shift the input"
         _check_whole("delay", self.delay, 0, MAX_DELAY, late)
         _check_whole("integrators", self.integrators, 0, self.n, "how many of the n poles are at 0")

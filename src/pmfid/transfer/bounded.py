@@ -1,8 +1,8 @@
 """Bounded response of an unstable process: what decays runs forward in time, what grows runs backward.
 
 With unknown initial conditions it does not matter which end of a stretch they are counted from: all solutions of
-A y = B u are the bounded one plus the free responses. From the start those of an unstable pole would grow beyond every
-number; from the end they decay into the past. The residual after the free responses are fitted is that of the predictor
+A y = B u are the bounded one plus the free responses. From the start, responses of an unstable pole would exceed every
+number; from the end they decay into the past. The residual after the fit of the free responses belongs to the predictor
 with mirrored poles (Forssell and Ljung 2000), a Kalman filter without process noise and with an unknown start.
 """
 

@@ -68,7 +68,7 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
     most = min(MOST, max(1, error.size // PART))
     laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))
     pairs = np.maximum(_autocovariance(there, most), 1e-9)
-    # over one number, not over that of the pairs: else it need not be the covariance of anything, and lines appear
+    # divided by one number, not by the count of pairs: else it need not be the covariance of anything, and lines appear
     raw = _autocovariance(laid, most) / pairs[0]
     if pairs[0] - pairs[1] > GAPS * error.size and np.any(np.abs(raw[1:SOON]) > 4 * raw[0] / np.sqrt(error.size)):
         raw = _correlate_over_gaps(error, place, most)

@@ -152,7 +152,7 @@ def _report(done: Callable[[float], None] | None, start: float, count: int, tota
 
 
 def _drop_start(experiment: Experiment, longest: int) -> Experiment:
-    """The first samples are not counted for any delay: those of the longest one have no input yet."""
+    """The first samples are left out at every delay: at the longest delay they have no input yet."""
     y = experiment.y.copy()
     y[:longest] = np.nan
     return replace(experiment, y=y)

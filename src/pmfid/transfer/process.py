@@ -267,7 +267,7 @@ class Process(Shown):
 
     def _root_std(self, coefficients: Floats, roots: Complex, part: slice) -> Floats:
         """(r, 2): half of how far a root moves where the coefficients go two standard deviations in the direction that
-        moves it most; the delta method but for near poles, of which it would say nothing or far too little."""
+        moves it most; the delta method but for near poles, for which it would give nothing or far too little."""
         cov = self.cov[part, part]
         found = np.full((roots.size, 2), np.inf)
         for row, root in zip(found, roots, strict=True):

@@ -116,7 +116,7 @@ def companion(a: Floats) -> Floats:
 
 
 def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twice: bool) -> Channels:
-    """At theta (p,), of which the denominator and the dead time matter; twice: with s^j / (A A')."""
+    """At theta (p,), through its denominator and dead time; twice: with s^j / (A A')."""
     n, free, size, late = structure.n, structure.free, stretch.grid.size, structure.lateness(theta)
     a = structure.denominator(theta)
     w = np.vstack([stretch.inputs, np.ones((int(structure.offset), size)), np.zeros((1, size))])

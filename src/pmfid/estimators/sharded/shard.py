@@ -22,7 +22,7 @@ __all__ = ["Shard", "ShardGroup", "ShardPiece"]
 
 
 class ShardGroup:
-    """A configuration. runner: that it came with; identity: tells its states from those of others; start: (bytes,) the
+    """A configuration. runner: that it came with; identity: distinguishes its states from others; start: (bytes,) the
     state in which axes begin where nothing else is said."""
 
     def __init__(self, runner: Runner[RecursiveEstimator]) -> None:
@@ -55,7 +55,7 @@ def state_of(runner: Runner[RecursiveEstimator]) -> NDArray[np.uint8]:
 
 
 def identity_of(runner: Runner[RecursiveEstimator]) -> bytes:
-    """What the states of a configuration have in front: of which kernel, layout and configuration they are."""
+    """The prefix of a configuration's states: it identifies kernel, layout and configuration."""
     head = fleet_head(_many(runner), runner.precision)
     head["axes"] = 0
     return head.tobytes()[:-4]  # without the checksum

@@ -38,7 +38,7 @@ __all__ = [
     "write",
 ]
 
-#: Points of `crash` that a checkpoint passes, before those of the vault's.
+#: Points of `crash` that a checkpoint passes, before the vault's points.
 POINTS = ("shard.half", "shard.written", "shard.synced", "shards.synced")
 #: No fleet has more places, and no shard: what a file says is not believed beyond that.
 MOST, MOST_OF_SHARD = 2**28, 2**20
@@ -110,7 +110,7 @@ def _body(size: int, shards: list[tuple[str, int, int, int]], handles: Handles, 
 
 
 def _write_shard(folder: Path, shard: Shard, sequence: int, sync: bool) -> None:
-    """To the side that the last checkpoint does not use: whatever becomes of it, that one stays whole."""
+    """Writes the side that the last checkpoint does not use: a failed write leaves the last checkpoint whole."""
     path = place_of(folder, shard.number, 1 - shard.side)
     head = shard.group.identity + _SHARD.pack(shard.number, shard.rows)
     number = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
