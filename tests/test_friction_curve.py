@@ -154,11 +154,11 @@ def test_feedback_is_said() -> None:
 @pytest.mark.parametrize(
     ("model", "said"),
     [
-        (pmfid.Drive(2.0, spring=True), "beside spring"),
+        (pmfid.Drive(2.0, spring=True), "with spring"),
         (pmfid.Drive(2.0, dead_time="estimate"), "needs the dead time"),
-        (pmfid.Drive(2.0, gravity=True), "beside gravity"),
-        (pmfid.Drive(2.0, lag=0.003), "behind a lag"),
-        (pmfid.Drive(2.0, lag="estimate"), "behind a lag"),
+        (pmfid.Drive(2.0, gravity=True), "with gravity"),
+        (pmfid.Drive(2.0, lag=0.003), "with a lag"),
+        (pmfid.Drive(2.0, lag="estimate"), "with a lag"),
     ],
 )
 def test_what_it_cannot_take_is_said(model: pmfid.Drive, said: str) -> None:
@@ -197,7 +197,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert told["mass"]["value"] == pytest.approx(0.3, rel=0.01)
     assert told == json.loads((tmp_path / "out" / "friction.json").read_text())
     page = (tmp_path / "out" / "friction.html").read_text()
-    assert "nothing is said beyond that" in page
+    assert "The curve ends at these velocities" in page
 
 
 def test_a_curve_without_a_mass_is_refused() -> None:

@@ -208,7 +208,7 @@ def test_each_term_is_left_out_by_itself() -> None:
 def test_without_a_cutoff_the_filters_leave_parts_to_predict(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The slow filters that the record says most behind were refused with the advice to set faster ones."""
     data = record_of({"u": np.zeros(6 * part), "y": np.zeros(6 * part)}, SLOW)
-    monkeypatch.setattr(Drives, "prepared", lambda drives, data, axis: FIXED)
+    monkeypatch.setattr(Drives, "prepare_axis", lambda drives, data, axis: FIXED)
     cutoff = session._fast_enough(data, SLOW).estimator.pole
     assert shortest_part(like(IntervalML, METHOD, cutoff=cutoff)) == part
     assert session._fast_enough(data, FIXED) == FIXED
