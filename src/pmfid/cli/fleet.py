@@ -74,8 +74,8 @@ def history(
     """Estimate every axis of SOURCE, period by period: who changed, who drifts, who differs from the rest.
 
     SOURCE is a folder of Parquet or Arrow files, partitioned in any way, or a file: a row for each sample of each axis,
-    in any order. A second call with the same folder does what is new or changed alone. What cannot be used is named in
-    the result, and the rest is done.
+    in any order. A second call with the same folder computes only new and changed parts. The result names data that
+    cannot be used; all other data are used.
 
     Exit code 0: a result; 2: wrong usage or unreadable input; 3: no axis can be identified.
     """

@@ -64,8 +64,8 @@ def main() -> None:
 
 
 def _open_closed_streams() -> None:
-    """A stream that was closed, as by `<&-`, is empty or takes everything: else the next file that is opened would get
-    its number, and what is printed would stand in it."""
+    """Opens each closed stream, as by `<&-`, to the null device. Otherwise the next opened file would get its number,
+    and would receive the printed text."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115

@@ -19,7 +19,7 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obje
 
 
 def step(text: str) -> float | str:
-    """A number in SI, or a text with a unit, which the configuration reads as it reads that of AXIS.toml."""
+    """A number in SI, or a text with a unit, which the configuration reads as in AXIS.toml."""
     try:
         return float(text)
     except ValueError:

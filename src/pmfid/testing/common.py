@@ -97,7 +97,8 @@ def finds_the_truth(case: Case) -> None:
 
 
 def more_data_make_shorter_error_bars(case: Case) -> None:
-    """With few counts in a sample, of which none is forgotten: those of the whole record, and of its first third."""
+    """Standard errors without forgetting and with few counts in a sample: the whole record's are below those of its
+    first third."""
     u, counts = case.coarse.u, case.coarse.counts
     few, long = u.size // 3, last(case.coarse_result.theta_std)
     short = last(result_of(case.endless, u[:few], counts[:few]).theta_std)

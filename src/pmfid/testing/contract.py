@@ -61,20 +61,20 @@ def checks_of(
 
 
 def check_estimator(estimator: Estimator, record: tuple[ArrayLike, ArrayLike] | None = None) -> None:
-    """Holds an estimator to what all of pmfid's own keep, in some seconds.
+    """Checks an estimator against the contract of all estimators of pmfid, in some seconds.
 
-    Whatever the method: the configuration is a value (frozen, `==`, `hash`), and what is wrong in it is refused at
+    Whatever the method: the configuration is a value (frozen, `==`, `hash`), and errors in it are refused at
     construction with a UsageError; arrays are only read, in any form; copies by `copy.copy`, `copy.deepcopy` and
     `pickle` give the same bits and share nothing; parameters have names and units; on a record of its own model it
     finds the parameters within 10 %, does the same in other units and with both signs reversed, and more data make
-    shorter error bars. Over whole records: rest is not identifiable, the covariance is one. Sample by sample: a run in
-    parts, by steps or from a saved state has the bits of the whole; foreign states are refused; rest and hostile input
-    leave finite numbers and a status; float32 is near float64.
+    smaller standard errors. Over whole records: rest is not identifiable, the covariance is one. Sample by sample: a
+    run in parts, by steps or from a saved state has the bits of the whole; foreign states are refused; rest and hostile
+    input leave finite numbers and a status; float32 is near float64.
 
     estimator: of any configuration, also one that has run; it stays as it is. record: u and counts, (n,) each with
     n >= 1400, in place of a simulated one; then the truth is not known and not asked for.
     Raises ContractError, an AssertionError, for the first check that fails, with its name and what was found;
-    UsageError for what is no estimator, and for an equation that nothing simulates without a record.
+    UsageError for an object that is no estimator, and without a record for an equation that cannot be simulated.
     """
     for _, check in checks_of(estimator, record):
         check()

@@ -48,7 +48,7 @@ class Criterion:
         return float(np.exp(self.log_value(F)))
 
     def gradient(self, F: Floats) -> Floats:
-        """d log value / d F, symmetric, (p, p); where F is singular, that of a nearby matrix that is not."""
+        """d log value / d F, symmetric, (p, p); if F is singular, the gradient at a nearby regular matrix."""
         S, G = eliminate(F, self.size)
         try:
             slope = _slope(self.name, S, self.combination)

@@ -134,7 +134,7 @@ class Problem:
 
     @property
     def cases(self) -> tuple[Mapping[str, float], ...]:
-        """The parameters over which the criterion is: the nominal ones, and with an average those of the scenarios."""
+        """The parameters of the criterion: the nominal ones, and with an average the ones of each scenario."""
         return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
     @property

@@ -52,10 +52,10 @@ class _Node:
 def upper_bound(
     problem: Problem, rule: Criterion, u: Floats, *, gap: float = 0.01, seconds: float = 60.0
 ) -> float | None:
-    """An upper bound of the criterion's value, at most 1 + gap times that of the input u (K,) if the time suffices.
+    """An upper bound of the criterion's value: at most 1 + gap times the value of the input u (K,) if time suffices.
 
-    u: feasible, and the better the faster. seconds: of the processor, so that a busy machine proves as much. None for
-    ME, which has no tangent.
+    u: feasible; a better input makes the search faster. seconds: of processor time, so that a busy machine proves as
+    much. None for ME, which has no tangent.
     """
     if not rule.concave:
         return None

@@ -110,8 +110,8 @@ def _least_distance(G: Floats, h: Floats) -> Floats:
 def _least_distance_of_one(G: Floats, h: Floats) -> Floats:
     """The same for a largest h of 1.
 
-    Where a limit of position says the same as one of velocity next to a standstill, the active set of `nnls` may become
-    singular; what it returns then is no minimum. So the answer is checked, and found another way where it fails.
+    If limits of position and velocity coincide next to a standstill, the active set of `nnls` may become singular. Its
+    result is then no minimum. So the result is checked, and computed in another way if the check fails.
     """
     try:
         y, _ = nnls(np.vstack([G.T, h]), np.r_[np.zeros(G.shape[1]), 1.0])

@@ -30,16 +30,16 @@ SURVIVES = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """What one run of an input tells.
+    """The information of one run of an input.
 
     fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion, over the
-    scenarios where the problem has an average.
-    surviving: part of the claimed information that is there with true stiction, the least for parameters that are a
-    little larger, smaller or both; None if that cannot be simulated.
-    predicted_std: of each unknown parameter after one run; inf if the run and the prior leave it open.
-    std_encoder: that of `pmfid commission` from the encoder's counts, start position unknown (`encoder_covariance`);
-    inf as above and where the noise is not that of an encoder. covariance: (p, p) of the estimate after one run over
-    unknown + nuisance, in their units, by which inputs are chosen; None if it is open.
+    scenarios if the problem has an average.
+    surviving: part of the claimed information that remains with true stiction; the least over nominal, slightly larger
+    and slightly smaller parameters. None if it cannot be simulated.
+    predicted_std: of each unknown parameter after one run; inf if run and prior do not determine it.
+    std_encoder: expected standard deviation of `pmfid commission` from the encoder's counts, start position unknown
+    (`encoder_covariance`); inf as above, and if the noise is not an encoder's. covariance: (p, p) of the estimate after
+    one run over unknown + nuisance, in their units, for the choice of inputs; None if undetermined.
     """
 
     fisher: Floats
@@ -66,7 +66,7 @@ class Appraisal(Shown):
 
     @property
     def gain(self) -> dict[str, float]:
-        """Value of the design over that of each standard input; inf if that is 0."""
+        """Value of the design over the value of each standard input; inf if the latter is 0."""
         own = self.worths["design"].value
         values = {name: self.worths[name].value for name in self.standard}
         return {name: own / value if value > 0 else math.inf for name, value in values.items()}
@@ -78,7 +78,7 @@ class Appraisal(Shown):
         return best_input(self.design.problem, self.rule, covariances)
 
     def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints; null in place of what is infinite or not proved."""
+        """The object that `--json` prints; null for infinite and unproved numbers."""
         design, worth = self.design, self.worths["design"]
         return {
             "criterion": design.criterion,

@@ -1,8 +1,8 @@
-"""Parameters from designed runs, from the simulated position, with what was known before.
+"""Parameters from designed runs, by simulation of the position, with prior information.
 
-The general estimators find everything from one long record. A designed run is short, starts where the design says, and
-some parameters are taken as known: what is left is a small nonlinear problem around a good guess. Where the position
-has normal noise, least squares; where it is counts, what these leave open (`counted`).
+The general estimators find all parameters from one long record. A designed run is short, starts as designed, and some
+parameters are known. The rest is a small nonlinear problem around a good guess: least squares if the position has
+normal noise; for counts the set of parameters that fit all counts (`counted`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pmfid.types import Floats
 __all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
 
 MAX_EVALUATIONS = 200
-#: Root mean square of the residual, as a part of that of the motion, from which on it is no fit.
+#: Root mean square of the residual over that of the motion, from which the fit is refused.
 WORST_FIT = 0.2
 #: Deviations that hold 95 % of a normal distribution.
 NORMAL = 1.96

@@ -1,7 +1,7 @@
-"""Which input to run: the best by the deviations that the estimate will have, none worse than the usual profile's.
+"""The choice of the input to run: the input with the least expected deviations, no worse than the usual profile.
 
-The criteria of a design are those of white noise. An encoder's error is none, and a design that creeps by whole counts
-per sample may tell less than a trapezoid.
+The criteria of a design assume white noise. The error of an encoder is not white. So a design that creeps by whole
+counts per sample may have less information than a trapezoid.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["USUAL", "Choice", "best_input", "choose", "stds"]
 
 #: The profile that engineers use: no parameter may come out worse than with it.
 USUAL = "trapezoid"
-#: What a design is weighed against: motions that a machine is made for.
+#: Standard motions that a design is compared with: machines are made for them.
 PROFILES = (USUAL, "s_curve", "minimum_time")
 #: The expected deviations are themselves known to a few percent.
 SURELY = 0.95
@@ -36,8 +36,9 @@ FASTER = (1.23, 1.57, 2.5, 4.0, 6.0)
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """name: "design", "design, least speed x 1.23", or that of a standard input; design: what to run; std: {unknown
-    parameter: deviation expected after one run}, in its unit; usual: the same with the trapezoid, where it exists."""
+    """The chosen input. name: "design", "design, least speed x 1.23", or the name of a standard input; design: the
+    motion to run; std: {unknown parameter: deviation expected after one run}, in its unit; usual: the same for the
+    trapezoid, if it exists."""
 
     name: str
     design: Design

@@ -37,10 +37,10 @@ WITHIN = (0.025, 0.975)
 
 @dataclass(frozen=True, eq=False)
 class Open:
-    """The parameters that are left: mean (p,), covariance (p, p), interval (p, 2) with 95 % of each.
+    """The set of parameters that fit the counts: mean (p,), covariance (p, p), interval (p, 2) with 95 % of each.
 
-    unexplained: by how much the best motion misses a count, or the typical one of the set its widened counts, in
-    counts; 0 if all are explained.
+    unexplained: distance of the best motion from a count, or of a typical motion of the set from its widened counts
+    [counts]; 0 if all counts are explained.
     """
 
     mean: Floats
@@ -52,11 +52,11 @@ class Open:
 def what_is_open(
     distances: Distances, start: Floats, scatter: Floats, lower: Floats, root: Floats, *, seed: int = 0
 ) -> Open:
-    """The parameters q that the counts leave, from a start (p,) near them.
+    """The set of parameters q that fit the counts, from a start (p,) near them.
 
-    scatter (p, p): covariance that bounds what is looked at first. lower (p,): least values. root (p, p): of the prior
-    information, centred on the problem's nominal values, which are 1; zeros for none. seed: of the walk.
-    A motion that misses counts widens all of them: what is missing is an error of the model, and no noise.
+    scatter (p, p): covariance of the first search. lower (p,): least values. root (p, p): of the prior information,
+    centred on the problem's nominal values, which are 1; zeros for none. seed: of the walk.
+    If the best motion misses a count, all counts are widened, because the distance is an error of the model.
     """
     steps = np.asarray(np.linalg.cholesky(scatter), float)
     middle = middle_of(distances, start, steps, lower)

@@ -1,4 +1,4 @@
-"""Where the range of the distances between a motion and its counts is the least: the middle of what counts leave."""
+"""Parameters with the least range of distances between motion and counts: the middle of the set that fits them."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ STEPS, SETTLED = 20, 1e-4
 
 
 def middle_of(distances: Distances, q: Floats, steps: Floats, lower: Floats) -> Floats:
-    """Where the widest range of the distances of a run is the least: linear programs, each in a smaller neighbourhood
-    where the last one promised too much."""
+    """Parameters (p,) at which the widest range of distances is the least, by linear programs.
+
+    The neighbourhood shrinks if the last program promised too much.
+    """
     now, reach = widest(distances(q)), 8.0
     for _ in range(STEPS):
         trial = least_range(distances, q, steps, lower, reach)

@@ -26,8 +26,7 @@ Experiment = Callable[[Design], DesignedRun]
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """run: an experiment; known: what all runs so far say after it; design: what the run was made for, None if that
-    is not recorded."""
+    """run: an experiment; known: the estimate from all runs so far; design: the design of the run, None if unknown."""
 
     run: DesignedRun
     known: RunsEstimate

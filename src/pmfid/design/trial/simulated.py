@@ -1,8 +1,8 @@
 """A second opinion on the Fisher information: the drive simulated with true stiction, and difference quotients.
 
-The sensitivities of `fisher` are those of a linear equation that friction's sign is known for. Where the axis comes to
-rest they go on, the axis does not. Here nothing is linear: each parameter is changed a little both ways, the motion is
-solved event by event, and the difference of the positions is the sensitivity.
+The sensitivities of `fisher` belong to a linear equation with a known sign of the friction. If the axis comes to rest,
+these sensitivities go on, but the axis does not. Here nothing is linear: each parameter is changed a little in both
+directions, the motion is solved event by event, and the difference of the positions gives the sensitivity.
 """
 
 from __future__ import annotations
