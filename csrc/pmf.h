@@ -98,7 +98,12 @@ enum {
     PMF_FALLBACK = 256,
     PMF_UNMODELLED = 512,
     PMF_FEEDBACK = 1024,
-    PMF_DEAD_TIME = 2048
+    PMF_DEAD_TIME = 2048,
+    /* What a reader asks: does theta say nothing, or nothing new? Was this sample left out? Do effects outside the
+    model, or a controller, move theta beyond its covariance? */
+    PMF_NOT_AN_ESTIMATE = PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET,
+    PMF_SAMPLE_REJECTED = PMF_INVALID_INPUT | PMF_COUNT_JUMP,
+    PMF_DISTORTED = PMF_UNMODELLED | PMF_FEEDBACK | PMF_DEAD_TIME
 };
 
 /* Forgetting of old samples, in addition to the regularisation. */

@@ -7,7 +7,7 @@
  */
 #include "pmf_internal.h"
 
-#define UNTRUSTED (PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET | PMF_UNMODELLED)
+#define UNTRUSTED (PMF_NOT_AN_ESTIMATE | PMF_UNMODELLED)
 
 /* max(0, sum + gain), and not beyond twice the threshold, so that it comes back after a repair. */
 static real_t next_sum(real_t sum, real_t gain, real_t threshold)

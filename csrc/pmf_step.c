@@ -101,7 +101,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
     truth_t settling;
 #if PMF_WITH_GUARD
-    truth_t suspicious = (status & (PMF_INVALID_INPUT | PMF_COUNT_JUMP)) != 0U;
+    truth_t suspicious = (status & PMF_SAMPLE_REJECTED) != 0U;
     truth_t bridged =
         ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* by the sample before */
     state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),

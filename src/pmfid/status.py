@@ -25,6 +25,10 @@ class Status(IntFlag):
     UNMODELLED = _BITS["PMF_UNMODELLED"]
     FEEDBACK = _BITS["PMF_FEEDBACK"]
     DEAD_TIME = _BITS["PMF_DEAD_TIME"]
+    #: Several bits: theta says nothing, or nothing new; the sample was left out; the covariance is too small.
+    NOT_AN_ESTIMATE = _BITS["PMF_NOT_AN_ESTIMATE"]
+    SAMPLE_REJECTED = _BITS["PMF_SAMPLE_REJECTED"]
+    DISTORTED = _BITS["PMF_DISTORTED"]
 
     @property
     def advice(self) -> tuple[str, ...]:

@@ -196,7 +196,7 @@ class Instruments(ProcessSolver, Simulating):
         columns, used, status = self._filter_record(theta, *check_arrays(u, counts), rests)
         first, p = auxiliary_columns(self)[2], len(self.names)
         columns = columns[used, first:]
-        occurred = int(np.bitwise_or.reduce(status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP)
+        occurred = int(np.bitwise_or.reduce(status)) & int(Status.SAMPLE_REJECTED)
         return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
 
     def _filter_record(

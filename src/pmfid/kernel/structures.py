@@ -28,6 +28,7 @@ _OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.floordiv,
+    ast.BitOr: operator.or_,
 }
 
 Structures = dict[str, np.dtype[np.void]]
@@ -102,7 +103,7 @@ def structures(shape: KernelSizes | None, precision: str) -> Structures:
 
 
 def value(text: str, constants: Mapping[str, int]) -> int:
-    """The integer that a constant expression of C stands for: whole numbers, names of `constants`, + - * / ( ) and >.
+    """The integer that a constant expression of C stands for: whole numbers, names of `constants`, + - * / | ( ) and >.
 
     Raises ValueError for anything else: the header is read, never run.
     """

@@ -36,7 +36,7 @@ MOST_INFORMATION = 1.5
 #: Share of the earlier information that the estimator keeps at the first suspicion.
 KEEP = 0.003
 #: Status bits of estimates that are not used.
-UNUSABLE = Status.STARTING | Status.POOR_EXCITATION | Status.FALLBACK | Status.SETTLING
+UNUSABLE = Status.NOT_AN_ESTIMATE | Status.FALLBACK
 FIRST = np.zeros(1, np.int64)
 
 

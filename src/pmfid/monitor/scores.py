@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 #: Status bits of samples that are not used.
-UNUSABLE = int(Status.SETTLING | Status.INVALID_INPUT | Status.COUNT_JUMP)
+UNUSABLE = int(Status.SETTLING | Status.SAMPLE_REJECTED)
 #: The same for an axis with unmodelled static friction: the axis rests while its model creeps on.
 UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
 

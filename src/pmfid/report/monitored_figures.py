@@ -40,10 +40,10 @@ STRIP_BITS = {
     "standstill": Status.STANDSTILL,
     "fallback": Status.FALLBACK,
     "unmodelled": Status.UNMODELLED,
-    "bad input": Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET,
+    "bad input": Status.SAMPLE_REJECTED | Status.RESET,
 }
 #: Samples with one of these were left out.
-LEFT_OUT = Status.INVALID_INPUT | Status.COUNT_JUMP
+LEFT_OUT = Status.SAMPLE_REJECTED
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _estimate_panel(axes: Axes, data: RunData, i: int) -> None:
 
 def _select_trusted(data: RunData) -> Flags:
     """(n,) samples at which the estimate is neither starting nor settling after an alarm."""
-    doubtful = Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION
+    doubtful = Status.NOT_AN_ESTIMATE
     return np.asarray(((data.status & doubtful) == 0) & (data.state != SUSPICIOUS))
 
 

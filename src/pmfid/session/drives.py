@@ -272,7 +272,7 @@ def _widen_errors(result: DriveResult, record: Record) -> Floats:
 
 def _collect_status(record: Record) -> int:
     """Status bits that the record's notes explain: its gaps."""
-    return int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
+    return int(Status.SAMPLE_REJECTED | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
@@ -350,10 +350,9 @@ def _recursive(
         columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
-    occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.COUNT_JUMP | Status.RESET)
+    occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.SAMPLE_REJECTED | Status.RESET)
     occurred &= ~_collect_status(record)
-    closer = Status.UNMODELLED | Status.FEEDBACK | Status.DEAD_TIME  # `judge` looks closer at these
-    held = occurred | (last & ~int(Status.SETTLING | closer))
+    held = occurred | (last & ~int(Status.SETTLING | Status.DISTORTED))
     last_estimate: Estimate | Posterior = estimator.estimate
     if known is not None and known.find_gain:
         known, last_estimate = known.rescaled(last_estimate)
