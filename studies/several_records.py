@@ -12,7 +12,7 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.iv import IV
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.models.drive import Drive
-from pmfid.session.gaps.joining import one_of
+from pmfid.session.gaps.joining import join_records
 from pmfid.session.records import Record
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.types import Floats
@@ -67,7 +67,7 @@ def _pair(name: str, method: str, seed: int) -> tuple[Floats, Floats, Floats]:
 
     one, three = run(whole), [run(u) for u in np.split(whole, RECORDS)]
     parts = [Record(part.u, part.counts, DT, resolution, (), str(k)) for k, part in enumerate(three)]
-    joined = one_of(parts, place_matters=False)
+    joined = join_records(parts, place_matters=False)
     settings = Drive(axis.drive.input_gain), Encoder(resolution), DT, CUTOFF
     estimator: Estimator = ESTIMATORS[method](*settings)
     if not isinstance(estimator, BatchEstimator):

@@ -435,7 +435,7 @@ def test_options_go_before_the_configuration(cart: Cart) -> None:
     options = ("--method", "ls", "--cutoff", "30", "--order", "3", "--quantize", "91e-6")
     printed = good(cart.csv, *options)
     assert printed["method"] == "ls"
-    assert "position quantised anew with a step of 9.1e-05" in printed["notes"]
+    assert "position quantised again with a step of 9.1e-05" in printed["notes"]
     assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
     doubled = good(cart.csv, "--resolution", str(2 * CART_RESOLUTION))
     assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)

@@ -14,7 +14,7 @@ from pmfid.monitor.lost import GuessedSamples, guess, longest
 from pmfid.session.config import Axis
 from pmfid.session.gaps.local import Polynomial, best_of
 from pmfid.session.gaps.motion import fill_by_motion
-from pmfid.session.gaps.standing import fill_gaps, is_held, missing_said
+from pmfid.session.gaps.standing import describe_missing, fill_gaps, is_held
 from pmfid.session.identify import kind_of
 from pmfid.session.records import Record
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
@@ -97,7 +97,7 @@ def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> No
     axis, run = AXES["heavy"], machine_record(AXES["heavy"], "nothing", "stop-and-go", 4096, 40)
     there = kept(run.u.size, 0.1, 20)[:2500]
     line, counts, _ = fill_gaps(run.u[:2500][there], run.counts[:2500][there], np.flatnonzero(there))
-    said, other = missing_said(line, there), "another note"
+    said, other = describe_missing(line, there), "another note"
     config = Axis.model_validate(
         {
             "record": {"input": "u", "output": "n", "dt": axis.dt},
@@ -110,8 +110,8 @@ def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> No
     found = kind_of(config).complete_record(record, config)
     np.testing.assert_array_equal(np.isnan(found.u), ~there)
     assert "filled in" in said
-    assert found.notes == (missing_said(found.u, there), other)
-    assert "left out, what is behind each begins anew" in found.notes[0]
+    assert found.notes == (describe_missing(found.u, there), other)
+    assert "left out, the motion restarts after each" in found.notes[0]
     method = IV(Drive(axis.drive.input_gain), Encoder(run.resolution), axis.dt, 25.0)
     theta = method.settle_iteration(found.u, found.counts)[1] / truth(axis)
     np.testing.assert_allclose(theta, 1.0, atol=2e-3)

@@ -273,4 +273,4 @@ def test_a_row_right_behind_another_costs_no_record() -> None:
     rows = place_rows(time, np.ones(301, bool), np.zeros(301, bool), config)
     assert rows.dt == pytest.approx(DT, rel=1e-3)
     assert rows.rows.size == 300
-    assert "1 row comes less than 0.3 of a period behind another: left out" in rows.notes
+    assert "1 row comes less than 0.3 of a period after another: left out" in rows.notes

@@ -105,7 +105,7 @@ def test_quantize_floors_the_position_to_the_coarser_step(tmp_path: Path) -> Non
     record = read_record(csv(tmp_path), make_axis(), quantize=4e-3)
     np.testing.assert_array_equal(record.counts, columns()["counts"] // 4)
     assert record.resolution == 4e-3
-    assert record.notes == ("position quantised anew with a step of 0.004",)
+    assert record.notes == ("position quantised again with a step of 0.004",)
 
 
 def test_quantize_of_counts_goes_through_the_unwrapped_position(tmp_path: Path) -> None:

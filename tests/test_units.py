@@ -244,7 +244,7 @@ def test_a_position_that_begins_anew(tmp_path: Path, span: str) -> None:
     pl.DataFrame({"u": RUN.u, "y": y}).write_csv(tmp_path / "run.csv")
     record = read_record(tmp_path / "run.csv", axis("y", encoder_range=span))
     assert np.max(np.abs(np.diff(record.counts) - np.diff(RUN.counts))) <= 1
-    assert any("began anew" in note for note in record.notes)
+    assert any("wrapped" in note for note in record.notes)
 
 
 def test_counts_that_begin_anew_at_any_number(tmp_path: Path) -> None:

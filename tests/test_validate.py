@@ -239,7 +239,7 @@ HOSTILE: dict[str, tuple[object, str]] = {
     "a list of them": (changed(parameters=[1]), "parameters: it should be a valid dict"),
     "no value": (changed(parameters={"mass": {}}), "parameters.mass.value is missing"),
     "wrong kind": (changed(model="transfer_function"), 'kind = "transfer_function"'),
-    "one lacks": (changed(parameters={"mass": {"value": 1.0}}), "lacks viscous_friction, coulomb_friction"),
+    "one lacks": (changed(parameters={"mass": {"value": 1.0}}), "has no viscous_friction, coulomb_friction"),
     "one too many": (changed(parameters=GOOD["parameters"] | {"offset": {"value": 1.0}}), "has offset"),
     "other unit": (parameter(unit="g"), "mass is in 'g' there and in 'kg'"),
     "other gain": (changed(input_gain=3.0), "input_gain = 3, and [model] has 1.5"),

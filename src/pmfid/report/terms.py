@@ -20,7 +20,7 @@ from pmfid.models.equation import (
 from pmfid.report.figures import COLOURS, WIDTH, figure_style
 from pmfid.report.files import write_json
 from pmfid.report.html import Section, svg, write_report
-from pmfid.session.nested import Nested
+from pmfid.session.nested import NestedModel
 from pmfid.session.terms import TermSearch
 from pmfid.types import Floats
 
@@ -75,7 +75,7 @@ def model_rows(found: TermSearch) -> Rows:
     ]
 
 
-def _value(model: Nested, roles: tuple[int, ...]) -> str:
+def _value(model: NestedModel, roles: tuple[int, ...]) -> str:
     """A parameter with its standard error; for a directional parameter both values."""
     equation: Equation = model.trial.model.equation
     indices = dict.fromkeys(index for index in (equation.roles[role] for role in roles) if index is not None)

@@ -19,7 +19,7 @@ from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.frames import table_of
-from pmfid.session.gaps.joining import one_of
+from pmfid.session.gaps.joining import join_records
 from pmfid.session.identify import check as checked
 from pmfid.session.identify import identify as run
 from pmfid.session.identify import kind_of
@@ -77,7 +77,7 @@ def identify(
         raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
     own = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
     place_matters = own.model.make().equation.place_matters
-    return run(one_of([_record(*pair, own) for pair in pairs], place_matters), own)
+    return run(join_records([_record(*pair, own) for pair in pairs], place_matters), own)
 
 
 def _identify_by_axis(record: object, axis: Axis | Path | str) -> Result:

@@ -39,10 +39,10 @@ from pmfid.models.equation import ESTIMATE, LATE
 from pmfid.session import checks
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.diagnosis import check_direction
-from pmfid.session.gaps.joining import one_of
+from pmfid.session.gaps.joining import join_records
 from pmfid.session.gaps.longest import unbroken
 from pmfid.session.gaps.motion import doubt, fill_by_motion
-from pmfid.session.gaps.standing import missing_said
+from pmfid.session.gaps.standing import describe_missing
 from pmfid.session.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.session.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.session.outliers import repair_as_configured
@@ -68,7 +68,7 @@ class Drives(Kind[Record]):
 
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Record:
         place_matters = axis.model.make().equation.place_matters
-        return one_of([read_record(path, axis, quantize) for path in paths], place_matters)
+        return join_records([read_record(path, axis, quantize) for path in paths], place_matters)
 
     def read_table(self, table: Table, axis: Axis) -> Record:
         return record_of(table, axis)
@@ -99,7 +99,7 @@ class Drives(Kind[Record]):
             found = fill_by_motion(method, known.u, known.counts, data.there)
             if found is not None:
                 u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
-                said = {missing_said(data.u, data.there): missing_said(u, data.there)}
+                said = {describe_missing(data.u, data.there): describe_missing(u, data.there)}
                 notes = tuple(said.get(note, note) for note in data.notes)
                 more = doubt(method, u, counts, data.there)
                 return replace(data, u=u, counts=counts, notes=notes, doubt=more)

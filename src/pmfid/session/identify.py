@@ -30,17 +30,17 @@ def kind_of(axis: Axis) -> Kind[Records]:
 
 
 def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Result:
-    """Estimates the parameters from what `kind_of(axis).read` gives; `progress` is called while a recursive method
-    runs.
+    """Estimates the parameters from the records that `kind_of(axis).read` gives; `progress` is called while a recursive
+    method runs.
 
-    Raises UsageError for a configuration that does not fit the data and NotIdentifiableError where they cannot identify
-    every parameter, with the mistake that explains it, where one is found, in front.
+    Raises UsageError for a configuration that does not fit the data, and NotIdentifiableError if the data cannot
+    identify every parameter. A mistake in the log that explains the error is named first.
     """
     kind, given = kind_of(axis), axis
     axis = kind.prepare_axis(data, given)
     kind.check(data, axis)
     whole = kind.complete_record(data, axis)
-    if whole is not data:  # behind another pole it may say more
+    if whole is not data:  # the complete record may suit another pole
         data, axis = whole, kind.prepare_axis(whole, given)
     try:
         result = kind.estimate(data, axis, progress)
@@ -52,7 +52,7 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
 
 
 def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
-    """What was chosen by the record in a configuration, for people."""
+    """The settings that were chosen by the record, for people."""
     if given.estimator.cutoff == prepared.estimator.cutoff:
         return ()
     cutoff = f"cutoff = {prepared.estimator.pole:.6g}"
@@ -60,14 +60,14 @@ def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
 
 
 def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
-    """The same error with what may have led to it, if there is something, in front."""
+    """The same error, after the mistakes in the log that may have caused it."""
     mistakes = "; ".join(texts(findings))
     return NotIdentifiableError(f"{mistakes}; as the record is read now: {error}") if mistakes else error
 
 
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
-    """What a log may have got wrong, most important first; of a machine's log that is right, what `identify` has to
-    doubt in its model, in the same words."""
+    """Possible mistakes in a log, most important first. For a machine's log without mistakes, the doubts of `identify`
+    in the model."""
     kind = kind_of(axis)
     log = kind.check_record(data, axis)
     if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG:

@@ -1,4 +1,4 @@
-"""[estimator] given and prior, and input_gain = "estimate": what is known beside a record, on the way to a result."""
+"""Prior information: [estimator] given and prior, and input_gain = "estimate", on the way to a result."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ from pmfid.session.result import DriveResult
 from pmfid.session.stored import Stored
 
 Found = TypeVar("Found")
-#: What is said in the status where a value that is known and the record contradict each other.
+#: Status word if a known value and the record contradict each other.
 CONTRADICTED = "prior_contradicted"
 
 
 def finds_gain(axis: Axis) -> bool:
-    """Is the gain of the input to be found?"""
+    """Is the input gain a parameter to be estimated?"""
     return axis.model.input_gain == ESTIMATE
 
 
 def set_gain(axis: Axis, gain: float) -> Axis:
-    """The same axis with another gain of the input."""
+    """The same axis with another input gain."""
     return axis.model_copy(update={"model": axis.model.model_copy(update={INPUT_GAIN: gain})})
 
 
 def set_any_gain(axis: Axis) -> Axis:
-    """The same with a number for the gain, where what is asked does not depend on it."""
+    """The same axis with a number as input gain, for questions that do not depend on its value."""
     return set_gain(axis, 1.0) if finds_gain(axis) else axis
 
 
 def set_stored_gain(axis: Axis, stored: Stored) -> Axis:
-    """The same with the gain of a file's parameters, where it was to be found. Raises UsageError where it has none."""
+    """The same axis with the input gain of a file's parameters, if it was estimated. Raises UsageError if the file has
+    none."""
     if not finds_gain(axis):
         return axis
     if stored.input_gain is None:
@@ -47,8 +48,8 @@ def set_stored_gain(axis: Axis, stored: Stored) -> Axis:
 
 
 def try_both_signs(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
-    """What `identified` makes of an axis with a number for the gain; one that is to be found has a sign, and with the
-    wrong one nothing follows the record. Raises as `identified` does."""
+    """The result of `identified` on an axis with a number as input gain. An unknown gain may have either sign; with the
+    wrong one no model follows the record. Raises as `identified` does."""
     if not finds_gain(axis):
         return identified(axis)
     try:
@@ -60,8 +61,8 @@ def try_both_signs(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
 
 
 def known_of(axis: Axis, estimator: Estimator) -> Known | None:
-    """What [estimator] says is known of the parameters of a method; None where that is nothing. Of those that a simpler
-    method does not have, nothing can be used. Raises UsageError where nothing remains that gives the gain."""
+    """The prior information of [estimator] on the parameters of a method; None without any. Information on parameters
+    that the method does not have is left out. Raises UsageError if nothing remains that determines the gain."""
     config, find = axis.estimator, finds_gain(axis)
     names = (*estimator.names, *([INPUT_GAIN] if find else []))
     given = {name: value for name, value in config.given.items() if name in names}
@@ -70,8 +71,8 @@ def known_of(axis: Axis, estimator: Estimator) -> Known | None:
 
 
 def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Posterior) -> DriveResult:
-    """A result with what is known; estimate: the two put together. Raises NotIdentifiableError for a gain that is not
-    known to its own size."""
+    """A result with prior information; estimate: the combination of both. Raises NotIdentifiableError for a gain below
+    its standard deviation."""
     config, estimator = axis.estimator, result.estimator
     unused = [name for name in (*config.given, *config.prior) if name not in known.names]
     said = [f"{estimator.method} has no {name}: what is known of it is not used" for name in unused]
@@ -79,8 +80,8 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
         if not std < abs(gain):
             raise NotIdentifiableError(
-                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}: this record cannot tell "
-                f"it ({'; '.join(result.notes) or 'record a motion with reversals and varying speed'})"
+                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}: this record cannot "
+                f"identify it ({'; '.join(result.notes) or 'record a motion with reversals and varying speed'})"
             )
         estimator = with_gain(estimator, gain)
     return replace(
@@ -97,7 +98,8 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
 
 
 def check_numbers_known(axis: Axis, what: str) -> None:
-    """Raises UsageError where `what`, which needs a gain of the input and takes nothing known beforehand, has none."""
+    """Raises UsageError without a number as input gain, and for prior information; `what` uses the one and cannot use
+    the other."""
     if finds_gain(axis):
         raise UsageError(
             f'{what} needs a number for the gain of the input: run pmfid identify with input_gain = "estimate", and '
@@ -112,5 +114,5 @@ def _describe_known(known: Known) -> str:
     parts += [f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items()]
     if known.find_gain:
         names = " or ".join((*known.given, *known.prior))
-        parts.append(f"input_gain is found by that, and what is told of an error of {names} is one of input_gain")
+        parts.append(f"input_gain follows from that, and a finding on an error of {names} is one on input_gain")
     return "; ".join(parts)

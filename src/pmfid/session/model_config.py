@@ -21,7 +21,7 @@ from pmfid.models.transfer_function import TransferFunction
 from pmfid.session.toml_file import FileSection
 from pmfid.session.units import gain, keep_unit, quantity
 
-#: What makes the model of a kind, beside the user's own terms.
+#: Kind -> model class, except for the user's own terms.
 MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
 #: Fields of a model that no file sets: the starts of experiments are always part of the fit.
 NOT_IN_FILES = ("initial_conditions",)
@@ -56,7 +56,7 @@ FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with st
 
 
 class ShapeConfig(FileSection):
-    """The form of a friction or a force at a place, for a term of the user's own equation."""
+    """The form of a friction or of a force that depends on the position, for a term of the user's own equation."""
 
     form: Literal["stribeck", "square", "wave", "along"] = Field(description=FORMS)
     speed: Positive | Literal["estimate"] | None = Field(
@@ -69,7 +69,7 @@ class ShapeConfig(FileSection):
     values: tuple[float, ...] | None = Field(None, strict=False, description='the form at the places of "along"')
 
     def make(self) -> Shape:
-        """Raises UsageError for a form with other keys than its own."""
+        """The shape of this section. Raises UsageError for a form with other keys than its own."""
         given = {key: value for key, value in dict(self).items() if key != "form" and value is not None}
         try:
             return SHAPES[self.form](**given)
@@ -82,11 +82,11 @@ DERIVATIVE = "which derivative of the signal, 0 for the signal itself"
 
 
 class UnknownTerm(FileSection):
-    """A term of the user's own equation, whose coefficient is to be found."""
+    """A term of the user's own equation with an unknown coefficient."""
 
     signal: Signal = Field(description=SIGNAL)
     derivative: int = Field(0, description=DERIVATIVE)
-    coefficient: float = Field(1.0, description="a known factor of the term, beside what is to be found")
+    coefficient: float = Field(1.0, description="a known factor of the term, in addition to the unknown parameter")
     name: Name = Field(description='the name of the parameter, as "inertia"')
     unit: str = Field("", description='the unit of the parameter, as "kg m2"')
     shape: ShapeConfig | None = Field(None, description="the form of a friction or a force at a place")
@@ -184,7 +184,7 @@ class ModelConfig(FileSection):
             raise ValueError(f"{', '.join(sorted(foreign))} is not for a transfer function; drop it")
 
     def make(self) -> Model:
-        """The model that the section describes. Raises UsageError where the terms make no equation."""
+        """The model that the section describes. Raises UsageError if the terms make no equation."""
         if self.kind == "equation":
             unknown = tuple(
                 Term(**(dict(term) | {"shape": None if term.shape is None else term.shape.make()}))

@@ -1,4 +1,4 @@
-"""Models of one drive side by side: parameters with error bars, and how much of the friction each leaves."""
+"""Models of one drive compared: parameters with standard errors, and the part of the friction that each leaves."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ from pmfid.judge.terms import changed_fields
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 
-#: This part of the motion is slow.
+#: Part of the motion that counts as slow.
 SLOW = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
-class Nested:
-    """One of the models side by side. added: keys of [model] and values that differ from those to begin with; fit:
-    None where it has no error bars; error: of free runs over what it was not fitted to [unit of y], infinite where
-    there is none; unexplained: parts of friction and load, over the whole motion and its slow part, that it leaves, NaN
-    where they are not known."""
+class NestedModel:
+    """One of the compared models.
+
+    added: keys of [model] and values that differ from the first model; fit: None without standard errors; error: of
+    free runs over samples that the fit did not use [unit of y], infinite without such runs; unexplained: parts of
+    friction and load that the model leaves, over the whole motion and its slow part, NaN if not known.
+    """
 
     added: dict[str, object]
     trial: Trial
@@ -41,17 +43,17 @@ class Nested:
         return f"with {format_terms(self.added)}" if self.added else "to begin with"
 
 
-def compare_nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[Nested, ...]:
+def compare_nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[NestedModel, ...]:
     balances = [_balance(bench, trial) for trial, _ in pairs]
     shares = [_measure_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
     return tuple(
-        Nested(changed_fields(first, trial.model), trial, bars(trial), error, balance, share)
+        NestedModel(changed_fields(first, trial.model), trial, fit_trial(trial), error, balance, share)
         for (trial, error), balance, share in zip(pairs, balances, shares, strict=True)
     )
 
 
-def bars(trial: Trial) -> Fit | None:
-    """A model with its error bars; None: it has none."""
+def fit_trial(trial: Trial) -> Fit | None:
+    """The fit of a trial with standard errors; None if it has none."""
     try:
         return trial.method.fit_of(trial.best)
     except NotIdentifiableError:
@@ -66,9 +68,9 @@ def _balance(bench: Bench, trial: Trial) -> Balance | None:
 
 
 def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
-    """Parts of what resists the motion that a model leaves, root mean squares over the motion of the chosen one, and
-    over the slow part of it: what the chosen model has and this one has not, and what the force balance says that the
-    chosen one leaves beyond chance."""
+    """Parts of the resistance to the motion that a model leaves: root mean squares over the motion of the chosen model,
+    and over the slow part of it. The parts are the difference to the chosen model, and the resistance that the chosen
+    model leaves beyond chance by the force balance."""
     if balance is None or last is None or last.friction is None:
         return math.nan, math.nan
     left = last.friction.left

@@ -1,8 +1,8 @@
-"""Samples of a record that no motion explains: left out before anything is estimated.
+"""Samples of a record that no motion explains: replaced before anything is estimated.
 
-The kernel judges a sample by those before it. A whole record shows those behind it as well, and methods that simulate
-all of it need it whole: one wrong count would be in every comparison with the simulated position, one wrong input in
-every sample behind it. So what no motion explains is replaced by what its neighbours say, and named.
+The kernel judges a sample by earlier samples. A whole record shows later samples as well. Methods that simulate the
+record need it whole: one wrong count would affect every comparison with the simulated position, one wrong input every
+later sample. So a sample that no motion explains is interpolated between its neighbours and named.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ from pmfid.types import Counts, Floats
 __all__ = ["RepairedRecord", "repair_record"]
 
 
-#: A change of the counts is compared with the median of so many around it: that of a velocity which steps is on either
-#: side of the step, and five wrong ones in a row do not move it. Its own steps are looked for as far around.
+#: Changes of the counts in the window of the median that predicts one change. The median follows a velocity that steps,
+#: and five wrong changes in a row do not move it. Steps of the velocity are searched in the same window.
 AROUND = 11
-#: It may differ from that by so many counts, and so many times what it usually does and what the velocity does there.
+#: Allowed deviation from the median [counts], and as a multiple of the usual deviation plus the step of the velocity.
 COUNTS, TIMES = 10.0, 4.0
+#: Quantile of the deviations that counts as usual.
 USUAL = 0.95
-#: Wrong ones so close that they hide each other need another look.
+#: Most passes: wrong changes close together hide each other.
 PASSES = 4
-#: With a larger part of such changes it is not single samples that are wrong.
+#: Largest part of wrong changes; above it, the errors are not single samples.
 MOST_CHANGES = 0.04
-#: An input so many times all but MOST_INPUTS of the others is a spike, unless the velocity says more to it than so
-#: many times what it usually does, over so many samples.
+#: Least ratio of a spike to the quantile 1 - MOST_INPUTS of the input; answer of the velocity, as a multiple of its
+#: usual change over ANSWER_SAMPLES samples, above which the input is no spike.
 SPIKE, ANSWER, ANSWER_SAMPLES = 50.0, 3.0, 10
 MOST_INPUTS = 0.01
-#: Windows that are sorted at once: all of a long record would be eleven records.
+#: Windows that are sorted at once: the windows of a long record need eleven times its memory.
 CHUNK = 65_536
 #: Rows that a sentence names.
 NAMED = 4
@@ -44,14 +45,14 @@ NAMED = 4
 
 @dataclass(frozen=True)
 class RepairedRecord:
-    """A record without what no motion explains, and what there is to say of that."""
+    """A record without samples that no motion explains, and findings on these samples."""
 
     record: Record
     findings: tuple[Finding, ...] = ()
 
     @property
     def sentence(self) -> str:
-        """All of it as one sentence."""
+        """All findings as one sentence."""
         return "; ".join(texts(self.findings))
 
     @property
@@ -61,42 +62,43 @@ class RepairedRecord:
 
 @dataclass(frozen=True)
 class _WrongRun:
-    """Changes first to last - 1 of the counts that are no motion; `moved`: by how many counts the zero moved."""
+    """Changes first to last - 1 of the counts that are no motion; `moved`: shift of the zero [counts]."""
 
     first: int
     last: int
     moved: int
 
     def rows(self, samples: int) -> NDArray[np.intp]:
-        """Wrong readings of so many samples: those between the changes, and those in front of or behind them all."""
+        """Rows with wrong readings in a record of `samples` samples: between the changes, or from them to an end of the
+        record."""
         return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
 
 
 def repair_record(record: Record) -> RepairedRecord:
-    """The record with wrong counts and spikes of the input on the line between their neighbours, and a counter that was
-    set anew put back. A counter that wraps, and a record in which too much is wrong, stay as they are."""
+    """The record with wrong counts and spikes of the input interpolated, and shifts of a counter's zero undone. A
+    record with a counter that wraps, or with too many errors, stays as it is."""
     runs, counts = _find_runs(record.counts)
     moves = [run for run in runs if run.moved]
-    if moves and wrap_of(record.counts) is not None:  # what comes back at once is no wrap
+    if moves and wrap_of(record.counts) is not None:  # a run without a shift comes back at once and is no wrap
         runs, moves, counts = [], [], record.counts
     rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
     spikes = _spikes(record.u, counts)
-    left_out = [("count_jump", said) for said in (*_wrong(rows), *(_describe_shift(run) for run in moves[:NAMED]))]
-    left_out += [("invalid_input", said) for said in _spiky(spikes)]
+    left_out = [("count_jump", text) for text in (*_wrong(rows), *(_describe_shift(run) for run in moves[:NAMED]))]
+    left_out += [("invalid_input", text) for text in _spiky(spikes)]
     if not left_out:
         return RepairedRecord(record)
-    findings = tuple(Finding(code, said) for code, said in left_out)
+    findings = tuple(Finding(code, text) for code, text in left_out)
     return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
 
 
 def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
-    """The same, as far as the configuration lets anything be left out, and the model is that of a body that rests."""
+    """The repaired record if the configuration has the guard on and the model is a body that can rest."""
     rests = plant_of(axis.model.make().equation).rests
     return repair_record(record) if axis.encoder.guard and rests else RepairedRecord(record)
 
 
 def _find_runs(counts: Counts) -> tuple[list[_WrongRun], Counts]:
-    """Runs of changes that are no motion, and the counts (n,) without them; none where something is left after all."""
+    """Runs of changes that are no motion, and the counts (n,) without them; no runs if some remain after all passes."""
     found, left = list[_WrongRun](), counts
     for _ in range(PASSES):
         runs = _runs(left)
@@ -107,7 +109,7 @@ def _find_runs(counts: Counts) -> tuple[list[_WrongRun], Counts]:
 
 
 def _runs(counts: Counts) -> list[_WrongRun]:
-    """Changes of the counts (n,) in a row that are no motion."""
+    """Runs of successive changes of the counts (n,) that are no motion."""
     change = np.diff(counts).astype(np.float64)
     usual, limit = _predict_changes(change)
     wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
@@ -118,8 +120,8 @@ def _runs(counts: Counts) -> list[_WrongRun]:
 
 
 def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
-    """(n,): changes near either end of the record that lie on the line through the next two; those around, as in a
-    mirror, do not show how a motion starts."""
+    """(n,): changes near either end of the record that lie on the line through the next two. There the mirrored window
+    does not show how a motion starts."""
     half, found = min(AROUND // 2, change.size - 2), np.zeros(change.size, dtype=bool)
     for own, near, next_one in ((slice(0, half), 1, 2), (slice(change.size - half, None), -1, -2)):
         line = 2 * np.roll(change, -near) - np.roll(change, -next_one)
@@ -128,7 +130,7 @@ def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
 
 
 def _split_runs(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats) -> list[_WrongRun]:
-    """The runs of changes `wild` (k,) close to each other: one if the counts come back behind it."""
+    """The runs of changes `wild` (k,) close to each other: one run if the counts return after it."""
     whole = _run(counts, int(wild[0]), int(wild[-1]) + 1, usual, limit)
     if whole.moved == 0:
         return [whole]
@@ -137,17 +139,17 @@ def _split_runs(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Fl
 
 
 def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) -> _WrongRun:
-    if first == 0 or last == counts.size - 1:  # nothing says that those at the end are right, or that the zero moved
+    if first == 0 or last == counts.size - 1:  # at an end of the record nothing shows a shift of the zero
         return _WrongRun(first, last, 0)
-    beside = np.diff(counts)[[first - 1, last]]
-    moved = int(counts[last]) - int(counts[first]) - round((last - first) * float(np.mean(beside)))
+    neighbours = np.diff(counts)[[first - 1, last]]
+    moved = int(counts[last]) - int(counts[first]) - round((last - first) * float(np.mean(neighbours)))
     if abs(moved) <= (last - first) * float(np.max(limit[first:last])):
         moved = 0
     return _WrongRun(first, last, moved)
 
 
 def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
-    """What each change of the counts (n,) should be, and by how much it may differ: (n,)."""
+    """The predicted changes of the counts (n,), and the allowed deviations (n,)."""
     windows = _stack_neighbours(change)
     middle = np.concatenate([np.median(windows[k : k + CHUNK], axis=1) for k in range(0, len(windows), CHUNK)])
     steps = np.max(_stack_neighbours(np.abs(np.diff(middle, append=middle[-1:]))), axis=1)
@@ -157,14 +159,14 @@ def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
 
 
 def _stack_neighbours(values: Floats) -> Floats:
-    """(n, AROUND) each of the values (n,) with those around it; at the ends as in a mirror."""
+    """(n, AROUND): a window around each of the values (n,), mirrored at the ends."""
     half = min(AROUND // 2, values.size - 1)
     return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
 
 
 def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
-    """The counts (n,), with the zero put back and wrong readings on the line between the good ones; at the ends of the
-    record on that through the nearest two."""
+    """The counts (n,) with shifts of the zero undone and wrong readings interpolated; at the ends of the record they
+    are extrapolated from the nearest two."""
     counts = counts.copy()
     for run in runs:
         counts[run.last :] -= run.moved
@@ -181,7 +183,7 @@ def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
 
 
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
-    """Places of the input (n,) to which the counts (n,) do not answer."""
+    """Samples of the input (n,) that are spikes: the counts (n,) do not follow them."""
     size = np.abs(np.nan_to_num(u))  # in a gap nobody knows it
     large = np.flatnonzero(size > SPIKE * np.quantile(size, 1 - MOST_INPUTS, method="lower"))
     if large.size == 0 or counts.size < 4 * ANSWER_SAMPLES:
@@ -195,13 +197,13 @@ def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
 
 
 def _bridge_input(u: Floats, places: NDArray[np.intp]) -> Floats:
-    """The input (n,) with those at places (k,) on the line between their neighbours."""
+    """The input (n,) with the samples at places (k,) interpolated."""
     good = np.setdiff1d(np.arange(u.size), places)
     return np.interp(np.arange(u.size), good, u[good]) if places.size else u
 
 
 def _format_rows(rows: list[int]) -> str:
-    """Rows from 1 on, as people count."""
+    """The numbers of rows for people, counted from 1."""
     shown = ", ".join(str(row + 1) for row in rows[:NAMED])
     more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     return f"row{'s' * (len(rows) > 1)} {shown}{more}"
@@ -218,8 +220,8 @@ def _wrong(rows: list[int]) -> tuple[str, ...]:
 
 def _describe_shift(run: _WrongRun) -> str:
     return (
-        f"the counts jump by {run.moved} at row {run.last + 1} and stay: taken for a counter that was set anew, and "
-        "put back; if the axis did move so, give [encoder] guard = false"
+        f"the counts jump by {run.moved} at row {run.last + 1} and stay: taken for a shifted zero of the counter, and "
+        "undone; if the axis did move so, give [encoder] guard = false"
     )
 
 

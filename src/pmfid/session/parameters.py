@@ -17,8 +17,8 @@ FOLDED = ("model spread", "95 %")
 
 
 class Parametric(Protocol):
-    """Of a `Result`, p parameters: theta, theta_std, model_spread (p,), interval_95 (p, 2); beforehand: what each is
-    beside the record."""
+    """The p parameters of a `Result`: theta, theta_std, model_spread (p,), interval_95 (p, 2); beforehand: by name,
+    which prior information there is."""
 
     @property
     def names(self) -> tuple[str, ...]: ...
@@ -39,14 +39,13 @@ class Parametric(Protocol):
 
 
 def parameter_header(result: Parametric) -> tuple[str, ...]:
-    """Of the columns of `parameter_rows`."""
+    """The names of the columns of `parameter_rows`."""
     beyond = () if result.model_spread is None else FOLDED
     return ("parameter", "value", "std", *beyond, "unit")
 
 
 def parameter_rows(result: Parametric) -> list[list[str]]:
-    """One row of text for each parameter; of a machine also by how much what its model lacks may move it, and between
-    which values it is then."""
+    """One row of text for each parameter; of a machine also the model spread and the interval that includes it."""
     names, units = result.names, result.units
     found = zip(names, result.theta, result.theta_std, _list_beyond_noise(result), units, strict=True)
     return [
@@ -66,7 +65,7 @@ def _format_name(result: Parametric, name: str) -> str:
 
 
 def format_interval(low: float, high: float) -> str:
-    """An interval with the digits that its width asks for, five at least."""
+    """An interval with the digits that its width needs, five at least."""
     width, size = high - low, max(abs(low), abs(high))
     digits = 5 if not width > 0 else max(5, min(15, 2 + math.ceil(math.log10(size / width))))
     return f"{low:.{digits}g} to {high:.{digits}g}"

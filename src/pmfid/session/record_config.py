@@ -1,4 +1,4 @@
-"""[record] and [encoder] of AXIS.toml: what the columns of a record are.
+"""[record] and [encoder] of AXIS.toml: the columns of a record and the encoder.
 
 The description of a field ends the error message about it: it must read well after "give ...".
 """
@@ -41,7 +41,7 @@ Span = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_forwa
 OutputUnit = Annotated[str, AfterValidator(_output_unit)]
 InputUnit = Annotated[str, AfterValidator(_input_unit)]
 
-#: Resolution of an output that is a number and no count: finer than any.
+#: Resolution of an output without counts: finer than any encoder.
 NO_ENCODER = 1e-29
 
 
@@ -70,7 +70,7 @@ class RecordConfig(FileSection):
         None, description="the unit of the time column, or leave it out where the column's name or s is right"
     )
     reference: Name | None = Field(
-        None, description="the name of the column that holds what a controller was told, of a transfer function"
+        None, description="the name of the column that holds the reference of a controller, of a transfer function"
     )
     hold: Literal["zoh", "foh"] = Field("zoh", description="what the input does between samples: holds, or a line")
     gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
@@ -98,13 +98,13 @@ class RecordConfig(FileSection):
 
 
 class EncoderConfig(FileSection):
-    """[encoder]: resolution in unit of y per count, and what is known of the counter and the motion."""
+    """[encoder]: resolution in unit of y per count, and facts about the counter and the motion."""
 
     resolution: Travel = Field(
         description='the unit of y per count, for example 22.75e-6 (m, of a rotary axis rad), or "0.01 deg"'
     )
     range: Travel | None = Field(
-        None, description='the travel after which the output begins anew, for example "360 deg", or leave it out'
+        None, description='the travel after which the output wraps, for example "360 deg", or leave it out'
     )
     bits: int | None = Field(
         None,
@@ -116,8 +116,8 @@ class EncoderConfig(FileSection):
     max_speed: Travel | None = Field(
         None, description='the highest possible speed in unit of y per s, or as "3000 rpm"'
     )
-    guard: bool = Field(True, description="true, or false to let samples in that no motion explains")
+    guard: bool = Field(True, description="true, or false to keep samples that no motion explains")
 
     def make_encoder(self, resolution: float) -> Encoder:
-        """What the estimators know of the encoder, read in steps of `resolution` [unit of y per count]."""
+        """The encoder of the estimators, with steps of `resolution` [unit of y per count]."""
         return Encoder(resolution, standstill_time=self.standstill_time, max_speed=self.max_speed, guard=self.guard)

@@ -1,8 +1,8 @@
 """Records: read the input and the encoder counts from a file of any of the `formats`, and check them.
 
-A record that leaves this module is evenly sampled and long enough to try; what stands in the place of samples that are
-missing is said in `gaps`. Whether it moves enough to identify anything is not decided here. Rows in messages count from
-1 at the first row of data.
+A record that leaves this module is evenly sampled and long enough for an attempt; `gaps` describes how missing samples
+are filled. Whether the motion suffices to identify anything is not decided here. Rows in messages count from 1 at the
+first row of data.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from pmfid.session.counting import counts_of, floor_counts, unwrap_counts
 from pmfid.session.formats.layout import Stated
 from pmfid.session.formats.reading import read_table
 from pmfid.session.formats.signals import ClockedSignals
-from pmfid.session.gaps.places import Laid, left_out, place_rows
-from pmfid.session.gaps.standing import fill_gaps, missing_said
+from pmfid.session.gaps.places import PlacedRows, left_out, place_rows
+from pmfid.session.gaps.standing import describe_missing, fill_gaps
 from pmfid.session.record_config import NO_ENCODER, RecordConfig
 from pmfid.session.tables import Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.session.travel import measure_travel
@@ -41,11 +41,10 @@ MIN_SAMPLES = 10
 class Record:
     """One evenly sampled run of a drive.
 
-    u: input, (n,), already scaled, NaN in gaps in which nobody knows it; counts: encoder counts, (n,), unwrapped; dt:
-    sample period [s]; resolution: unit of y per count; notes: what was done to the data, for people; name: name of the
-    file; rotary: is the output an angle? there: (n,) the samples that were measured, None: all; for what stands in
-    place of the others see `gaps`; doubt: (p,) by which part of themselves that may have moved parameters, None:
-    nothing does.
+    u: input, (n,), already scaled, NaN in gaps in which it is not known; counts: encoder counts, (n,), unwrapped; dt:
+    sample period [s]; resolution: unit of y per count; notes: changes to the data, for people; name: name of the file;
+    rotary: is the output an angle? there: (n,) the samples that were measured, None: all; `gaps` fills the others;
+    doubt: (p,) relative error of parameters that filled samples may cause, None: no error.
     """
 
     u: Floats
@@ -60,9 +59,9 @@ class Record:
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:
-    """The record as it is, for a transfer function: any spacing, gaps, samples of the output that are missing (empty).
+    """The record as it is, for a transfer function: any spacing, gaps, missing (empty) samples of the output.
 
-    Of output_kind = "counts" in units of the encoder's resolution. Raises UsageError naming the file and the remedy.
+    Counts are converted to travel. Raises UsageError naming the file and the remedy.
     """
     try:
         return experiment_of(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, path.name)
@@ -71,7 +70,7 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
 
 
 def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
-    """The same of a table of columns that `axis.record` names."""
+    """The experiment in a table of columns that `axis.record` names."""
     config, table, columns = _columns(axis.record, table)
     keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     _check_lengths(columns, keys)
@@ -97,7 +96,7 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
 def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:
     """Read the record that `axis.record` describes from a file of one of the `formats`.
 
-    With `quantize`, a step in unit of y, the position is counted anew by a coarser encoder of that step
+    With `quantize`, a step in unit of y, the position is quantised by a coarser encoder with that step
     (floor quantiser, mean error -step/2). Raises UsageError naming the file, the column, the first bad row
     and the remedy. A constant input or a record without motion is not an error.
     """
@@ -121,8 +120,8 @@ def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
 
 
 def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, dict[str, Floats]]:
-    """The columns that are named, on one clock, and the configuration with the names that they have in the file, units
-    and all, and with the unit of a time that is written as a date or a time of day."""
+    """The named columns, on one clock, and the configuration with the full names of the file. If the time column has
+    dates or times of day, the configuration has its unit, too."""
     names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
     if isinstance(table, ClockedSignals):
@@ -140,8 +139,8 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, d
 
 
 def _stated_factor(config: RecordConfig) -> float:
-    """Seconds per unit of the time column of a transfer function, which may be slow or fast: a unit in the column's
-    name is no more than a hint that one must be given."""
+    """Seconds per unit of the time column of a transfer function. The process may be slow or fast, so a unit in the
+    column's name is only a hint that the configuration must give one."""
     unit = named_unit(config.time or "")
     if config.time_unit is None and unit not in (None, "s"):
         raise UsageError(
@@ -167,10 +166,10 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     counts, count_notes = counts_of(travel, axis)
     resolution = axis.encoder.resolution
     if quantize is not None:
-        # y comes anew from the counts only where there is nothing better: a position is not floored twice
+        # y is computed from the counts only without a position, so that no position is floored twice
         y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
         counts, resolution = floor_counts(y, quantize, 1e-9), quantize
-        count_notes += (f"position quantised anew with a step of {quantize:g}",)
+        count_notes += (f"position quantised again with a step of {quantize:g}",)
     if config.output_kind == "counts" and resolution == 1:
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
     notes = notes_of(table) + units.notes + scale_notes + row_notes + motion_notes + count_notes
@@ -178,19 +177,21 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     if rows.whole:
         return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary")
     u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
-    return Record(u, counts, rows.dt, resolution, (*notes, missing_said(u, there)), name, units.kind == "rotary", there)
+    return Record(
+        u, counts, rows.dt, resolution, (*notes, describe_missing(u, there)), name, units.kind == "rotary", there
+    )
 
 
-def _measure_travel(y: Floats, rows: Laid, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
-    """The travel (m,) of the rows that count; a velocity runs along a line over those that are missing."""
+def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
+    """The travel (m,) of the used rows; a velocity is interpolated over missing rows."""
     if axis.record.output_kind != "velocity":
         return measure_travel(y, rows.dt, axis)
     whole, notes = measure_travel(np.interp(np.arange(rows.places[-1] + 1), rows.places, y), rows.dt, axis)
     return whole[rows.places], notes
 
 
-def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> tuple[Laid, tuple[str, ...]]:
-    """The rows that count, where they belong, and notes for people."""
+def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> tuple[PlacedRows, tuple[str, ...]]:
+    """The used rows, their places on the grid, and notes for people."""
     time, samples = columns.get("time"), columns["input"].size
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     out, notes = left_out(time, samples, config, mask)

@@ -1,5 +1,7 @@
-"""What every key of AXIS.toml and every word of a status means: from the models that validate the one, and from the
-tables of the other. Nothing is written twice."""
+"""The meaning of every key of AXIS.toml and of every word of a status.
+
+Keys come from the models that validate them, words from the tables that define them. Nothing is written twice.
+"""
 
 from __future__ import annotations
 

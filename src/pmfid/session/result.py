@@ -1,4 +1,4 @@
-"""What identification gives, of every kind of plant."""
+"""The results of identification, for every kind of plant."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Shown):
-    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: what there is to say
-    of them and of the record, most important first. `result["mass"]` is one parameter.
+    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: on the parameters
+    and the record, most important first. `result["mass"]` is one parameter.
 
-    theta_std is for what varies from record to record. model_spread (p,), of machines: by how much what the model lacks
-    may move the parameters, root mean square; NaN: not known, as where nothing simulates the equation.
+    theta_std covers errors that vary from record to record. model_spread (p,), of machines: root mean square change of
+    the parameters by unmodelled effects; NaN: not known, as for an equation that nothing simulates.
     """
 
     estimator: Estimator
@@ -42,7 +42,7 @@ class Result(Shown):
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Names of what is more than a note among the findings."""
+        """The words of the findings that are more than notes."""
         return codes(self.findings)
 
     @property
@@ -51,12 +51,12 @@ class Result(Shown):
         return texts(self.findings)
 
     def with_findings(self, *further: Finding) -> Self:
-        """The same result with more to say."""
+        """The same result with further findings."""
         return replace(self, findings=sort_findings((*further, *self.findings)))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters (p,): the estimator's, and what was found beside them."""
+        """Names of the parameters (p,): those of the estimator, and an estimated input gain."""
         return self.estimator.names
 
     @property
@@ -65,14 +65,13 @@ class Result(Shown):
 
     @property
     def beforehand(self) -> dict[str, str]:
-        """By parameter, what it is beside the record: "given", or with a "prior"."""
+        """By parameter, its prior information: "given" or "prior"."""
         return {}
 
     @property
     def interval_95(self) -> Floats | None:
-        """(p, 2) between which values the parameters are in 95 % of the records, what the model may lack included; NaN
-        where that is not known, None where there is no model spread at all. A mass or a friction that came out positive
-        is not below zero."""
+        """(p, 2): intervals that hold the parameters in 95 % of the records, with the model spread. NaN: not known;
+        None: there is no model spread. The interval of a positive mass or friction does not extend below zero."""
         if self.model_spread is None:
             return None
         half = NORMAL_95 * np.hypot(self.theta_std, self.model_spread)
@@ -84,7 +83,7 @@ class Result(Shown):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Of the record, or of all records."""
+        """The name of the record, or the names of all records."""
 
     @property
     @abstractmethod
@@ -93,16 +92,16 @@ class Result(Shown):
 
     @abstractmethod
     def particulars(self) -> dict[str, object]:
-        """What `to_json` has beside what every result has."""
+        """The entries of `to_json` that only this kind of result has."""
 
     def __getitem__(self, name: str) -> float:
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return float(self.theta[place_of(name, self.names)])
 
     def __str__(self) -> str:
-        """A line for each parameter, then the status and what to mind."""
+        """A line for each parameter, then the status and the findings."""
         lines = [self.title, *(f"  {line}" for line in self._lines)]
-        lines += [f"  95 % with what the model may lack: {told}" for told in self._list_beyond_noise()]
+        lines += [f"  95 % with unmodelled effects: {line}" for line in self._list_beyond_noise()]
         return "\n".join([*lines, *self._remarks])
 
     @property
@@ -111,10 +110,10 @@ class Result(Shown):
 
     @property
     def _lines(self) -> list[str]:
-        """One for each parameter."""
-        told = {name: f" ({known})" for name, known in self.beforehand.items()}
+        """One line for each parameter."""
+        known = {name: f" ({kind})" for name, kind in self.beforehand.items()}
         lines = Parameters(self.names, self.units, self.theta, self.theta_std).lines
-        return [line + told.get(name, "") for name, line in zip(self.names, lines, strict=True)]
+        return [line + known.get(name, "") for name, line in zip(self.names, lines, strict=True)]
 
     @property
     def _remarks(self) -> list[str]:
@@ -126,7 +125,7 @@ class Result(Shown):
         return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
 
     def columns(self) -> dict[str, object]:
-        """A row for each parameter; with what its model lacks: model_spread, low and high, where it is in 95 %."""
+        """A row for each parameter; of a machine with model_spread, and low and high of the interval of 95 %."""
         own = Parameters(self.names, self.units, self.theta, self.theta_std).columns
         if self.model_spread is None or self.interval_95 is None:
             return own
@@ -134,11 +133,11 @@ class Result(Shown):
         return own | {"model_spread": self.model_spread, "low": low, "high": high}
 
     def to_dict(self) -> dict[str, object]:
-        """What `--json` prints."""
+        """The object that `--json` prints, as plain values."""
         return plain_dict(self.to_json())
 
     def _list_beyond_noise(self) -> list[str]:
-        """One line for each parameter of which something is known beside the noise."""
+        """One line for each parameter with a known model spread."""
         if self.model_spread is None or self.interval_95 is None:
             return []
         rows = zip(self.names, self.model_spread, self.interval_95, strict=True)
@@ -149,7 +148,7 @@ class Result(Shown):
         ]
 
     def _describe_beyond_noise(self) -> dict[str, dict[str, object]]:
-        """By parameter, what `to_json` has of it beside value, error bar and unit; null: not known."""
+        """By parameter, its entries of `to_json` on the model spread; null: not known."""
         names = self.names
         if self.model_spread is None or self.interval_95 is None:
             return {name: {} for name in names}
@@ -185,9 +184,9 @@ class Result(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveResult(Result):
-    """Of a machine with friction. relative_error: of the filtered equation at theta; fit or track: the details of an
-    off-line or of a recursive method, of what the record alone says; known: prior information; matter: how far
-    unmodelled effects may move the parameters, which decides what is a status."""
+    """The result of a machine with friction. relative_error: of the filtered equation at theta; fit or track: details
+    of an off-line or a recursive method, without prior information; known: prior information; matter: how far
+    unmodelled effects may move the parameters, which decides the status."""
 
     record: Record
     relative_error: float
@@ -237,7 +236,7 @@ class DriveResult(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ProcessResult(Result):
-    """Of a transfer function. process: the transfer function; assessment: fit and residual tests over all records."""
+    """The result of a transfer function, which `process` is; assessment: fit and residual tests over all records."""
 
     experiments: tuple[Experiment, ...]
     process: Process
@@ -261,7 +260,7 @@ class ProcessResult(Result):
 
     @property
     def fit(self) -> float | None:
-        """Of the assessment [%]; None for an unstable process that was not asked for: its simulation says nothing."""
+        """The fit of the assessment [%]; None for an unexpectedly unstable process, whose simulation means nothing."""
         expected = expects_unstable(self.estimator)
         return None if np.any(self.process.poles.real > 0) and not expected else self.assessment.fit
 
@@ -292,5 +291,5 @@ def delay_of(estimator: Estimator) -> int:
 
 
 def expects_unstable(estimator: Estimator) -> bool:
-    """Were poles in the right half-plane asked for?"""
+    """Does the model allow poles in the right half-plane?"""
     return isinstance(estimator.model, TransferFunction) and estimator.model.unstable

@@ -1,6 +1,6 @@
-"""RESULT.json: the parameters that an identification has written, read again and checked.
+"""RESULT.json: the parameters that an identification has written, validated on load.
 
-What is in the file is not believed: a model must be the one that AXIS.toml describes, a number a number.
+The model must be the one that AXIS.toml describes, and every value must be a number.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from pmfid.types import Floats
 
 __all__ = ["Stored", "read_stored"]
 
-#: A result has some kilobytes.
+#: Largest file that is read [bytes]: a result has some kilobytes.
 LARGEST = 10_000_000
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml that it was identified with"
-#: Of a text in the file so much is repeated.
+#: Most letters of a text from the file in a message.
 LONGEST = 150
-#: Numbers of one quantity that are printed and read again agree to this part.
+#: Relative difference below which a number from a file and a configured one are the same.
 SAME = 1e-6
-#: Beginnings of names that are no parameters of a motion: unknowns of a pre-filter, and a gain of the input that was
-#: found, which is compared as such.
-BESIDE = ("prefilter_", "input_gain")
+#: Prefixes of names that are no parameters of the motion: unknowns of a pre-filter, and an estimated input gain, which
+#: has a check of its own.
+NOT_OF_MOTION = ("prefilter_", "input_gain")
 
 
 class _Section(BaseModel):
@@ -53,9 +53,8 @@ class _File(_Section):
 
 @dataclass(frozen=True)
 class Stored:
-    """Parameters as a file has them, with the units it gives; kind: of the model; method: that they come from;
-    input_gain, dead_time [s], equation: what was known with them, None where the file does not say; source: name of
-    the file."""
+    """Parameters and units of a file; kind: of the model; method: of the estimate; input_gain, dead_time [s], equation:
+    known at the time of the estimate, None if the file does not have them; source: name of the file."""
 
     kind: str
     method: str
@@ -67,30 +66,31 @@ class Stored:
     source: str
 
     def theta(self, kind: str, names: Sequence[str], units: Sequence[str]) -> Floats:
-        """(p,) the parameters in the order of a model's names. Raises UsageError where they are those of another
+        """(p,) the parameters in the order of a model's names. Raises UsageError for the parameters of another
         model."""
         if self.kind != kind:
             self._refuse(f'it is of kind = "{self.kind}", and [model] of kind = "{kind}"; {SAME_AXIS}')
-        own = [name for name in self.values if name in names or not name.startswith(BESIDE)]
+        own = [name for name in self.values if name in names or not name.startswith(NOT_OF_MOTION)]
         missing = [name for name in names if name not in own]
         foreign = [name for name in own if name not in names]
         if missing or foreign:
-            said = [f"lacks {', '.join(missing)}"] * bool(missing) + [f"has {', '.join(foreign)}"] * bool(foreign)
-            self._refuse(f"it {' and '.join(said)}, and [model] has {', '.join(names)}; {SAME_AXIS}")
+            differences = [f"has no {', '.join(missing)}"] * bool(missing)
+            differences += [f"has {', '.join(foreign)}"] * bool(foreign)
+            self._refuse(f"it {' and '.join(differences)}, and [model] has {', '.join(names)}; {SAME_AXIS}")
         for name, unit in zip(names, units, strict=True):
             if self.units.get(name, unit) != unit:
                 self._refuse(f"{name} is in {self.units[name]!r} there and in {unit!r} in [model]; {SAME_AXIS}")
         return np.array([self.values[name] for name in names])
 
     def check_known(self, what: str, value: float) -> None:
-        """Raises UsageError where `what`, "input_gain" or "dead_time", was another when the parameters were found."""
+        """Raises UsageError if `what`, "input_gain" or "dead_time", had another value at the time of the estimate."""
         then = self.input_gain if what == "input_gain" else self.dead_time
         if then is not None and not abs(then - value) <= SAME * max(abs(then), abs(value)):
             self._refuse(f"it was identified with {what} = {then:.9g}, and [model] has {value:.9g}; {SAME_AXIS}")
 
     def check_equation(self, text: str) -> None:
-        """Raises UsageError where the parameters were found in another equation: the names do not tell a known dead
-        time, the speed of a friction or the pitch of a force."""
+        """Raises UsageError for the parameters of another equation: the names do not show a known dead time, the speed
+        of a friction or the pitch of a force."""
         if self.equation is not None and self.equation != text:
             said = printable(" ".join(self.equation.split()))[:LONGEST]
             self._refuse(f"it was identified with {said}, and [model] says {text}; {SAME_AXIS}")
@@ -100,7 +100,7 @@ class Stored:
 
 
 def read_stored(path: Path) -> Stored:
-    """The parameters in the file at `path`. Raises UsageError for what is no result, with the first thing wrong."""
+    """The parameters in the file at `path`. Raises UsageError with the first problem of a file that is no result."""
     try:
         if path.stat().st_size > LARGEST:
             raise UsageError(f"{path}: more than {LARGEST} bytes are no result; {REMEDY}")

@@ -21,7 +21,7 @@ __all__ = ["TWICE", "NotedTable", "Table", "column", "from_array", "lookup", "no
 #: Column by name: an array or a polars series, whichever the reader of the file has.
 Table = Mapping[str, object]
 
-#: What helps where a cell is no number.
+#: Remedies for a cell that is no number.
 NUMBERS = "write numbers like 0.25, and remove lines that are no data"
 DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
 #: Seconds.
@@ -31,7 +31,7 @@ _UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")
 
 
 class NotedTable(dict[str, object]):
-    """A table, and how it was read, for people."""
+    """A table with notes on how it was read, for people."""
 
     def __init__(self, columns: Mapping[str, object], notes: tuple[str, ...]) -> None:
         super().__init__(columns)
@@ -39,7 +39,7 @@ class NotedTable(dict[str, object]):
 
 
 def notes_of(table: Table) -> tuple[str, ...]:
-    """How a table was read, where that was not plain."""
+    """The notes of a table on how it was read; empty for a plain table."""
     return table.notes if isinstance(table, NotedTable | ClockedSignals) else ()
 
 

@@ -28,11 +28,11 @@ from pmfid.session.gaps.longest import unbroken
 from pmfid.session.identify import explain_error, identify
 from pmfid.session.kinds import Progress
 from pmfid.session.known import check_numbers_known
-from pmfid.session.nested import Nested, compare_nested, finite, format_terms
+from pmfid.session.nested import NestedModel, compare_nested, finite, format_terms
 from pmfid.session.outliers import repair_as_configured
 from pmfid.session.records import Record
 from pmfid.session.result import DriveResult
-from pmfid.session.weighed import Weighed, weighed_terms
+from pmfid.session.weighed import WeighedTerm, weighed_terms
 from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 
 #: What the flags of `pmfid identify` do not say.
@@ -63,14 +63,14 @@ class TermSearch(Shown):
     samples: int
     resolution: float
     terms: Terms
-    models: tuple[Nested, ...]
-    weighed: tuple[Weighed, ...]
+    models: tuple[NestedModel, ...]
+    weighed: tuple[WeighedTerm, ...]
     hidden: tuple[Hidden, ...]
     status: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
-    def chosen(self) -> Nested:
+    def chosen(self) -> NestedModel:
         return self.models[-1]
 
     @property
@@ -137,13 +137,13 @@ class TermSearch(Shown):
         return plain_dict(self.to_json())
 
 
-def _share(model: Nested) -> str:
+def _share(model: NestedModel) -> str:
     whole, slow = model.unexplained
     known = f"{100 * whole:.2g} % ({100 * slow:.2g} % at low speed)"
     return known if math.isfinite(whole) else "an unknown part"
 
 
-def _model_json(model: Nested, resolution: float) -> dict[str, object]:
+def _model_json(model: NestedModel, resolution: float) -> dict[str, object]:
     return {
         "added": model.added,
         "log_likelihood": model.trial.log_likelihood,
@@ -155,7 +155,7 @@ def _model_json(model: Nested, resolution: float) -> dict[str, object]:
     }
 
 
-def _parameters_json(model: Nested) -> dict[str, dict[str, float | None]]:
+def _parameters_json(model: NestedModel) -> dict[str, dict[str, float | None]]:
     equation = model.trial.model.equation
     names = [*equation.names, *(name for name, _ in equation.further)]
     std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
@@ -282,7 +282,7 @@ def _told(
     return TermSearch(data.name, int(data.u.size), data.resolution, found, models, terms, hidden, names, notes)
 
 
-def _judged(bench: Bench, chosen: Nested, tolerance: float) -> Said:
+def _judged(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:
     """As on an estimate."""
     trial = chosen.trial
     if chosen.fit is None:

@@ -38,8 +38,8 @@ def load_sections(
 ) -> Whole:
     """Read and validate a file whose sections are the fields of `whole`.
 
-    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that go before the file's; None is ignored. kind: what to
-    give where the file is unreadable, as "an AXIS.toml". complete: adds to the file's sections what follows from them.
+    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that replace the file's values; None is ignored. kind:
+    the file to give if this one is unreadable, as "an AXIS.toml". complete: adds derived sections to those of the file.
     Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
     """
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
@@ -114,12 +114,12 @@ def _problem(
 
 
 def show_value(value: object) -> str:
-    """As it is written, without user and password where it is an address."""
+    """A value as it is written; an address without user and password."""
     return re.sub(r"//[^/'\"\s]*@", "//...@", repr(value))
 
 
 def _entry_problem(place: str, error: ErrorDetails, description: str) -> str:
-    """Of a key in one of several entries, such as the terms of an equation."""
+    """The problem of a key in one of several entries, such as the terms of an equation."""
     if error["type"] == "missing":
         return f"{place} is missing; write {description}"
     return f"{place} = {error['input']!r}: {error['msg'].replace('Input should', 'it should')}; write {description}"

@@ -1,8 +1,8 @@
-"""The travel that an output tells: one that begins anew, as an angle, and a velocity, which is the change of it.
+"""The travel of an output that wraps, as an angle, or that is a velocity.
 
-Of a velocity the level of the position is gone, and its error adds up: the position walks with its noise and runs away
-with its offset. Mass and friction live on the changes, and their error bars, which come from how the record scatters,
-hold; what depends on the place (a spring, gravity, cogging) cannot be told from such a record.
+An integrated velocity has no absolute position, and its error accumulates: the position drifts with the noise and the
+offset. Mass and friction depend on changes of the position alone, so their standard errors hold. Forces that depend on
+the position (a spring, gravity, cogging) cannot be identified from such a record.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ if TYPE_CHECKING:
 
 __all__ = ["measure_travel"]
 
-#: Velocities are multiples of a step where they are within this part of it.
+#: Largest distance of a velocity from a multiple of a step, as a part of the step.
 WHOLE = 1e-3
 
 
 def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats, str]:
-    """The position (n,) from 0 on of a velocity (n,) that is sampled every dt [s], and how it was found, for people.
+    """The position (n,), which starts at 0, of a velocity (n,) that is sampled every dt [s], and the method, for
+    people.
 
-    A drive that takes differences of its counts logs multiples of resolution / dt, the mean over the interval that
-    ends: these add up to the counts again. Any other velocity runs along a line between samples.
+    A drive that differentiates its counts logs multiples of resolution / dt, the mean over the interval that ends.
+    These add up to the counts again. Any other velocity is linear between samples.
     """
     steps = velocity * (dt / resolution)
     if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < WHOLE):
@@ -37,7 +38,7 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
 
 
 def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
-    """The output as one that does not begin anew, and no velocity; what was done, for people."""
+    """The travel of the output, unwrapped or integrated, and notes for people."""
     if axis.record.output_kind == "velocity":
         position, how = _position_of(y, dt, axis.encoder.resolution)
         return position, (how,)
@@ -45,8 +46,8 @@ def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str,
     if span is None:
         return y, ()
     if axis.encoder.bits is not None:
-        raise UsageError("[encoder] range and bits both say where the output begins anew: drop one of them")
+        raise UsageError("[encoder] range and bits both say where the output wraps: drop one of them")
     period = span if axis.record.output_kind == "position" else np.rint(span / axis.encoder.resolution)
     unwrapped = np.unwrap(y, period=period)
     times = int(np.count_nonzero(np.abs(np.diff(unwrapped) - np.diff(y)) > period / 2))
-    return unwrapped, (f"the output began anew {times} time{'s' * (times != 1)} (undone)",) if times else ()
+    return unwrapped, (f"the output wrapped {times} time{'s' * (times != 1)} (undone)",) if times else ()

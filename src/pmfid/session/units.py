@@ -1,7 +1,7 @@
-"""Units: of columns, by key or by what their names say, and of numbers in AXIS.toml that are written with one.
+"""Units of columns, by key or by the column's name, and of numbers in AXIS.toml that are written with a unit.
 
-One rule: a number is in SI, a text has its unit, "0.001 mm". Of a column in another unit a number alone is refused, for
-people mean either; so nothing is ever taken for a thousand times itself.
+One rule: a number is in SI, a text has its unit, "0.001 mm". With a column in another unit, a number alone is refused,
+because it may be meant in either unit. So no value is ever wrong by a factor of a thousand.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _LENGTHS = {f"{prefix}m": _PREFIXES[prefix] for prefix in ("", "c", "m", "u", "n
 
 @dataclass(frozen=True)
 class Unit:
-    """name: as it is written here; of: what it is a unit of; factor: SI units in one."""
+    """name: as it is written here; of: the quantity that it measures; factor: SI units in one."""
 
     name: str
     of: str
@@ -75,7 +75,7 @@ _ALIASES = {
     "pct": "%", "percent": "%", "‰": "permille", "arms": "A", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
     "newton": "N", "metre": "m", "meter": "m", "millimeter": "mm", "radian": "rad", "radians": "rad",
 }  # fmt: skip
-#: A single letter behind a stroke is an index more often than a unit.
+#: Least letters of a unit after an underscore, stroke, blank or point: a single letter is usually an index.
 _LEAST_LETTERS = 2
 
 
@@ -101,7 +101,7 @@ def _make_quantity(value: float, unit: Unit) -> Quantity:
 
 
 def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
-    """The unit that is written so, in a table; None where there is none."""
+    """The unit in a table that the text names; None without one."""
     plain = re.sub(r"[µμ]", "u", text.strip()).replace("·", " ").replace("*", " ").replace("^", "")
     close = plain.replace(" ", "").replace("-", "") if "N" in plain else plain.replace(" ", "")
     exact = {name.replace(" ", ""): unit for name, unit in table.items()}
@@ -111,7 +111,7 @@ def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
 
 
 def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
-    """The unit that a column's name says, as in "Current [mA]", "pos_mm" or "phi (deg)"; None where it says none."""
+    """The unit in a column's name, as in "Current [mA]", "pos_mm" or "phi (deg)"; None without one."""
     if found := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
         return unit_named(found.group(1), table)
     last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", name) or re.search(r"[\s_/.]([A-Za-zµμ°%]+)$", name)
@@ -123,15 +123,15 @@ _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*
 
 
 def keep_unit(value: object, check: Callable[[object], object], read: Callable[[object], object]) -> object:
-    """What `read` makes of a value, if a field's `check` takes it as a number."""
+    """The value that `read` makes, with its unit, if a field's `check` accepts it as a number."""
     made = read(value)
     checked = check(float(made) if isinstance(made, Quantity) else made)
     return made if isinstance(made, Quantity) else checked
 
 
 def quantity(value: object) -> object:
-    """A text with a number and a unit of travel or speed as a `Quantity`; anything else as it is. Raises ValueError for
-    a unit that is none."""
+    """A text with a number and a unit of travel or speed as a `Quantity`; any other value unchanged. Raises ValueError
+    for an unknown unit."""
     if not isinstance(value, str) or (found := _NUMBER.match(value)) is None:
         return value
     unit = unit_named(found.group(2), OUTPUTS)
@@ -142,7 +142,7 @@ def quantity(value: object) -> object:
 
 def gain(value: object) -> object:
     """A text with a number and a force or torque per unit of input as a `Quantity`: "0.35 N m/A". Raises ValueError for
-    a unit that is none."""
+    an unknown unit."""
     if not isinstance(value, str) or (found := _NUMBER.match(value)) is None:
         return value
     above, stroke, below = found.group(2).partition("/")

@@ -1,4 +1,4 @@
-"""A result against records it was not fitted to: one way for every kind of plant, from files and from Python."""
+"""Free runs with a result over other records: one way for every kind of plant, from files and from Python."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from pmfid.types import Floats
 
 __all__ = ["Validation", "read_records", "validate_parameters", "validate_stored"]
 
-#: A free run within so many times what the encoder leaves explains the counts.
+#: A free run explains the counts if its error is below this multiple of the encoder's error.
 WITHIN = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Shown):
     """Free runs over one record or more. kind, method: of the model and of its estimate; names, units, theta: (p,) of
-    its parameters; unit: of the output, empty where it has none; findings: what these records give to doubt in the
-    model, as `identify` says it of each."""
+    its parameters; unit: of the output, empty without one; findings: doubts in the model by each record, as from
+    `identify`."""
 
     kind: str
     method: str
@@ -42,12 +42,12 @@ class Validation(Shown):
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Names of what is more than a note among the findings."""
+        """The words of the findings that are more than notes."""
         return codes(self.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to mind, for people."""
+        """The notes on the free runs and the findings, for people."""
         own = (note for run in self.runs for note in (*run.notes, *_remarks(run)))
         return tuple(dict.fromkeys((*own, *texts(self.findings))))
 
@@ -90,7 +90,7 @@ class Validation(Shown):
 
 
 def _numbers(run: FreeRun) -> tuple[str, str, str]:
-    """Root mean square error, fit, and the error of what stays where it begins."""
+    """Root mean square error, fit, and the error of an axis that stands still."""
     fit = "unknown" if run.fit is None else f"{run.fit:.4g}"
     return f"{run.rmse:.3g}", fit, f"{run.standstill:.3g}"
 
@@ -137,8 +137,8 @@ def read_records(paths: Sequence[Path], axis: Axis) -> list[Records]:
 
 
 def validate_stored(stored: Stored, data: Sequence[Records], axis: Axis) -> Validation:
-    """Free runs with the parameters of a file over what `read_records` gives. Raises UsageError where the parameters
-    are not of the model of `axis`, or nothing can be simulated with them."""
+    """Free runs with the parameters of a file over the records that `read_records` gives. Raises UsageError if the
+    parameters are not of the model of `axis`, or if nothing can be simulated with them."""
     kind, axis = kind_of(axis), set_stored_gain(axis, stored)
     theta = stored.theta(axis.model.kind, *parameters_of(axis.model.make()))
     for record in data:

@@ -1,4 +1,4 @@
-"""The terms of a search one by one: size, error bar, and the prediction of other parts with each and without it."""
+"""The terms of a search one by one: size, standard error, and predictions of other parts with and without the term."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pmfid.estimators.results import Fit
 from pmfid.judge.term_trials import Trial
 from pmfid.judge.terms import Step, Terms
 from pmfid.models.drive import Drive
-from pmfid.session.nested import bars, finite
+from pmfid.session.nested import finite, fit_trial
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
-    """A term that was fitted. setting: its lines of [model]; values: name, value, standard error and unit of what the
-    model has with it alone, NaN where there is no error bar; kept; with_it, without: errors of free runs over what the
-    models were not fitted to [unit of y], not finite where there is none; verdict."""
+class WeighedTerm:
+    """A term that was fitted. setting: its lines of [model]; values: name, value, standard error (NaN: not known) and
+    unit of each parameter that the term brings; kept: is it in the chosen model? with_it, without: errors of free runs
+    over samples that the fits did not use [unit of y], not finite without such runs; verdict."""
 
     setting: str
     values: tuple[tuple[str, float, float, str], ...]
@@ -35,8 +35,9 @@ class Weighed:
         return {"set": self.setting, "values": values, "kept": self.kept, **held_out, "verdict": self.verdict}
 
 
-def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[Weighed]:
-    """Each term of the chosen model, with its error bars `fit`, and after them those that were fitted and not kept."""
+def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[WeighedTerm]:
+    """Each term of the chosen model, with the standard errors of `fit`; then the terms that were fitted and not
+    kept."""
     first, last = found.trials[0].model, dict[str, Step]()
     for step in found.without:
         yield _weigh_step(step, first, found.chosen, fit)
@@ -45,19 +46,19 @@ def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[Weighed]:
             last[_setting(step)] = step
     for step in last.values():
         if step.trial is not None:
-            yield _weigh_step(step, first, step.trial, bars(step.trial))
+            yield _weigh_step(step, first, step.trial, fit_trial(step.trial))
 
 
 def _setting(step: Step) -> str:
     return ", ".join(setting(*pair) for pair in step.candidate.change.items())
 
 
-def _weigh_step(step: Step, first: Drive, trial: Trial, fit: Fit | None) -> Weighed:
-    """first: the model to begin with; trial: one with the term."""
+def _weigh_step(step: Step, first: Drive, trial: Trial, fit: Fit | None) -> WeighedTerm:
+    """The weighed term of a step; first: the first model; trial: one with the term."""
     equation = trial.model.equation
     rest = change_arguments(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation
     names, units = (*equation.names, *dict(equation.further)), (*equation.units, *dict(equation.further).values())
     std = np.full(len(names), np.nan) if fit is None else fit.theta_std
     rows = zip(names, trial.theta.tolist(), std.tolist(), units, strict=True)
     values = tuple(row for row in rows if row[0] not in {*rest.names, *dict(rest.further)})
-    return Weighed(_setting(step), values, step.kept, step.error, step.without, step.verdict)
+    return WeighedTerm(_setting(step), values, step.kept, step.error, step.without, step.verdict)

@@ -10,20 +10,19 @@ from numpy.typing import NDArray
 
 __all__ = ["Wrap", "wrap_of"]
 
-#: After the wrap is undone, the changes are at most this part of the range, and rougher by no more than that part of
-#: what they were.
+#: Once the wrap is undone: largest change, as a part of the range; largest roughness, as a part of the former one.
 ROOM, SMOOTHER = 0.25, 0.1
 #: Jumps of one size differ by at most this part of it.
 ALIKE = 0.05
-#: A range that is so near to whole turns, as a part of it, is that of whole turns.
+#: Largest relative distance of a range from whole turns.
 WHOLE_TURNS = 0.005
-#: Widths of counters; over fewer counts than LEAST any motion may look like a jump.
+#: Largest width of a counter; least range of the counts, for over fewer any motion may look like a jump.
 MOST_BITS, LEAST = 32, 8
 
 
 @dataclass(frozen=True)
 class Wrap:
-    """A range over which counts wrap, and how often they do; row of the first time, from 1 on."""
+    """span: range over which counts wrap; times: number of wraps; row: of the first wrap, counted from 1."""
 
     span: int
     times: int
@@ -31,7 +30,7 @@ class Wrap:
 
     @property
     def bits(self) -> int | None:
-        """The width of a counter of that range, None where it is no power of two."""
+        """The width of a counter of that range, None if the range is no power of two."""
         return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
 
     def describe_mistake(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
@@ -50,8 +49,8 @@ class Wrap:
 
 
 def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
-    """The wrap of counts (n,) whose largest changes are all of nearly one size, the range of the counts, and leave a
-    smooth motion once they are undone; None where there is no such thing."""
+    """The wrap of counts (n,): the largest changes are all nearly the range of the counts, and once undone they leave a
+    smooth motion; None without a wrap."""
     change, extent = np.diff(counts), int(np.ptp(counts))
     jumps = np.abs(change) > extent / 2
     usual = int(np.max(np.abs(change[~jumps]), initial=0))
@@ -62,7 +61,7 @@ def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
         if not _smooth(change, undone, jumps, usual, span):
             continue
         found = Wrap(span, int(np.sum(undone != change)), int(np.argmax(undone != change)) + 2)
-        # a counter that is set anew, once, jumps by any number
+        # one shift of a counter's zero has any size
         return found if found.bits is not None or found.times > 1 else None
     return None
 
@@ -70,14 +69,14 @@ def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
 def _smooth(
     change: NDArray[np.int64], undone: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, span: int
 ) -> bool:
-    """Do the changes leave a motion in which those that were jumps are like the others?"""
+    """Do the undone changes give a motion in which the former jumps are like the other changes?"""
     rough, smooth = (float(np.sum(np.diff(series.astype(np.float64)) ** 2)) for series in (change, undone))
     alike = np.max(np.abs(undone[jumps])) <= 2 * usual + 2
     return bool(alike and np.max(np.abs(undone)) <= ROOM * span and smooth <= SMOOTHER * rough)
 
 
 def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, extent: int) -> list[int]:
-    """Ranges to try: that of a counter, and what the jumps themselves tell, for another period such as a turn."""
+    """Ranges to try: the range of a counter, and the size of the jumps, for another period such as a turn."""
     counter = 2 ** math.ceil(math.log2(extent + 1))
     sizes = np.abs(change[jumps])
     spans = [counter] if counter <= 2**MOST_BITS else []

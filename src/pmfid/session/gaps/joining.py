@@ -1,4 +1,4 @@
-"""Several records of one axis as one, with a gap between each two of them."""
+"""Several records of one axis as one record, with a gap between two of them."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from pmfid.types import Counts, Flags, Floats
 if TYPE_CHECKING:
     from pmfid.session.records import Record
 
-#: Periods that differ by more than this part are of different records; less is what clocks are off by.
+#: Largest relative difference of sample periods, which tolerances of clocks explain.
 SAME_PERIOD = 1e-3
 
 
-def one_of(records: Sequence[Record], place_matters: bool) -> Record:
-    """The records one after the other; the counts of each go on from those before, for a counter may begin anywhere.
+def join_records(records: Sequence[Record], place_matters: bool) -> Record:
+    """The records one after the other; the counts of each continue the previous ones, for a counter may start anywhere.
 
-    Raises UsageError for records of different sample periods, and of an axis with forces of the place."""
+    Raises UsageError for records of different sample periods, and for an axis with forces that depend on the position.
+    """
     if len(records) == 1:
         return records[0]
     first = records[0]
     if place_matters:
         raise UsageError(
-            "several records make one estimate where no force depends on the place: nobody knows where each begins; "
-            "identify them one by one"
+            "several records make one estimate only if no force depends on the position: the start of each is not "
+            "known; identify them one by one"
         )
     for record in records[1:]:
         if abs(record.dt / first.dt - 1) > SAME_PERIOD:
@@ -41,14 +42,14 @@ def one_of(records: Sequence[Record], place_matters: bool) -> Record:
     for record in records[1:]:
         parts.append(_settle_part(record, int(parts[-1][1][-1]), first=False))
     u, counts, there = (np.concatenate(signal) for signal in zip(*parts, strict=True))
-    said = f"{len(records)} records make one estimate: the motion of each begins anew"
-    notes = (said, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
+    joined = f"{len(records)} records make one estimate: the motion of each starts separately"
+    notes = (joined, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
     name = ", ".join(record.name for record in records)
     return replace(first, u=u, counts=counts, there=there, notes=notes, name=name)
 
 
 def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
-    """Input, counts from `start` on, and which samples were measured; behind a gap, but for the first."""
+    """Input, counts that begin at `start`, and which samples were measured; all but the first record follow a gap."""
     there = np.ones(record.u.size, bool) if record.there is None else record.there
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
     if first:

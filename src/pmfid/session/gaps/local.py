@@ -1,8 +1,8 @@
-"""An input between its samples, where it is not held: a polynomial through the nearest samples on both sides.
+"""An input between its samples if it is not held: a polynomial through the nearest samples on both sides.
 
-Through how many, and of what degree, the samples that are there say: what misses them least where they are left out.
-An input that a controller makes from a coarse encoder is smooth with noise on top; a straight line cuts its bends
-short, in every gap the same way, and that is a bias of the mass; a cubic through four samples doubles the noise.
+The measured samples choose degree and number of samples: the polynomial with the smallest error on samples left out.
+The input of a controller with a coarse encoder is smooth with noise. A straight line cuts its bends in every gap in the
+same way, which biases the mass; a cubic through four samples doubles the noise.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from pmfid.types import Floats
 
-#: Samples farther away than so many times `half` count for next to nothing: they lie beyond another gap.
+#: Samples farther away than NEAR times `half` lie beyond another gap and have the weight FAR_WEIGHT.
 NEAR, FAR_WEIGHT = 3.0, 1e-6
-#: Left out are at most so many samples, and at least; gaps are filled in so many at once.
+#: Most and fewest samples that are left out for the error; missing samples that are filled at once.
 MOST, FEWEST, CHUNK = 1000, 30, 20_000
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """Of a degree, by least squares through `half` samples on either side."""
+    """A polynomial of a degree, by least squares through `half` samples on either side."""
 
     degree: int
     half: int
@@ -39,15 +39,15 @@ class Polynomial:
         return whole
 
     def estimate_error(self, u: Floats, places: NDArray[np.intp], length: int) -> float:
-        """Root mean square of what it misses of the sum of so many samples in a row, by those that are there; infinite
-        where too few are."""
+        """Root mean square error of the sum of `length` successive samples, on measured samples; infinite if there are
+        too few."""
         first = np.arange(self.half, places.size - self.half - length + 1)
         first = first[places[first + length - 1] - places[first] == length - 1]
         if first.size < FEWEST:
             return np.inf
         first = first[:: -(-first.size // MOST)]
-        beside = np.r_[np.arange(-self.half, 0), np.arange(length, length + self.half)]
-        rows, missed = first[:, None] + beside, np.zeros(first.size)
+        neighbours = np.r_[np.arange(-self.half, 0), np.arange(length, length + self.half)]
+        rows, missed = first[:, None] + neighbours, np.zeros(first.size)
         for k in range(length):
             missed += self._interpolate_at(u, places, rows, places[first + k]) - u[first + k]
         return float(np.sqrt(np.mean(missed**2)))
@@ -65,7 +65,7 @@ class Polynomial:
         return np.asarray(np.linalg.solve(weighted @ powers, right)[:, 0, 0] + level)
 
 
-#: Those that are tried: a line, cubics through ever more samples, and a mean for an input that is nothing but noise.
+#: Polynomials that are tried: a line, cubics through more and more samples, and a mean for an input of pure noise.
 TRIED = (
     Polynomial(1, 1),
     Polynomial(3, 2),
@@ -78,5 +78,6 @@ TRIED = (
 
 
 def best_of(u: Floats, places: NDArray[np.intp]) -> Polynomial:
-    """The one that misses least of the samples u (m,) at rising places (m,); the line where there are too few."""
+    """The polynomial with the smallest error on the samples u (m,) at rising places (m,); the line if there are too
+    few."""
     return min(TRIED, key=lambda tried: tried.estimate_error(u, places, 1) if places.size > 2 * tried.half else np.inf)

@@ -1,4 +1,4 @@
-"""The part of a record without gaps that moves the most, for what looks at one motion without a break."""
+"""The part of a record without gaps that moves the most, for methods that need one motion without a break."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["unbroken"]
 
 def unbroken(record: Record) -> Record:
     """The stretch of a record in which the input is known and the counts (n,) change most often, with a note; the
-    record itself where it is whole."""
+    record itself if it has no gaps."""
     known = np.isfinite(record.u)
     edges = np.flatnonzero(np.diff(np.r_[0, known, 0]))
     if np.all(known) or edges.size == 0:

@@ -1,11 +1,12 @@
-"""What stands in the place of missing samples, by the motion of the machine.
+"""Values for missing samples by the motion of the machine.
 
-A held input that differs on the two sides of a gap has changed at one of its instants, and the motion behind it tells
-at which: the wrong one would leave a step in the velocity that the model simulates. The counts are then those of the
-simulated motion, less the smoothed deviation of the measured one from it. The model has to be right for that only as
-far as one sample of the input moves the axis. An input that is not held is in a long gap what the samples near by say
-(`local`), or not known, where the counts on both sides tell what it did there better than they: behind such a gap the
-motion begins anew.
+A held input that differs on the two sides of a gap has changed within it. The motion after the gap determines the
+instant: a wrong one would leave a step between the simulated and the measured velocity. The counts are those of the
+simulated motion, plus the smoothed deviation of the measured one. The model must be accurate only to the effect of one
+sample of the input.
+
+In a long gap, an input that is not held is interpolated (`local`). If the counts on both sides determine it better than
+the interpolation, it is not known, and the motion restarts after the gap.
 """
 
 from __future__ import annotations
@@ -23,27 +24,27 @@ from pmfid.session.gaps.smoother import Steps, smooth_deviation
 from pmfid.session.gaps.standing import ALWAYS, Gap, fill_gaps, gaps_of, is_held
 from pmfid.types import Counts, Flags, Floats
 
-#: Turns of estimate and filling; what stands in a gap hardly changes the estimate.
+#: Most iterations of estimate and filling: the filled samples hardly change the estimate.
 TURNS = 3
-#: Relative change of the parameters from which on another turn changes nothing.
+#: Relative change of the parameters below which the iteration ends.
 SETTLED = 1e-4
-#: What a wrong parameter may do to the velocity at an event, as parts of the root mean square one: at first, and where
+#: Error of the velocity at an event by wrong parameters, as a part of the root mean square velocity: before and after
 #: the inputs are found.
 WRONG = (1e-2, 1e-3)
 #: The same of the position [counts].
 SHIFT = 0.1
-#: Filter time constants, and samples, within which a deviation is as smooth as the motion.
+#: Interval of further events, in filter time constants and in samples: a deviation is as smooth as the motion.
 OFTEN, FEWEST = 2.0, 8
-#: Seed of the samples that are lost once more.
+#: Seed of the samples that `doubt` removes.
 AGAIN = 16
-#: An instant is known where its standard deviation is less than this part of a sample.
+#: Largest standard deviation of a known instant [samples].
 KNOWN = 0.25
-#: The counts that are filled in keep within so many of the line between their neighbours, less the simulated motion.
+#: Largest distance of the deviation in a gap from the line between its neighbours [counts].
 WITHIN = 1.0
 
 
 class FilledMachine(Body):
-    """A model at its parameters, and what filling a gap asks of it."""
+    """A model with its parameters, and the quantities of it that fill a gap."""
 
     def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
         """Position [counts] from 0 and velocity [counts/s], (n,), from a speed [counts/s] on."""
@@ -57,14 +58,14 @@ class FilledMachine(Body):
 
     @property
     def push(self) -> float:
-        """By how much a unit of the input moves the velocity in one sample [counts/s]."""
+        """Change of the velocity by one sample of a unit input [counts/s]."""
         return self.equation.input_gain * self.dt / self.values[MASS] / self.step
 
 
 def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
-    """Input and counts (n,) with those that are not there as the motion says; an input that is NaN stays so, and
-    becomes so where the motion tells more. The present values are those of `fill_gaps`. None where the record
-    identifies no motion."""
+    """Input and counts (n,) with missing samples filled by the motion. The present values are those of `fill_gaps`. An
+    input that is NaN stays NaN, and becomes NaN if the motion determines it better. None if the record identifies no
+    motion."""
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
@@ -84,9 +85,11 @@ def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple
 
 
 def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
-    """(p,) by which part of themselves the parameters move where as large a part of the samples that are there is lost
-    as well, and filled again: so much, or about so much, have those that are missing moved them; by all of themselves,
-    where too little is left to tell."""
+    """(p,): relative errors of the parameters by missing samples; 1 if too few samples remain.
+
+    An equal part of the measured samples is removed and filled again. The change of the parameters estimates their
+    error by the samples that are really missing.
+    """
     chance, part = np.random.default_rng(AGAIN), 1 - float(np.mean(there[np.isfinite(u)]))
     fewer = there & (chance.random(u.size) >= part)
     fewer[[0, -1]] = True
@@ -102,7 +105,7 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
 
 
 def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
-    """Of one part (n,), which is there at its ends; held: is the input?"""
+    """Input and counts of one part (n,) with measured ends, filled; held: is the input held between changes?"""
     place, speed = counts - counts[0] + 0.5, 0.0
     gap = _doubtful(u, there, held)
     missed, none = _estimate_input_errors(gap, u, there, held), np.zeros(0, np.intp)
@@ -114,22 +117,22 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
         at = np.searchsorted(events, gap.after)
         if held:
             _decide(machine, gap, u, found.size[at], found.variance[at])
-    told = found.variance[at] < (machine.push * missed) ** 2 / 2  # as much by the counts as by the samples near by
+    by_motion = found.variance[at] < (machine.push * missed) ** 2 / 2  # the counts know it better than interpolation
     if held:
         gap, missed = Gap(none, none), missed[:0]
     position, velocity = machine.motion(u, speed)
     deviation = place - position
     smooth = _deviation(machine, gap, missed, deviation, velocity, there, WRONG[-1])[0].deviation
-    where = np.flatnonzero(there)
-    line = np.interp(np.arange(u.size), where, deviation[where])
+    rows = np.flatnonzero(there)
+    line = np.interp(np.arange(u.size), rows, deviation[rows])
     filled = np.floor(position + np.clip(smooth, line - WITHIN, line + WITHIN)).astype(np.int64) + counts[0]
-    for k in none if held else np.flatnonzero(told):
+    for k in none if held else np.flatnonzero(by_motion):
         u[gap.before[k] + 1 : gap.after[k]] = np.nan
     return u, np.where(there, counts, filled)
 
 
 def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
-    """The gaps of which the motion tells what the input (n,) did: where a held one changed, and of others the long."""
+    """The gaps in which the motion determines the input (n,): changes of a held input, and long gaps of any other."""
     gap = gaps_of(there)
     found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > ALWAYS)
     return Gap(gap.before[found], gap.after[found])
@@ -150,9 +153,11 @@ def _estimate_input_errors(gap: Gap, u: Floats, there: Flags, held: bool) -> Flo
 def _deviation(
     machine: FilledMachine, gap: Gap, missed: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
 ) -> tuple[Steps, NDArray[np.intp]]:
-    """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and the events: gaps,
-    reversals, and ever so often, for wrong parameters. missed: (g,) what of the sum of the input is not known in each
-    gap; wrong: what the model may have wrong at each event, as a part of the velocity."""
+    """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and its events.
+
+    Events are gaps, reversals and, for wrong parameters, one sample in every `machine.often`. missed: (g,) standard
+    deviation of the sum of the input over each gap; wrong: error of the model at each event, as a part of the velocity.
+    """
     turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
     often = np.arange(0, deviation.size, machine.often)
     events = np.unique(np.concatenate([often, gap.after, turns]))
@@ -165,17 +170,17 @@ def _deviation(
 
 
 def _decide(machine: FilledMachine, gap: Gap, u: Floats, steps: Floats, variance: Floats) -> None:
-    """Sets the input (n,) in gaps that hide a change, at the instant that the steps (g,) of the velocity ask for beyond
-    those of the input as it is; an instant that is not known stays between two."""
+    """Sets the input (n,) in gaps that hide a change. The steps (g,) of the velocity beyond those of the present input
+    determine the instant; an instant that is not known stays between two samples."""
     before, change = u[gap.before], u[gap.after] - u[gap.before]
     total = np.r_[0.0, np.cumsum(u)]
     inside = total[gap.after] - total[gap.before + 1] + steps / machine.push
-    behind = np.clip((inside - gap.missing * before) / change, 0.0, gap.missing)
+    later = np.clip((inside - gap.missing * before) / change, 0.0, gap.missing)  # samples after the change
     known = np.sqrt(variance) < KNOWN * np.abs(machine.push * change)
-    behind = np.where(known, np.rint(behind), behind)
-    whole = np.floor(behind).astype(np.intp)
+    later = np.where(known, np.rint(later), later)
+    whole = np.floor(later).astype(np.intp)
     for k in range(before.size):
         first, last, split = gap.before[k] + 1, gap.after[k], gap.after[k] - whole[k]
         u[first:split], u[split:last] = before[k], before[k] + change[k]
         if split > first:
-            u[split - 1] += (behind[k] - whole[k]) * change[k]
+            u[split - 1] += (later[k] - whole[k]) * change[k]

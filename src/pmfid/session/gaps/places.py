@@ -1,4 +1,4 @@
-"""Which rows of a record count, and where they belong on an even grid of time."""
+"""The used rows of a record, and their places on an even grid of time."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     from pmfid.session.record_config import RecordConfig
 
 Number = TypeVar("Number", bound=np.generic)
-#: A longer step, in medians, leaves samples out.
+#: Longest step without a missing sample, in medians.
 MISSING = 1.5
-#: A step that is no whole number of periods, by more than this part of one, is none of an even grid.
+#: Largest distance of a step from a whole number of periods on an even grid [periods].
 NEAR = 0.3
-#: Steps of up to so many periods tell the period: a pause need not be a whole number.
+#: Longest step that determines the period [periods]: a pause need not be a whole number.
 SHORT = 5
 #: Relative accuracy of the period.
 SETTLED = 1e-9
-#: Standard deviation [periods] of stamps that are late or early by chance; stamps that know of no grid have 0.29.
+#: Largest standard deviation of stamps around a grid [periods]; random stamps have 0.29.
 SCATTER = 0.2
-#: A row that comes within this part of a period behind another is odd, where no larger part of the rows does.
+#: A row within EARLY periods after another one is odd if no larger part of the rows than RARE is.
 EARLY, RARE = 0.3, 0.001
-#: Turns in which grid and places are found, each from the other.
+#: Most iterations between grid and places.
 TURNS = 5
-#: Of the steps of a grid at least so many are single ones.
+#: Least part of the steps of a grid that are single periods.
 SINGLE = 0.3
-#: A longer gap [samples] is shown so long: what is behind it begins anew, however long it was.
+#: Longest gap on the grid [samples]. Longer gaps are shortened: the motion restarts after a gap of any length.
 LONGEST = 1000
 
 
 @dataclass(frozen=True)
-class Laid:
-    """The rows (m,) of a record that count, the places (m,) of these samples on a grid of period dt [s], and notes for
+class PlacedRows:
+    """The used rows (m,) of a record, the places (m,) of these samples on a grid of period dt [s], and notes for
     people."""
 
     rows: NDArray[np.intp]
@@ -51,12 +51,12 @@ class Laid:
         return bool(self.places.size == self.places[-1] + 1)
 
 
-def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig) -> Laid:
-    """The rows `kept` (N,) with time (N,) in the unit of its column, or at a constant period. repeated (N,): rows with
-    the values of the row before. Raises UsageError for a time that belongs to no even grid."""
+def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig) -> PlacedRows:
+    """The rows `kept` (N,) on a grid, by time (N,) in the unit of its column or at a constant period. repeated (N,):
+    rows with the values of the previous row. Raises UsageError for a time without an even grid."""
     if time is None:
         rows = np.flatnonzero(kept)
-        return Laid(rows, _shorten_gaps(rows), *sample_period(None, config))
+        return PlacedRows(rows, _shorten_gaps(rows), *sample_period(None, config))
     rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
     rows, early = _drop_early(time, rows)
     stamps, places = _take_rows(time, rows), None
@@ -68,18 +68,18 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
     dt, notes = sample_period(stamps, config)  # which refuses what is on no grid
     counts = kept[rows]
     places = np.flatnonzero(counts) if places is None else places[counts]
-    return Laid(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
+    return PlacedRows(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
 
 
 def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:
-    """The values (N,) at rows (n,), rising ones; no copy where these are all."""
+    """The values (N,) at rising rows (n,); no copy if these are all rows."""
     return values if rows.size == values.size else values[rows]
 
 
 def left_out(
     time: Floats | None, samples: int, config: RecordConfig, mask: Floats | None
 ) -> tuple[Flags, tuple[str, ...]]:
-    """Which of so many rows [record] mask and exclude leave out, and notes for people; mask (N,): that column."""
+    """(N,): the rows that [record] mask and exclude leave out, and notes for people; mask (N,): that column."""
     out, notes = np.zeros(samples, bool), []
     if mask is not None:
         out |= ~(mask == 0)
@@ -95,36 +95,37 @@ def left_out(
 
 
 def _steady(time: Floats) -> bool:
-    """Does the time (n,) rise without a step so long that samples are missing in it?"""
+    """Does the time (n,) rise without a step in which samples are missing?"""
     steps = np.diff(time)
     return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= MISSING * np.median(steps))
 
 
 def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Rows without those that are the same as the row before, time and all."""
+    """The rows without repetitions of the previous row with the same time."""
     again = np.r_[False, np.diff(_take_rows(time, rows)) == 0] & _take_rows(repeated, rows)
     count = int(np.count_nonzero(again))
     if not count:
         return rows, ()
-    said = "rows repeat the row before, time and all: they are" if count > 1 else "row repeats the row before: it is"
-    return rows[~again], (f"{count} {said} left out",)
+    note = "rows repeat the row before, time and all: they are" if count > 1 else "row repeats the row before: it is"
+    return rows[~again], (f"{count} {note} left out",)
 
 
 def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Rows without the few that come right behind another, as where a logger starts: no grid has a place for them."""
+    """The rows without the few that closely follow another one, as at the start of a logger: no grid has a place for
+    them."""
     steps = np.diff(_take_rows(time, rows))
     early = np.r_[False, (steps > 0) & (steps < EARLY * np.median(steps))] if steps.size else np.zeros(rows.size, bool)
     count = int(np.count_nonzero(early))
     if not 0 < count <= max(1, RARE * rows.size):
         return rows, ()
-    said = "rows come" if count > 1 else "row comes"
-    return rows[~early], (f"{count} {said} less than {EARLY:g} of a period behind another: left out",)
+    note = "rows come" if count > 1 else "row comes"
+    return rows[~early], (f"{count} {note} less than {EARLY:g} of a period after another: left out",)
 
 
 def _places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
-    """Places (n,) of rising stamps (n,) on an even grid, from 0 on, and its period; None where they are on none.
+    """Places (n,) of rising stamps (n,) on an even grid, from 0 on, and its period; None without a grid.
 
-    By the steps, each nearly a whole number of periods; or where the stamps scatter, by a line through them all.
+    Each step is nearly a whole number of periods. If the stamps scatter more, a line through all stamps gives the grid.
     """
     steps = np.diff(time)
     if not (steps.size and np.min(steps) > 0):
@@ -146,7 +147,7 @@ def _places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
 
 
 def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
-    """The same of stamps that are late or early by chance, from places (n,) that are nearly right."""
+    """Places and period for stamps that scatter by chance, from places (n,) that are nearly right."""
     for _ in range(TURNS):
         period, start = np.polyfit(places, time - time[0], 1)
         at = (time - time[0] - start) / period

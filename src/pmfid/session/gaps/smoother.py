@@ -1,9 +1,9 @@
-"""How far a simulated motion is from the counts between events at which it may turn off its course.
+"""The deviation of the counts from a simulated motion, smoothed between events.
 
-Between events a deviation of the velocity decays with the machine's own damping. At an event, a gap in which the input
-may have changed, or a reversal, the velocity steps by an amount of known variance. The smoother (Rauch, Tung and
-Striebel 1965) is solved as what it is, the least squares of all deviations and steps: a banded system of two unknowns
-for each event.
+Between events a deviation of the velocity decays with the machine's own damping. At an event (a gap in which the input
+may have changed, or a reversal) the velocity steps by an amount of known variance. The smoother (Rauch, Tung and
+Striebel 1965) is solved as the least squares problem of all deviations and steps: a banded system with two unknowns for
+each event.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pmfid.types import Flags, Floats
 
 #: Variance of a count [counts^2].
 COUNT = 1 / 12
-#: What is known of position and velocity before the record [1/counts^2, s^2/counts^2]: nothing.
+#: Information on position and velocity before the record [1/counts^2, s^2/counts^2]: practically none.
 NOTHING = 1e-12
 #: Right-hand sides that are solved at once.
 CHUNK = 256
@@ -26,8 +26,8 @@ CHUNK = 256
 
 @dataclass(frozen=True)
 class Steps:
-    """start: the deviation of the velocity at the first sample [counts/s]; size, variance: (g,) of the velocity's steps
-    at the events, the first of which is none; deviation: (n,) [counts]."""
+    """start: deviation of the velocity at the first sample [counts/s]; size, variance: (g,) of the velocity's steps at
+    the events, 0 at the first; deviation: (n,) [counts]."""
 
     start: float
     size: Floats
@@ -38,8 +38,8 @@ class Steps:
 def smooth_deviation(
     deviation: Floats, there: Flags, events: NDArray[np.intp], steps: Floats, moves: Floats, decay: float, dt: float
 ) -> Steps:
-    """Of the deviation (n,) [counts] where it is there. events: (g,) samples, the first is 0; steps, moves: (g,)
-    variances of what velocity and position do at them; decay [1/s]."""
+    """The smoothed deviation (n,) [counts] and its steps, from the samples that are there. events: (g,) samples, the
+    first is 0; steps, moves: (g,) variances of the changes of velocity and position at the events; decay [1/s]."""
     n, g = deviation.size, events.size
     segment = np.repeat(np.arange(g), np.diff(np.r_[events, n]))
     response = _travel(np.asarray((np.arange(n) - events[segment]) * dt, np.float64), decay)
@@ -65,7 +65,7 @@ def smooth_deviation(
 
 
 def _travel(time: Floats, decay: float) -> Floats:
-    """By how much a deviation of the velocity by 1 moves the position within a time."""
+    """The change of the position within a time by a unit deviation of the velocity at its start."""
     return np.asarray(-np.expm1(-decay * time) / decay if decay > 0 else time)
 
 

@@ -1,9 +1,8 @@
-"""What stands in the place of samples that are missing, as far as the samples around them tell it.
+"""Values for missing samples by interpolation between measured samples.
 
-A held input that differs on the two sides of a gap has changed somewhere in it: the straight line is its mean over all
-instants at which it may have done so (`motion` finds the instant). Any other is continued by the samples near by
-(`local`). In a gap that hides more than that the input is not known: it is NaN there, and what comes behind begins
-anew.
+A held input that differs on the two sides of a gap has changed within it. The straight line is its mean over all
+possible instants of the change (`motion` finds the instant). Any other input is interpolated (`local`). In a gap that
+hides more than one change, or is too long, the input is NaN, and the motion restarts after the gap.
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ from numpy.typing import NDArray
 from pmfid.session.gaps.local import Polynomial, best_of
 from pmfid.types import Counts, Flags, Floats
 
-#: An input that is the same as before in more than this part of the samples is held for several of them.
+#: Least part of the samples in which a held input does not change.
 HELD = 0.5
-#: Nearly all of its values are held for longer than this quantile; and a gap is filled that is shorter than they.
+#: Quantile of the times for which a held input keeps its values; shorter gaps are filled.
 SHORTEST = 0.02
 #: Lengths of gaps [samples] that may be filled.
 LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 100)
-#: What interpolation misses of the mean input over a gap, as a part of the root mean square input, is little.
+#: Largest error of the interpolated mean input over a gap, as a part of the root mean square input.
 FAITHFUL = 0.1
-#: Gaps of up to so many samples are filled however little is known of the input: with this part of the samples gone at
-#: random there is nothing between them that could begin anew.
+#: If more than the part SCATTERED of the samples stays missing, gaps of up to ALWAYS samples are filled in any case:
+#: between scattered gaps no motion could restart.
 ALWAYS, SCATTERED = 8, 0.02
-#: At the ends of a record, and between two of them, the filters see so many samples of nothing.
+#: Samples without input between two joined records.
 APART = 20
 
 
@@ -40,31 +39,31 @@ class Gap:
 
     @property
     def missing(self) -> NDArray[np.intp]:
-        """How many."""
+        """Number of missing samples in each gap."""
         return np.asarray(self.after - self.before - 1, np.intp)
 
 
 def gaps_of(there: Flags) -> Gap:
-    """The gaps between samples (n,) that are there."""
+    """The gaps between measured samples; there (n,)."""
     places = np.flatnonzero(there)
     first = np.flatnonzero(np.diff(places) > 1)
     return Gap(places[first], places[first + 1])
 
 
 def is_held(u: Floats, there: Flags) -> bool:
-    """Does the input (n,) keep its value for several samples? One that rests now and then, and else changes in every
-    sample, does not."""
-    beside = there[1:] & there[:-1]
-    return bool(np.any(beside) and np.mean((np.diff(u) == 0)[beside]) > HELD and _longest_held(u, there) > 0)
+    """Does the input (n,) keep its values for several samples? An input that sometimes rests, and otherwise changes in
+    every sample, does not."""
+    pairs = there[1:] & there[:-1]
+    return bool(np.any(pairs) and np.mean((np.diff(u) == 0)[pairs]) > HELD and _longest_held(u, there) > 0)
 
 
 def fill_gaps(
     u: Floats, counts: Counts, places: NDArray[np.intp], *, bridged: bool = True
 ) -> tuple[Floats, Counts, Flags]:
-    """Input and counts (n,) on the whole grid, from those (m,) at their places, and which of them were measured. The
+    """Input and counts (n,) on the whole grid, from samples (m,) at their places, and which samples were measured. The
     input is NaN in gaps that are too long; the counts are on a straight line.
 
-    bridged: do the counts tell what was moved in a gap? A velocity does not: its gaps are all too long."""
+    bridged: do the counts determine the travel in a gap? The counts of a velocity do not: all its gaps are too long."""
     grid, there = np.arange(places[-1] + 1), np.zeros(places[-1] + 1, bool)
     there[places] = True
     whole = np.rint(np.interp(grid, places, (counts - counts[0]).astype(np.float64))).astype(np.int64) + counts[0]
@@ -84,22 +83,22 @@ def fill_gaps(
     return line, whole, there
 
 
-def missing_said(u: Floats, there: Flags) -> str:
-    """What is missing of a record, and what became of it, for people."""
+def describe_missing(u: Floats, there: Flags) -> str:
+    """The missing samples of a record, and how they are filled, for people."""
     lost, gap = int(np.count_nonzero(~there)), gaps_of(there)
     long = np.isnan(u[gap.before + 1])
     part, plural = lost / there.size, "s" * (long.size > 1)
-    said = f"{lost} of {there.size} samples are missing ({part:.1%}), in {long.size} gap{plural}: "
+    head = f"{lost} of {there.size} samples are missing ({part:.1%}), in {long.size} gap{plural}: "
     if not np.any(long):
-        return said + "filled in, by the samples around them and the motion of the model"
-    behind = "what is behind each begins anew"
+        return head + "filled in, by the samples around them and the motion of the model"
+    after = "the motion restarts after each"
     if np.all(long):
-        return said + f"left out, {behind}"
-    return said + f"{np.count_nonzero(~long)} short ones are filled in, {np.count_nonzero(long)} left out: {behind}"
+        return head + f"left out, {after}"
+    return head + f"{np.count_nonzero(~long)} short ones are filled in, {np.count_nonzero(long)} left out: {after}"
 
 
 def _longest_held(u: Floats, there: Flags) -> int:
-    """Missing samples that hide one change of a held input (n,) at most."""
+    """Longest gap that hides at most one change of a held input (n,) [samples]."""
     places = np.flatnonzero(there)
     changes = places[1:][np.diff(u[places]) != 0]
     if changes.size < 2:
@@ -108,8 +107,8 @@ def _longest_held(u: Floats, there: Flags) -> int:
 
 
 def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp], most: int) -> int:
-    """Missing samples of whose mean little is missed, by the samples u (m,) at their places (m,); of no more than the
-    gaps have."""
+    """Longest gap that interpolation fills faithfully [samples], by the samples u (m,) at their places (m,); at most
+    the longest gap of the record."""
     size, longest = float(np.sqrt(np.mean(u**2))), 0
     for length in LENGTHS:
         if u.size < 10 * (length + 2) or local.estimate_error(u, places, length) > FAITHFUL * size * length:
