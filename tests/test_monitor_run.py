@@ -259,7 +259,7 @@ def test_lines_become_samples(folder: Path) -> None:
     ]
     assert math.isnan(late[-1].u)
     assert [(s.kind, s.problem) for s in late if isinstance(s, Skipped)] == [
-        ("bad line", "its time 5.05 s is ahead of the expected 5.01 s"),
+        ("bad line", "its time 5.05 s is later than the expected 5.01 s"),
         ("bad line", "counts must be whole numbers below 2**53, got 1e+99"),
     ]
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from pmfid.session.monitored.run import Told
+from pmfid.session.monitored.run import Notice
 
 
-def sentence(event: Told) -> str:
+def sentence(event: Notice) -> str:
     """One line, or more at the start."""
     return _SENTENCES[event["event"]](event)
 
 
-def _start(event: Told) -> str:
+def _start(event: Notice) -> str:
     normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
     source = "from the cache" if event["cached"] else "now in the cache"
     made = "drawn from the reference" if event["record_hours"] else "simulated"
@@ -25,7 +25,7 @@ def _start(event: Told) -> str:
     return "\n".join(lines)
 
 
-def _alarm(event: Told) -> str:
+def _alarm(event: Notice) -> str:
     name = event["parameter"].replace("_", " ")
     size = f"{event['change']:+.3g} ± {event['std']:.1g} {event['unit']}".rstrip()
     part = f"{100 * event['relative']:+.1f} %"
@@ -33,51 +33,51 @@ def _alarm(event: Told) -> str:
     return f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s{others}"
 
 
-def _describe_reference(event: Told) -> str:
+def _describe_reference(event: Notice) -> str:
     values = (_value(name, found) for name, found in event["parameters"].items())
     return f"{event['time']:.2f} s  now {', '.join(values)}"
 
 
-def _value(name: str, found: Told) -> str:
+def _value(name: str, found: Notice) -> str:
     change = "" if found["change"] is None else f" ({100 * found['change']:+.1f} %)"
     return f"{name.replace('_', ' ')} {found['value']:.4g}{change}"
 
 
-def _state(event: Told) -> str:
+def _state(event: Notice) -> str:
     return f"{event['time']:.2f} s  {event['state']}" + (f": {event['reason']}" if event["reason"] else "")
 
 
-def _bad_line(event: Told) -> str:
+def _bad_line(event: Notice) -> str:
     return f"{event['time']:.2f} s  {event['event']}: {event['problem']}"
 
 
-def _gap(event: Told) -> str:
+def _gap(event: Notice) -> str:
     return f"{event['time']:.2f} s  {event['missing']} samples are missing before this one"
 
 
-def _clock(event: Told) -> str:
+def _clock(event: Notice) -> str:
     return f"{event['time']:.2f} s  the clock was set by {event['jump']:+.6g} s, or the logger started again"
 
 
-def _outlier(event: Told) -> str:
+def _outlier(event: Notice) -> str:
     what = "counts jumped" if event["signal"] == "counts" else "input jumped or was no number"
     return f"{event['time']:.2f} s  {what}: left out, the watch goes on"
 
 
-def _write_error(event: Told) -> str:
+def _write_error(event: Notice) -> str:
     return f"{event['file']} cannot be written: {event['problem']}; the watch goes on"
 
 
-def _written_again(event: Told) -> str:
+def _written_again(event: Notice) -> str:
     return f"{event['file']} is written again, {event['lost']} rows were lost"
 
 
-def _end(event: Told) -> str:
+def _end(event: Notice) -> str:
     found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
     return ", ".join(found + list_skipped(event))
 
 
-def list_skipped(event: Told) -> list[str]:
+def list_skipped(event: Notice) -> list[str]:
     """What was no sample, from the totals."""
     parts = [
         f"{event[name]} {word}{'s' * (event[name] != 1)}"

@@ -9,7 +9,7 @@ import numpy as np
 from pmfid.monitor.calibration import Calibration
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
-from pmfid.session.monitored.run import MonitoredRun, RunHistory, Told
+from pmfid.session.monitored.run import MonitoredRun, Notice, RunHistory
 from pmfid.session.monitored.setup import Setup
 
 SHOWN_ALARMS = 200
@@ -43,7 +43,7 @@ def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
         np.array(innovation),
         np.array(status),
         np.array(state),
-        setup.told,
+        setup.reported,
         run.alarms,
         setup.monitor.estimator.equation.motion,
     )
@@ -83,7 +83,7 @@ def _verdict(setup: Setup, run: MonitoredRun) -> Section:
     return Section("Alarms", text, (head, rows))
 
 
-def _alarm_row(run: MonitoredRun, alarm: Told) -> list[str]:
+def _alarm_row(run: MonitoredRun, alarm: Notice) -> list[str]:
     """With the value that the parameter settled on before the next alarm, if it did."""
     later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
     found = later[0]["parameters"].get(alarm["parameter"]) if later and later[0]["event"] == "settled" else None

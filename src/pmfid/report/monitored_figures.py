@@ -29,7 +29,7 @@ from pmfid.report.figures import (
     plain_ticks,
     stretches,
 )
-from pmfid.session.monitored.run import Told
+from pmfid.session.monitored.run import Notice
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
@@ -62,7 +62,7 @@ class RunData:
     status: NDArray[np.uint32]
     state: NDArray[np.str_]
     nominal: Floats
-    alarms: Sequence[Told]
+    alarms: Sequence[Notice]
     motion: Units = LINEAR
 
 
@@ -154,7 +154,7 @@ def _strip_panel(axes: Axes, t: Floats, rows: Sequence[tuple[str, str, Flags]]) 
     axes.grid(axis="y", visible=False)
 
 
-def _mark_alarms(axes: Axes, alarms: Sequence[Told]) -> None:
+def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
     for alarm in alarms[:200]:
         axes.axvline(alarm["time"], color=COLOURS[1], lw=1.6, label="alarm", zorder=3)
         axes.axvline(alarm["changed_at"], color=COLOURS[1], lw=1.2, ls=":", label="change", zorder=3)

@@ -1,4 +1,4 @@
-"""The door from Python: arrays and objects in, the result of the command out."""
+"""The commands from Python: arrays and objects in, results out."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def identify(
     sample is missing, or in place of both several records [(u, y), (u, y)]; of a transfer function the output (n,), any
     numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
     model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s];
-    None, of a machine: that behind which the record says most. encoder: of a machine. settings: those of [estimator] in
+    None: of a machine, chosen by the record. encoder: of a machine. settings: the keys of [estimator] in
     AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision; of a
     machine tolerance, and given and prior, prior information, {"mass": 1.25} and {"mass": (1.0, 0.1)}, as
     the mass in place of Drive(input_gain="estimate").
-    axis: in place of all that, an AXIS.toml or its path, and for u what it names the columns of: a frame of pandas,
-    Polars or Arrow, a dict of arrays, or the path of a file.
-    Raises UsageError for arguments that do not fit each other and NotIdentifiableError where the data cannot identify
-    every parameter, with the mistake that explains it, where one is found.
+    axis: in place of all that, an AXIS.toml or its path. u is then a table with its columns: a frame of pandas, Polars
+    or Arrow, a dict of arrays, or the path of a file.
+    Raises UsageError for arguments that do not fit each other, and NotIdentifiableError if the data cannot identify
+    every parameter; its message begins with a mistake in the log that explains it.
     """
     if axis is not None:
         if settings or any(value is not None for value in (y, model, dt, cutoff, encoder)):
@@ -81,13 +81,13 @@ def identify(
 
 
 def _identify_by_axis(record: object, axis: Axis | Path | str) -> Result:
-    """Of a frame, a file or several of either, by an AXIS.toml."""
+    """The result of a frame, or of one or several files, with an AXIS.toml."""
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     return run(_read(record, own), own)
 
 
 def _read(record: object, axis: Axis) -> Records:
-    """A frame, a file or several files, as an AXIS.toml says."""
+    """The records in a frame, or in one or several files, as an AXIS.toml describes them."""
     kind = kind_of(axis)
     if isinstance(record, str | Path):
         return kind.read([Path(record)], axis)
@@ -105,12 +105,10 @@ def check(
     dt: float | None = None,
     encoder: Encoder | None = None,
 ) -> tuple[Finding, ...]:
-    """What is wrong with a log of a machine, most important first, as `pmfid check` says it; empty where nothing is
-    found.
+    """Mistakes in the log of a machine, most important first, as from `pmfid check`; empty without any.
 
-    u, y (n,), model, dt [s], encoder: as for `identify`; or a frame, a dict of arrays or the path of a file in place of
-    u and y, and `axis`, that or the path of an AXIS.toml, in place of the others. Raises UsageError for arguments that
-    do not fit each other.
+    u, y (n,), model, dt [s], encoder: as for `identify`; or u a frame, a dict of arrays or the path of a file, and
+    `axis` an AXIS.toml or its path, in place of the others. Raises UsageError for arguments that do not fit each other.
     """
     if axis is not None:
         if any(value is not None for value in (y, model, dt, encoder)):
@@ -133,8 +131,8 @@ def validate(
 ) -> Validation:
     """Free runs with a result over other records, as `pmfid validate` makes them from files.
 
-    u, y, dt, encoder: as for `identify`, of the other record; dt and encoder that are not given are those of the
-    result. Raises UsageError for arguments that do not fit each other, and where nothing can be simulated.
+    u, y, dt, encoder: as for `identify`, of the other record; without dt or encoder the values of the result are used.
+    Raises UsageError for arguments that do not fit each other, and if nothing can be simulated.
     """
     own, data = result.estimator, list[Records]()
     values = dict(zip(result.names, result.theta.tolist(), strict=True))
@@ -183,14 +181,14 @@ def search_terms(
 
 
 def _pairs(u: object) -> list[tuple[ArrayLike, ArrayLike]]:
-    """Several records of a machine; none where it is something else."""
+    """The pairs of several records of a machine; empty for any other object."""
     if isinstance(u, list | tuple) and u and all(isinstance(pair, tuple) and len(pair) == 2 for pair in u):
         return list(u)
     return []
 
 
 def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
-    """Where one of the two is NaN a sample is missing."""
+    """The record of two arrays; a sample with NaN in one of them is missing."""
     inputs, given = numbers("u", u), numbers("counts", counts)
     there = np.isfinite(given) if given.dtype.kind == "f" else np.ones(given.shape, bool)
     _, whole = check_arrays(inputs, np.where(there, given, 0))
@@ -200,7 +198,7 @@ def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
 
 
 def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, object]) -> Axis:
-    """The configuration that these objects would have as AXIS.toml. Raises UsageError for settings that do not fit."""
+    """The configuration of these objects as in an AXIS.toml. Raises UsageError for settings that do not fit."""
     kind = "counts" if encoder is not None else "position"
     return axis_from(
         Axis,

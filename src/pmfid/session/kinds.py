@@ -1,4 +1,4 @@
-"""What is particular to a kind of plant, as an object of that kind."""
+"""Kinds of plant: the interface of their records, estimates and checks."""
 
 from __future__ import annotations
 
@@ -32,68 +32,68 @@ Records = Record | Sequence[Experiment]
 
 
 class Kind(ABC, Generic[Data]):
-    """A kind of plant: how its records are read, estimated from, and what a mistake in them looks like. `Data` is what
-    it reads: one record of a machine, or the experiments of one transfer function."""
+    """A kind of plant: how its records are read, estimated and checked. `Data` is the type of its records: one record
+    of a machine, or the experiments of one transfer function."""
 
-    #: what "auto" is on a drive, sample by sample
+    #: the method for "auto" on a drive, sample by sample
     on_line: ClassVar[str]
 
     @abstractmethod
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
-        """The records at `paths`. Raises UsageError for what is no such record, or too many of them."""
+        """The records at `paths`. Raises UsageError for files that are no such records, or for too many files."""
 
     @abstractmethod
     def read_table(self, table: Table, axis: Axis) -> Data:
-        """The same of a table of columns. Raises UsageError as `read` does."""
+        """The records in a table of columns. Raises UsageError as `read` does."""
 
     def prepare_axis(self, data: Data, axis: Axis) -> Axis:
-        """The configuration with what it leaves to the record; the same where it leaves nothing."""
+        """The configuration with settings chosen by the record; the same if it leaves none to the record."""
         return axis
 
     def complete_record(self, data: Data, axis: Axis) -> Data:
-        """The records with what the model of a complete configuration says of samples that they lack."""
+        """The records with missing samples filled by the model of a complete configuration."""
         return data
 
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
-        """The result of the method that is configured. Raises UsageError for a method that cannot take the model or the
-        data and NotIdentifiableError where they cannot identify every parameter."""
+        """The result of the configured method. Raises UsageError for a method that cannot take the model or the data,
+        and NotIdentifiableError if the data cannot identify every parameter."""
 
     @abstractmethod
     def name_and_samples(self, data: Data) -> tuple[str, int]:
-        """Of the record, or of all of them."""
+        """The name of the records, and their number of samples."""
 
     @abstractmethod
     def free_runs(self, data: Data, axis: Axis, theta: Floats) -> list[FreeRun]:
-        """The model with parameters theta (p,), in the order of `simulator`, simulated beside what was measured. Raises
-        UsageError where nothing can be simulated."""
+        """Simulations of the model with parameters theta (p,), in the order of `simulator`, and the measured outputs.
+        Raises UsageError if nothing can be simulated."""
 
     @abstractmethod
     def check_known(self, stored: Stored, data: Data, axis: Axis) -> None:
-        """Raises UsageError where other things were known when the parameters of a file were found."""
+        """Raises UsageError if the parameters of a file were estimated with other known values."""
 
     def unit_of_output(self, axis: Axis) -> str:
-        """Empty where it is the user's."""
+        """The unit of the output; empty if the user defines it."""
         return ""
 
     def check(self, data: Data, axis: Axis) -> None:
-        """Raises UsageError for what makes every estimate wrong."""
+        """Raises UsageError for a mistake that makes every estimate wrong."""
 
     def check_on_line(self, axis: Axis) -> None:
-        """Raises UsageError for what a record may have and a drive, sample by sample, has not."""
+        """Raises UsageError for settings that a drive cannot follow sample by sample."""
 
     def scan_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
-        """What the log may have got wrong, as far as it costs next to nothing to tell."""
+        """Possible mistakes in the log, by checks that cost next to nothing."""
         return ()
 
     def check_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
-        """All that the log may have got wrong."""
+        """Possible mistakes in the log, by all checks."""
         return self.scan_record(data, axis)
 
 
 def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the parameters (p,) that a simulation of the model takes. Raises UsageError for an equation
-    that nothing simulates."""
+    """Names and units of the parameters (p,) of a simulation of the model. Raises UsageError for an equation that
+    nothing simulates."""
     equation = model.equation
     if OE.refuses(equation):
         reason = equation.without_simulation
@@ -113,7 +113,7 @@ def simulator(axis: Axis, dt: float, resolution: float) -> OE:
 
 
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
-    """The options of [estimator] that a method has, by name."""
+    """The options of [estimator] that a method takes, by name."""
     config = axis.estimator
     options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
@@ -125,5 +125,5 @@ def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
 
 
 def method_of(axis: Axis, automatic: str) -> str:
-    """The configured method, or what "auto" begins with."""
+    """The configured method, or the first method of "auto"."""
     return automatic if axis.estimator.method == AUTO else axis.estimator.method

@@ -1,4 +1,4 @@
-"""A file that grows line by line: never over another one, and not ended by a full disk."""
+"""A file that grows line by line, replaces no other file, and survives a full disk."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 
 Tell = Callable[[dict[str, object]], None]
 
-#: What waits for a place on the disk [bytes]; further lines are lost.
+#: Most bytes that wait for space on the disk; further lines are lost.
 MOST_WAITING = 1 << 20
 
 
 def fresh(path: Path, also: Callable[[Path], Path] = lambda path: path) -> Path:
-    """The path, or path-2, path-3, ... with the ending of the path: the first that is not there, nor `also` of it."""
+    """The path, or path-2, path-3, ... with its suffix: the first one that does not exist, and `also` of it neither."""
     for number in count(1):
         candidate = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
         if not os.path.lexists(candidate) and not os.path.lexists(also(candidate)):
@@ -23,15 +23,15 @@ def fresh(path: Path, also: Callable[[Path], Path] = lambda path: path) -> Path:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether it is there and no file: a named pipe or a device, which nothing is lost in."""
+    """Is the path a named pipe or a device, to which lines can be appended without loss?"""
     return path.exists() and not path.is_file()
 
 
 class RowFile:
     """Lines to a new file, each at once.
 
-    A write error is told, and what could not be written waits, so that the file goes on without a break when there is
-    room again. lost: lines that no room was left for. Raises OSError where the file cannot be made.
+    `tell` gets a write error. Unwritten bytes wait, so that the file continues without a break once there is space.
+    lost: number of lines without space. Raises OSError if the file cannot be made.
     """
 
     def __init__(self, path: Path, tell: Tell) -> None:
@@ -73,7 +73,7 @@ class RowFile:
         del self._waiting[:size]
 
     def close(self) -> None:
-        """The end; what is still waiting is lost, and no part of a line stays."""
+        """Closes the file; waiting lines are lost, and no part of a line stays."""
         self._write()
         self.lost += self._waiting.count(b"\n")
         if self._waiting and self._size > self._whole and self.path.is_file():

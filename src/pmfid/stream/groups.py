@@ -167,7 +167,7 @@ class Group:
             monitor.names,
             monitor.units,
             self.dt,
-            setup.told,
+            setup.reported,
             tuple(seat.name for seat in self.seats),
             force,
             monitor.estimator.encoder.resolution,

@@ -1,6 +1,6 @@
 """The formats of a record: a reader each, in a file of its own."""
 
-#: Suffix -> name for people; for those who must not import a reader yet. `reading.READERS` has these.
+#: Suffix -> name for people, without the import of a reader. `reading.READERS` has the same suffixes.
 FORMATS = {
     ".csv": "CSV",
     ".parquet": "Parquet",

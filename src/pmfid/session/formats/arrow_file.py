@@ -16,7 +16,7 @@ FILE, OLD = b"ARROW1", b"FEA1"
 
 
 class ArrowTable(LazyColumns):
-    """The columns of an Arrow file, each read when it is asked for."""
+    """The columns of an Arrow file, each read on access."""
 
     kind = ".arrow"
 

@@ -14,18 +14,18 @@ from pmfid.session.tables import TWICE, NotedTable
 if TYPE_CHECKING:
     import polars as pl
 
-#: How zlib, bzip2, xz and ZIP begin.
+#: First bytes of zlib, bzip2, xz and ZIP.
 _PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
 _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
-#: Of a text of two bytes for each character without a mark, so many in a hundred of the first bytes are zero.
+#: Least percentage of zeros at every second byte of a UTF-16 text; first bytes that are examined.
 _WIDE, _FIRST = 30, 2000
 
 
 def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
-    """The columns as text, numbers with a decimal point; stated: what is known of the layout. Raises UsageError for
-    what is packed other than by gzip or zstd, no text, or no table."""
+    """The columns as text, numbers with a decimal point; stated: the configured layout. Raises UsageError for other
+    packed files than gzip and zstd, and for a file that is no text or no table."""
     text = _text(unpack_file(data))
     head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
     layout = layout_of(head.splitlines(), stated)
@@ -33,14 +33,14 @@ def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
 
 
 def _text(data: bytes) -> bytes:
-    """As UTF-8, lines ended by line feeds. Raises UsageError for what is no text."""
+    """The text as UTF-8, lines ended by line feeds. Raises UsageError for a file that is no text."""
     if data.startswith(_PACKED):  # polars would unpack it, however large
         raise UsageError("a packed file; unpack it first, and mind how large it becomes")
     coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _detect_encoding(data)
     if coding is not None:
         data = data.decode(coding).encode("utf-8")
     if b"\0" in data:
-        raise UsageError("not a text file; use the ending that tells its type, or export it as UTF-8 CSV")
+        raise UsageError("not a text file; use the suffix of its type, or export it as UTF-8 CSV")
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
 
 
@@ -59,7 +59,7 @@ def _detect_encoding(data: bytes) -> str | None:
 
 
 def _end_of_line(text: bytes, lines: int) -> int:
-    """Where so many lines end."""
+    """The place at which the first `lines` lines end."""
     place = 0
     for _ in range(lines):
         found = text.find(b"\n", place)
@@ -81,15 +81,15 @@ def _columns(body: bytes, layout: Layout) -> dict[str, object]:
 
 
 def _data(body: bytes) -> bytes:
-    """The lines of data alone, copied only where there are others."""
+    """The lines of data alone, copied only if there are other lines."""
     if any(mark in body for mark in (b"#", b"%", b"//")):
         body = _COMMENT.sub(b"", body)
     return body.rstrip().removesuffix(b"\nEOF") if body.endswith((b"\n\n", b"EOF", b"EOF\n", b" ", b"\t")) else body
 
 
 def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
-    """The columns that are numbers in the first lines as numbers, the others as text; all as text where a number
-    further down is none, for a column is complained about only if it is used."""
+    """The columns with numbers in the first lines as numbers, the others as text. If a later cell is no number, all are
+    text, because only a column that is used may cause an error."""
     import polars as pl
 
     def read(numbers: Sequence[int]) -> pl.DataFrame:
@@ -126,7 +126,7 @@ def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:
 
 
 def _with_points(column: pl.Series) -> pl.Series:
-    """Decimal commas as points; a point beside them parts thousands, and is no number until it is written without."""
+    """Decimal commas as points. A number with points between thousands becomes a text that is no number."""
     import polars as pl
 
     thousands = column.str.contains(r"^\s*[+-]?\d{1,3}(\.\d{3})+")

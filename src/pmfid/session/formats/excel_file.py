@@ -18,7 +18,7 @@ CELL = 8
 
 
 def parse_excel(data: bytes) -> NotedTable:
-    """The columns, below whatever stands above them. Raises UsageError where no sheet is a table."""
+    """The columns, without the lines above the table. Raises UsageError if no sheet is a table."""
     checked_archive(data).close()
     with require_extra("excel"):
         import fastexcel

@@ -1,4 +1,4 @@
-"""HDF5 files, and those of MATLAB v7.3, which are HDF5 behind a header of their own."""
+"""HDF5 files, and MATLAB v7.3 files, which are HDF5 after a header of MATLAB."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pmfid.session.formats.safety import check_unpacked, require_extra
 from pmfid.session.tables import Table
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-#: Where the signature of a MATLAB v7.3 file stands.
+#: Place of the signature in a MATLAB v7.3 file.
 MATLAB_HEADER = 512
-#: Datasets that a record may have.
+#: Most datasets of a record.
 MOST = 10_000
 
 
@@ -33,8 +33,8 @@ class _Dataset(Protocol):
 def parse_hdf5(data: bytes) -> Table:
     """The datasets of numbers by dotted path, groups and MATLAB structures alike: "run.axis.u".
 
-    Data that lie in other files are left out: a record is one file. Raises UsageError for a bomb, and with what h5py
-    raises what `readable` turns into one.
+    Data in other files are left out: a record is one file. Raises UsageError for a decompression bomb; `readable` turns
+    errors of h5py into UsageError.
     """
     with require_extra("hdf5"):
         import h5py
@@ -56,6 +56,6 @@ def parse_hdf5(data: bytes) -> Table:
 
 
 def _is_column(item: _Dataset) -> bool:
-    """Numbers, or structures of these, that lie in this file."""
-    told = item.attrs.get("MATLAB_class", b"")
-    return item.dtype.kind in "biufV" and not item.external and not item.is_virtual and told not in (b"char", b"cell")
+    """Does a dataset hold numbers, or structures of numbers, in this file?"""
+    kind = item.attrs.get("MATLAB_class", b"")
+    return item.dtype.kind in "biufV" and not item.external and not item.is_virtual and kind not in (b"char", b"cell")

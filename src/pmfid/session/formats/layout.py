@@ -1,6 +1,6 @@
-"""How a text file holds a table: separator, decimal sign, header, units, and what is in front of the data.
+"""The layout of a table in a text file: separator, decimal sign, header, units, and lines before the data.
 
-Every file of numbers shows it itself: only one reading makes lines of equally many fields, most of them numbers.
+Every file of numbers shows its layout: only one reading gives lines with equal numbers of fields, most of them numbers.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pmfid.errors import UsageError
 
 #: Separators, the likeliest first; a space is any number of spaces and tabs.
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
-#: Lines that are looked at.
+#: Lines that are examined.
 LOOKED_AT = 400
-#: Of the fields of a line of data at least so many in a hundred are numbers, times or empty.
+#: Least percentage of fields in a line of data that are numbers, times or empty.
 NUMBERS = 50
-#: What begins a line that is no data.
+#: Beginnings of lines without data.
 COMMENTS = ("#", "%", "//")
 _NUMBER = {
     ".": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"),
@@ -36,9 +36,9 @@ _UNIT = re.compile(
 
 @dataclass(frozen=True)
 class Layout:
-    """separator, decimal: as they are; names: of the columns, with a unit in brackets where a row of units has one;
-    first: the first line of data, from 0; named: had the file a header? numbers: columns, from 0, that have nothing but
-    numbers in the lines that were looked at."""
+    """separator, decimal: of the file; names: of the columns, with a unit in brackets from a row of units; first: the
+    first line of data, from 0; named: does the file have a header? numbers: columns, from 0, with numbers alone in the
+    examined lines."""
 
     separator: str
     decimal: str
@@ -49,19 +49,19 @@ class Layout:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was found beside commas, points and a header in the first line."""
-        said = []
+        """Notes on a layout without commas, decimal points or a header."""
+        notes = []
         if (self.separator, self.decimal) != (",", "."):
             sign = "points" if self.decimal == "." else "commas"
-            said.append(f"the columns are separated by {SEPARATORS[self.separator]}, with decimal {sign}")
+            notes.append(f"the columns are separated by {SEPARATORS[self.separator]}, with decimal {sign}")
         if not self.named:
-            said.append(f"the file has no header: its columns are {', '.join(self.names[:8])}")
-        return tuple(said)
+            notes.append(f"the file has no header: its columns are {', '.join(self.names[:8])}")
+        return tuple(notes)
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What is known of a layout; None: what the text shows."""
+    """The configured part of a layout; None: as the text shows."""
 
     separator: str | None = None
     decimal: str | None = None
@@ -71,7 +71,7 @@ NOTHING = Stated()
 
 
 def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
-    """The layout of the first lines of a file. Raises UsageError where they are no table, or none as it is stated."""
+    """The layout of the first lines of a file. Raises UsageError if they are no table with the stated layout."""
     looked = lines[:LOOKED_AT]
     readings = product(stated.separator or SEPARATORS, stated.decimal or ".,")
     found = {reading: rows for reading in readings if (rows := _data(looked, *reading))}
@@ -96,7 +96,7 @@ def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
 
 
 def _empty(lines: Sequence[str]) -> Layout:
-    """Of a file that has a header and nothing else."""
+    """The layout of a file with a header and no data."""
     header = next(line for line in lines if line.strip())
     separator = max(SEPARATORS, key=lambda mark: (len(split(header, mark)), mark != " "))
     return Layout(separator, ".", tuple(split(header.strip().lstrip("#%/ "), separator)), len(lines), True)
@@ -111,14 +111,14 @@ def split(line: str, separator: str) -> list[str]:
 
 
 def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, int]:
-    """Several columns before one, then how much of the fields are numbers, then the number of lines."""
+    """The order of readings: several columns before one, then the part of fields with numbers, then the lines."""
     fields = [field for row in rows for field in row]
     known = sum(_is_data_field(field, decimal) for field in fields)
     return len(rows[0]) > 1, known / len(fields), len(rows)
 
 
 def _data(lines: Sequence[str], separator: str, decimal: str) -> list[int]:
-    """The lines of data: those of as many fields as most of them, of which most are numbers."""
+    """The lines of data: most of their fields are numbers, and their number of fields is the most frequent one."""
     sized = [(k, len(fields)) for k, fields in _fields(lines, separator) if _numeric(fields, decimal)]
     if not sized:
         return []
@@ -133,7 +133,7 @@ def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[st
 
 
 def _numeric(fields: Sequence[str], decimal: str) -> bool:
-    """Is this a line of data? One number at least, and few words, and no settings, a word in front of each number."""
+    """Is this a line of data? It has a number and few words, and it is no setting with a word before each number."""
     words = [field for field in fields if not _is_data_field(field, decimal)]
     if len(words) > 1 and set(words) == {fields[0]}:
         return False
@@ -148,7 +148,7 @@ def is_data(line: str) -> bool:
 
 
 def _are_numbers(column: Sequence[str], decimal: str) -> bool:
-    """Numbers, and cells without one, of a column."""
+    """Does a column have numbers and empty cells alone?"""
     own = [field for field in column if field]
     return bool(own) and all(_NUMBER[decimal].fullmatch(field) for field in own)
 
@@ -158,8 +158,8 @@ def _is_data_field(field: str, decimal: str) -> bool:
 
 
 def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple[tuple[str, ...], bool]:
-    """The names of the columns with these fields, from the nearest line above with as many, which may be a comment,
-    with the units of a row of nothing else; and whether there was one."""
+    """The names of the columns with these fields, and whether the file has them. They come from the nearest line above
+    with as many fields, which may be a comment, and their units from a row of units."""
     lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
     if scope := _scope_names([line for line in lines if len(line) == len(fields)]):
         return scope, True
@@ -174,7 +174,7 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
 
 
 def _says_names(row: Sequence[str]) -> bool:
-    """Is it more than the numbers that a line of data lacks?"""
+    """Does a row have a word that is no substitute for a missing number?"""
     return any(field.rstrip(";").strip().lower() not in _WORDS for field in row)
 
 
@@ -198,7 +198,7 @@ def are_units(fields: Sequence[str]) -> bool:
 
 
 def _fit_line(line: list[str], fields: Sequence[str]) -> list[str]:
-    """The line, if it has as many fields, or one less where those end with an empty one."""
+    """The line if it has as many fields, or one less and the last field is empty; else an empty list."""
     if len(line) == len(fields) - 1 and not fields[-1]:
         line = [*line, ""]
     return line if len(line) == len(fields) else []

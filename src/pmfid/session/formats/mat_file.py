@@ -21,8 +21,8 @@ _CHAR_CLASS, _SPARSE_CLASS, _LAST_NUMERIC_CLASS, _COMPLEX = 4, 5, 15, 0x800
 
 
 def parse_mat(data: bytes) -> Table:
-    """The variables as arrays, those in structures by dotted path: "run.axis.u". Raises with ValueError what `readable`
-    turns into a UsageError."""
+    """The variables as arrays, fields of structures by dotted path: "run.axis.u". Raises ValueError for damage, which
+    `readable` turns into UsageError."""
     import scipy.io
 
     if SIGNATURE in (data[: len(SIGNATURE)], data[MATLAB_HEADER : MATLAB_HEADER + len(SIGNATURE)]):
@@ -37,9 +37,9 @@ def parse_mat(data: bytes) -> Table:
 
 
 def _check_mat(data: bytes) -> None:
-    """Raises ValueError unless all sizes and types in a v5 file fit: on others scipy's reader ends the whole process.
+    """Raises ValueError unless all sizes and types in a v5 file fit: with others scipy's reader ends the whole process.
 
-    A file of another version passes; the reader is left to say so.
+    A file of another version passes; the reader refuses it.
     """
     order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
     if order is None or 0 in data[:4]:
@@ -56,7 +56,7 @@ def _check_mat(data: bytes) -> None:
 
 
 def _unpack_element(body: memoryview, most: int, packed: int) -> memoryview:
-    """A compressed element, of at most so many bytes; raises UsageError before more are taken."""
+    """A compressed element, of at most `most` bytes; raises UsageError before more are unpacked."""
     stream = zlib.decompressobj()
     inner = stream.decompress(body, most + 1)
     if len(inner) > most:

@@ -21,8 +21,8 @@ Decode = Callable[[bytes], object]
 
 
 def parse_mcap(data: bytes) -> ClockedSignals:
-    """The numbers in the messages, "/topic.field.0" each. Raises UsageError for another coding, and a bomb, and with
-    what the library raises what `readable` turns into one."""
+    """The numbers in the messages, named as "/topic.field.0". Raises UsageError for another encoding and for a
+    decompression bomb; `readable` turns errors of the library into UsageError."""
     return signals_of(_messages(data))
 
 
@@ -43,7 +43,7 @@ def _messages(data: bytes) -> Iterator[tuple[str, int, object]]:
 
 
 def _records(data: bytes) -> Iterator[object]:
-    """All records, those in packed chunks, too."""
+    """All records, including records in packed chunks."""
     with require_extra("mcap"):
         from mcap.records import Chunk
         from mcap.stream_reader import StreamReader, breakup_chunk
@@ -68,7 +68,7 @@ def _records(data: bytes) -> Iterator[object]:
 
 
 def _plain(packed: bytes, how: str, size: int) -> bytes:
-    """A chunk of that many bytes."""
+    """The unpacked chunk of `size` bytes."""
     if how == "zstd":
         plain = from_zstd(packed, min(size, most_of(len(packed))), "a chunk")
     elif how == "lz4":
@@ -83,7 +83,7 @@ def _plain(packed: bytes, how: str, size: int) -> bytes:
 
 
 def _decoder(encoding: str, schema: Schema | None) -> Decode:
-    """What makes a message of bytes. Raises UsageError where no one knows."""
+    """The decoder from bytes to a message. Raises UsageError for an unknown encoding."""
     if encoding == "json":
         return json.loads
     if encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
@@ -92,7 +92,7 @@ def _decoder(encoding: str, schema: Schema | None) -> Decode:
 
 
 def ros_decoder(kind: str, definition: str = "") -> Decode:
-    """What makes a ROS 2 message of bytes; kind: its type; definition: its fields, where the file has them."""
+    """The decoder from bytes to a ROS 2 message; kind: its type; definition: its fields, if the file has them."""
     with require_extra("ros"):
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     store = get_typestore(Stores.ROS2_HUMBLE)

@@ -15,8 +15,8 @@ MAGIC = (b"MDF     ", b"UnFinMF ")
 
 
 def parse_mdf(data: bytes) -> ClockedSignals:
-    """The channels of numbers by name, with their unit in brackets; a name that comes again gets the number of its
-    group. Raises UsageError for a bomb, and with what asammdf raises what `readable` turns into one."""
+    """The channels of numbers by name, with their unit in brackets; a repeated name gets the number of its group.
+    Raises UsageError for a decompression bomb; `readable` turns errors of asammdf into UsageError."""
     found: dict[str, Signal] = {}
     with require_extra("mdf4"):
         from asammdf.blocks.mdf_v4 import MDF4
@@ -35,7 +35,7 @@ def parse_mdf(data: bytes) -> ClockedSignals:
 
 
 def _silence_close(file: Any) -> None:
-    """What is half read has not all that closing asks for, and would complain on standard error."""
+    """Closes a file without messages: a file that is half read would complain on standard error."""
     with suppress(Exception):
         file._tempfile.close()
 

@@ -1,4 +1,4 @@
-"""Messages of a robot's log: the numbers in them by dotted path, a signal each."""
+"""Messages of a robot's log: each number in them is a signal, named by its dotted path."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from pmfid.session.formats.signals import ClockedSignals, Signal
 
-#: Elements of an array that may be columns; more are an image or a cloud.
+#: Most elements of an array that become columns; a longer one is an image or a cloud.
 LONGEST = 64
 DEEPEST = 8
 NANOSECOND = 1e-9
@@ -36,7 +36,7 @@ def signals_of(messages: Iterable[tuple[str, int, object]]) -> ClockedSignals:
 
 
 def _numbers(path: str, value: object, depth: int, moments: set[str]) -> Iterator[tuple[str, float | int]]:
-    """The numbers in a message, and the paths of those that are stamps [ns]."""
+    """The numbers in a message by path; paths of stamps [ns] go into `moments`."""
     if isinstance(value, bool | int | float | np.number | np.bool_):
         yield path, value.item() if isinstance(value, np.generic) else value
         return
@@ -54,7 +54,7 @@ def _numbers(path: str, value: object, depth: int, moments: set[str]) -> Iterato
 
 
 def _inside(value: object) -> Mapping[str, object] | None:
-    """What a value consists of; None: nothing that may be numbers."""
+    """The parts of a value by name; None for a value without parts that may be numbers."""
     if isinstance(value, Mapping):
         return value
     if is_dataclass(value):
@@ -65,7 +65,7 @@ def _inside(value: object) -> Mapping[str, object] | None:
 
 
 def _moment(inside: Mapping[str, object]) -> int | None:
-    """Nanoseconds of a stamp, as ROS and Foxglove have them."""
+    """Nanoseconds of a stamp of ROS or Foxglove; None for any other value."""
     nanos = inside.get("nanosec", inside.get("nsec"))
     seconds = inside.get("sec")
     named = set(inside) - {"__msgtype__"} in ({"sec", "nanosec"}, {"sec", "nsec"})

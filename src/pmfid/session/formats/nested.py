@@ -12,7 +12,7 @@ DEEPEST = 16
 
 
 def flatten_fields(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, object]:
-    """Arrays by name, those with fields by "name.field", at any depth."""
+    """Arrays by name; the fields of structured arrays by "name.field", at any depth."""
     return {path: found for name, array in arrays.items() for path, found in _fields(name, array, DEEPEST)}
 
 

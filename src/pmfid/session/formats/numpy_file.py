@@ -16,8 +16,8 @@ ARRAY = b"\x93NUMPY"
 
 
 def parse_numpy(data: bytes) -> Table:
-    """The arrays by name; of one array its fields, or its columns. Raises UsageError for objects, which would have to
-    be unpickled, and ValueError for damage."""
+    """The arrays by name; of one array its fields, or its columns. Raises UsageError for arrays of objects, which would
+    need unpickling, and ValueError for damage."""
     if data.startswith(ARRAY):
         array = _array(data)
         plain = array.dtype.names is None and array.ndim == 2

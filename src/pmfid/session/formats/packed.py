@@ -1,4 +1,4 @@
-"""Text that is packed by gzip or zstd, and no more of it than a file may unpack to."""
+"""Text that is packed by gzip or zstd, with a limit on the unpacked size."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 
 
 def unpack_file(data: bytes) -> bytes:
-    """What is packed in the bytes of a file; the bytes themselves where nothing is. Raises UsageError for a bomb, and
-    for what is cut off."""
+    """The unpacked bytes of a file; the bytes themselves if they are not packed. Raises UsageError for a decompression
+    bomb, and for a truncated file."""
     if data.startswith(GZIP):
         return _unpack_gzip(data)
     return from_zstd(data, most_of(len(data)), "the text") if data.startswith(ZSTD) else data
 
 
 def from_zstd(data: bytes, most: int, what: str) -> bytes:
-    """What zstd has packed, in one frame or more, of at most so many bytes."""
+    """The unpacked bytes of one or more frames of zstd, at most `most`; what: their name in messages."""
     with require_extra("zst"):
         import zstandard
     packed = io.BytesIO(data)
@@ -36,7 +36,7 @@ def from_zstd(data: bytes, most: int, what: str) -> bytes:
 
 
 def _unpack_gzip(data: bytes) -> bytes:
-    """What gzip has packed, in one member or more."""
+    """The unpacked bytes of one or more members of gzip."""
     most, text = most_of(len(data)), bytearray()
     rest = data
     while rest.startswith(GZIP):

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 class LazyColumns(Mapping[str, object], ABC):
-    """The columns of a file, each read when it is asked for; of a column of lists or structures, "column.0" or
-    "column.field" is one of them."""
+    """The columns of a file, each read on access. "column.0" is an element of a column of lists, "column.field" a field
+    of a column of structures."""
 
     kind: ClassVar[str]
 
@@ -51,7 +51,7 @@ class LazyColumns(Mapping[str, object], ABC):
 
 
 def _part(series: pl.Series, part: str, name: str) -> pl.Series:
-    """An element or a field of every value. Raises KeyError where there is none."""
+    """An element or a field of every value. Raises KeyError if no value has it."""
     import polars as pl
 
     if isinstance(series.dtype, pl.Struct) and part in series.struct.fields:

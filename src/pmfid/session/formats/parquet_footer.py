@@ -22,7 +22,7 @@ VALUE = 8
 
 
 def column_sizes(data: bytes) -> Mapping[str, int]:
-    """Bytes that each top-level column takes in memory: the larger of its values' and of its unpacked pages'.
+    """Bytes of each top-level column in memory: the larger size of its values and its unpacked pages.
 
     Raises ValueError, IndexError, KeyError or TypeError for a damaged footer.
     """
@@ -70,7 +70,7 @@ class _Compact:
         return found | byte << shift
 
     def _integer(self) -> int:
-        """Of either sign, as zigzag."""
+        """A signed integer, in zigzag encoding."""
         found = self._read_unsigned()
         return (found >> 1) ^ -(found & 1)
 

@@ -34,7 +34,7 @@ from pmfid.session.formats.tdms_file import parse_tdms
 from pmfid.session.formats.wpilog_file import parse_wpilog
 from pmfid.session.tables import Table
 
-#: Suffix -> the columns in the bytes of a file; what a reader raises, `readable` turns into a UsageError.
+#: Suffix -> reader from bytes to columns; `readable` turns errors of a reader into UsageError.
 READERS: dict[str, Callable[[bytes], Table]] = {
     ".csv": parse_csv,
     ".parquet": ParquetTable,
@@ -49,7 +49,7 @@ READERS: dict[str, Callable[[bytes], Table]] = {
     ".mf4": parse_mdf,
     ".tdms": parse_tdms,
 }
-#: Other endings of the same formats; text has many, and its layout is found in the file.
+#: Other suffixes of the same formats; text has many, and its layout is found in the file.
 ENDINGS = {
     **dict.fromkeys((".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".trc", ".gz", ".zst"), ".csv"),
     **dict.fromkeys((".hdf5", ".hdf", ".he5"), ".h5"),
@@ -59,7 +59,7 @@ ENDINGS = {
     ".mdf": ".mf4",
     ".xlsm": ".xlsx",
 }
-#: How the files of a format begin; what a text may begin with, or several formats, tells nothing.
+#: First bytes of a file -> its format; bytes that a text or several formats may begin with are left out.
 OPENINGS: dict[bytes, str] = {
     b"PAR1": ".parquet",
     b"MATLAB 5.0 MAT-file": ".mat",
@@ -77,7 +77,7 @@ OPENINGS: dict[bytes, str] = {
 
 
 def read_table(path: Path, stated: Stated = NOTHING) -> Table:
-    """All columns of a file of one of the `FORMATS`, not yet converted; stated: what is known of the layout of a text.
+    """All columns of a file of one of the `FORMATS`, not yet converted; stated: the configured layout of a text.
 
     Raises UsageError with the remedy for a file that is missing, empty, truncated, corrupt or of another type.
     """
@@ -100,8 +100,8 @@ def read_table(path: Path, stated: Stated = NOTHING) -> Table:
 
 
 def _rechunk_table(table: Table) -> Table:
-    """The table with each polars series in one piece, of which an array is no copy; one after the other, for the
-    pieces need as much memory as the series."""
+    """The table with each polars series in one piece, which needs no copy as an array. The series are joined one by
+    one, because the pieces need as much memory as the result."""
     if isinstance(table, dict):
         for name, column in table.items():
             if hasattr(column, "rechunk"):
@@ -110,5 +110,5 @@ def _rechunk_table(table: Table) -> Table:
 
 
 def format_of(data: bytes) -> str | None:
-    """The format of bytes that tell it by themselves."""
+    """The format of a file by its first bytes; None if they do not determine it."""
     return next((kind for opening, kind in OPENINGS.items() if data.startswith(opening)), None)

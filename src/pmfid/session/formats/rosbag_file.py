@@ -1,4 +1,4 @@
-"""Bags of ROS 2: a folder of files, or one of these; those of SQLite are read here."""
+"""Bags of ROS 2: a folder of files, or one of these files; this reader takes bags in SQLite."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SQLITE = b"SQLite format 3\x00"
 
 
 def file_of(folder: Path) -> Path:
-    """The file of a bag, or of another folder, that is a record. Raises UsageError where there is none, or several."""
+    """The record in the folder of a bag, or in another folder. Raises UsageError for no record, and for several."""
     found = sorted(path for suffix in ("mcap", "db3", "parquet") for path in folder.rglob(f"*.{suffix}"))
     found = [path for path in found if "meta" not in path.relative_to(folder).parts[:-1]]  # of LeRobot
     if len(found) == 1:
@@ -30,7 +30,7 @@ def file_of(folder: Path) -> Path:
 
 
 def parse_rosbag(data: bytes) -> ClockedSignals:
-    """The numbers in the messages, "/topic.field.0" each, by the stamps of their recording."""
+    """The numbers in the messages, named as "/topic.field.0", with the stamps of their recording."""
     with require_extra("ros"):
         from rosbags.rosbag2 import Reader
     with tempfile.TemporaryDirectory() as folder:

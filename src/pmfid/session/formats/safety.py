@@ -1,4 +1,4 @@
-"""What no reader of a file may do: end the program at a damaged one, or take gigabytes out of a small one."""
+"""Protection against damaged files and decompression bombs: no reader ends the program or unpacks gigabytes."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from contextlib import contextmanager
 
 from pmfid.errors import UsageError
 
-#: Values that a file may unpack to, in bytes: so many times its own size, or this many; more is a bomb or a mistake.
+#: Largest unpacked size of a file: a multiple of its own size, or a number of bytes if that is more.
 MOST_TIMES, MOST_BYTES = 20, 2**28
 
 
 @contextmanager
 def readable(kind: str) -> Iterator[None]:
-    """Turns whatever a reader stumbles over into a UsageError: OSError, ValueError, zlib.error, and polars' Rust core a
-    PanicException that is no Exception. Only what ends the program passes through."""
+    """Turns any error of a reader into a UsageError: OSError, ValueError, zlib.error, and the PanicException of polars,
+    which is no Exception. Only exceptions that end the program pass through."""
     try:
         yield
     except UsageError:
@@ -45,8 +45,7 @@ def silent() -> Iterator[None]:
 
 @contextmanager
 def require_extra(extra: str) -> Iterator[None]:
-    """Around the import of a library that comes with an extra of the package: raises UsageError, with what to install,
-    where it is not there."""
+    """For the import of a library from an extra of the package: raises UsageError with the command that installs it."""
     try:
         yield
     except ImportError as error:
@@ -55,12 +54,12 @@ def require_extra(extra: str) -> Iterator[None]:
 
 
 def most_of(packed: int) -> int:
-    """Bytes that so many may unpack to."""
+    """Most bytes that `packed` bytes may unpack to."""
     return max(MOST_BYTES, MOST_TIMES * packed)
 
 
 def check_unpacked(size: int, packed: int, what: str) -> None:
-    """Raises UsageError before so many bytes are taken from so few."""
+    """Raises UsageError if `packed` bytes may not unpack to `size` bytes."""
     if size > most_of(packed):
         raise UsageError(
             f"{what} takes {size / 1e6:.0f} MB or more out of a file of {packed / 1e6:.2g} MB; decimate or cut the "
@@ -69,8 +68,8 @@ def check_unpacked(size: int, packed: int, what: str) -> None:
 
 
 def checked_archive(data: bytes) -> zipfile.ZipFile:
-    """A ZIP archive whose parts are whole and no larger than they say. Raises UsageError for a bomb and ValueError or
-    BadZipFile for damage."""
+    """A ZIP archive with whole parts of their declared sizes. Raises UsageError for a decompression bomb, and
+    ValueError or BadZipFile for damage."""
     archive = zipfile.ZipFile(io.BytesIO(data))
     check_unpacked(sum(part.file_size for part in archive.infolist()), len(data), "what is packed")
     if any(part.flag_bits & 1 for part in archive.infolist()):

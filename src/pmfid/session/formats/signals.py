@@ -1,4 +1,4 @@
-"""Files in which every signal has a clock of its own: how two of them stand side by side."""
+"""Files in which every signal has a clock of its own: signals on one common clock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pmfid.types import Floats
 
 #: The column of stamps [s].
 TIME: Final = "time"
-#: Stamps of one cycle of a task are apart by at most this part of it.
+#: Largest difference of stamps within one cycle of a task, as a part of the cycle.
 CYCLE = 0.5
 
 
@@ -30,7 +30,7 @@ class ClockedSignals(Mapping[str, object]):
     is taken cycle by cycle, and any other holds its last value."""
 
     def __init__(self, signals: Mapping[str, Signal], base: str = "", others: tuple[str, ...] = ()) -> None:
-        """base: the signal with the clock, the longest one if it is not there; others: those that must have begun."""
+        """base: the signal with the clock, by default the longest; others: signals that must have begun."""
         self._signals = signals
         usual = max(signals, key=lambda name: signals[name].time.size, default="")
         stamps = signals[base if base in signals else usual].time if signals else np.empty(0)
@@ -39,12 +39,12 @@ class ClockedSignals(Mapping[str, object]):
         self._stamps, self._held = stamps, dict[str, None]()
 
     def align(self, base: str, others: tuple[str, ...]) -> ClockedSignals:
-        """The same on the clock of `base`, from where the others have begun."""
+        """The signals on the clock of `base`, from the first stamp at which the others have begun."""
         return ClockedSignals(self._signals, base, others)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which columns hold their last value, of those that were asked for."""
+        """Notes on the requested columns that hold their last value."""
         return tuple(
             f"{name} has stamps of its own: its last value is taken at those of the output" for name in self._held
         )

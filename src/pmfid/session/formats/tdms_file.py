@@ -13,14 +13,13 @@ from pmfid.session.formats.signals import ClockedSignals, Signal
 from pmfid.session.tables import Table
 
 MAGIC = b"TDSm"
-#: Bytes in front of a segment, and its size where the writer was ended before it knew.
+#: Bytes before a segment; size of a segment that the writer did not finish.
 LEAD_IN, UNFINISHED = 28, 2**64 - 1
 
 
 def parse_tdms(data: bytes) -> Table:
-    """The channels as "group.channel", or "channel" where there is one group, with their unit in brackets: of waveforms
-    with their clock, else as they are. Raises UsageError for a bomb, and with what npTDMS raises what `readable` turns
-    into one."""
+    """The channels as "group.channel", or "channel" with one group, with their unit in brackets; waveforms have their
+    clocks. Raises UsageError for a decompression bomb; `readable` turns errors of npTDMS into UsageError."""
     with require_extra("tdms"):
         from nptdms import TdmsFile
     _check_whole(data)
@@ -35,8 +34,8 @@ def parse_tdms(data: bytes) -> Table:
 
 
 def _check_whole(data: bytes) -> None:
-    """Raises ValueError where a segment goes on behind the end of the file: its channels would be cut short, without a
-    word. One that was never finished says so."""
+    """Raises ValueError if a segment is longer than the file: its channels would be cut without a warning. An
+    unfinished segment is allowed."""
     place = 0
     while place < len(data):
         if len(data) - place < LEAD_IN:

@@ -12,7 +12,7 @@ from pmfid.session.formats.signals import ClockedSignals, Signal
 
 MAGIC = b"WPILOG"
 _START, _FINISH = 0, 1
-#: Type of an entry -> its values; with brackets behind it, an array of these.
+#: Type of an entry -> its values; a type with brackets at its end is an array of these.
 TYPES = {"boolean": "?", "int64": "<q", "float": "<f", "double": "<d"}
 #: Stamps are in microseconds.
 SECOND = 1e6
@@ -35,7 +35,7 @@ def parse_wpilog(data: bytes) -> ClockedSignals:
     for entry, time, payload in _records(data, 12 + int.from_bytes(data[8:12], "little")):
         if entry == 0:
             _control(payload, entries)
-            logged |= {told: _Log([], []) for told in entries.values() if told not in logged}
+            logged |= {started: _Log([], []) for started in entries.values() if started not in logged}
         elif entry in entries:
             log = logged[entries[entry]]
             log.times.append(time)
@@ -46,7 +46,7 @@ def parse_wpilog(data: bytes) -> ClockedSignals:
 
 
 def _records(data: bytes, start: int) -> Iterator[tuple[int, int, bytes]]:
-    """Entry, stamp and payload of each record; the sizes of these numbers stand in the bits of its first byte."""
+    """Entry, stamp and payload of each record; the bits of its first byte have the sizes of these numbers."""
     place, end = start, len(data)
     while place < end:
         bits = data[place]
@@ -63,7 +63,7 @@ def _records(data: bytes, start: int) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _control(payload: bytes, entries: dict[int, tuple[str, str]]) -> None:
-    """Entries begin with a number, a name and a type, and end."""
+    """Starts an entry with number, name and type, or ends one."""
     if len(payload) < 5:
         raise ValueError("a control record is cut off")
     kind, entry = payload[0], int.from_bytes(payload[1:5], "little")
@@ -82,7 +82,7 @@ def _text(payload: bytes) -> tuple[str, bytes]:
 
 
 def _signals(name: str, kind: str, log: _Log) -> Iterator[tuple[str, Signal]]:
-    """Of an entry of numbers, the elements of an array apart."""
+    """The signals of an entry of numbers, one for each element of an array."""
     if kind.removesuffix("[]") not in TYPES:
         return
     dtype = np.dtype(TYPES[kind.removesuffix("[]")])

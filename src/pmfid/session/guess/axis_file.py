@@ -21,13 +21,13 @@ from pmfid.types import Floats
 
 __all__ = ["AxisGuess", "guess"]
 
-#: Asks for a number that the record does not tell: the question and what is taken without an answer.
+#: Asks for a number that the record does not show: the question, and the value without an answer.
 Ask = Callable[[str, str], str]
 
-#: Sample periods that an axis has [s], from this up to that, and the most usual one.
+#: Shortest, longest and most usual sample period of an axis [s].
 SHORTEST, LONGEST, USUAL = 1e-5, 0.1, 1e-3
 HEADING = """\
-# {name}: guessed from the record by pmfid init. Each line says why; what is marked TO DO the record does not tell.
+# {name}: guessed from the record by pmfid init. Each line has its reason; the record does not show values marked TO DO.
 """
 TO_DO = "TO DO: "
 
@@ -50,8 +50,8 @@ class AxisGuess:
 
 
 def guess(path: Path, ask: Ask | None = None) -> AxisGuess:
-    """What a record suggests; ask: who is asked for what it does not tell. Raises UsageError where it cannot be read,
-    or has not two columns of numbers."""
+    """The AXIS.toml that a record suggests; ask: asks for numbers that the record does not show. Raises UsageError if
+    the record cannot be read, or has fewer than two columns of numbers."""
     table = read_table(path)
     columns = numeric(table)
     found, dt = _time(table, columns, ask)
@@ -76,7 +76,7 @@ def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str] | None, d
     result.add("record", f"output = {quote_name(pair.output)}", _why(pair))
     result.add("record", f'output_kind = "{pair.kind}"', KINDS[pair.kind])
     if found is None:
-        result.add("record", f"dt = {dt:g}", f"{TO_DO}no column tells the time; the sample period in s")
+        result.add("record", f"dt = {dt:g}", f"{TO_DO}no column has the time; the sample period in s")
         return
     name, unit, reason = found
     result.add("record", f"time = {quote_name(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
@@ -92,8 +92,8 @@ KINDS = {
 
 
 def _why(pair: Pair) -> str:
-    said = role_of(pair.output)
-    return f"its name says {said}" if said else "the input drives it"
+    role = role_of(pair.output)
+    return f"its name says {role}" if role else "the input drives it"
 
 
 def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str] | None, float]:
@@ -119,7 +119,7 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
 
 
 def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
-    """Does it grow by 1 from row to row, as the number of a sample does, and nothing says that it is a time in ms?"""
+    """Does the column grow by 1 from row to row, as a sample number, without a name that says that it is a time?"""
     return not written and named_unit(name) is None and bool(np.all(np.diff(values) == 1))
 
 
@@ -127,13 +127,13 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
     wrap = wrap_of(output.astype(np.int64)) if pair.kind == "counts" else None
     if pair.kind == "counts":
         answer = ask("travel per count, in m or rad (1: results in counts)", "1") if ask else ""
-        told = "as told" if answer else f"{TO_DO}travel per count in m or rad; with 1 a length is in counts"
-        result.add("encoder", f"resolution = {_number(answer, 1.0)!r}", told)
+        reason = "as answered" if answer else f"{TO_DO}travel per count in m or rad; with 1 a length is in counts"
+        result.add("encoder", f"resolution = {_number(answer, 1.0)!r}", reason)
         if wrap is not None and wrap.bits is not None:
             result.add("encoder", f"bits = {wrap.bits}", f"the counter wraps, the first time at row {wrap.row}")
         elif wrap is not None:
             size = _number(answer, 1.0) * wrap.span
-            result.add("encoder", f"range = {size!r}", f"it begins anew, the first time at row {wrap.row}")
+            result.add("encoder", f"range = {size!r}", f"it wraps, the first time at row {wrap.row}")
         return
     step, found = step_of(output)
     reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
@@ -147,13 +147,11 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
     wrap = wrap_of(np.floor(output / step + 0.5).astype(np.int64)) if found and pair.kind == "position" else None
     if wrap is not None:
         size = float(f"{wrap.span * step:.9g}")
-        result.add(
-            "encoder", f"range = {_format_number(size, unit)}", f"it begins anew, the first time at row {wrap.row}"
-        )
+        result.add("encoder", f"range = {_format_number(size, unit)}", f"it wraps, the first time at row {wrap.row}")
 
 
 def _format_number(value: float, unit: Unit | None) -> str:
-    """A number as TOML has it, with its unit where that is not the one of SI."""
+    """A number in TOML, with its unit if that is not the SI unit."""
     return repr(value) if unit is None or unit.plain else f'"{value:.12g} {unit.name}"'
 
 
@@ -169,10 +167,10 @@ def _model(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
     per = f"per {SI[unit.of]} of" if unit else "per unit of"
     answer = ask(f"force or torque {per} the input, in N or N m (1: results per that)", "1") if ask else ""
     value = _number(answer, 1.0)
-    told = "as told" if answer else f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
+    reason = "as answered" if answer else f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
     signed = -abs(value) if pair.turned else value
     written = repr(signed) if unit is None or unit.plain else f'"{signed:.12g} {force}/{SI[unit.of]}"'
-    result.add("model", f"input_gain = {written}", told + _sign(pair))
+    result.add("model", f"input_gain = {written}", reason + _sign(pair))
 
 
 def _sign(pair: Pair) -> str:
@@ -180,7 +178,7 @@ def _sign(pair: Pair) -> str:
 
 
 def _number(answer: str, usual: float) -> float:
-    """What was answered. Raises UsageError for what is no number above zero."""
+    """The answer as a number, `usual` without one. Raises UsageError for zero, and for a text that is no number."""
     if not answer.strip():
         return usual
     try:
@@ -193,6 +191,6 @@ def _number(answer: str, usual: float) -> float:
 
 
 def quote_name(name: str) -> str:
-    """A name as TOML has it."""
+    """A name as a string of TOML."""
     escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in name)
     return f'"{escaped}"'

@@ -1,4 +1,4 @@
-"""Which columns of a table hold time, input and output, by their names and by what explains the motion."""
+"""The columns of time, input and output in a table, by their names and by how well the motion explains the input."""
 
 from __future__ import annotations
 
@@ -24,19 +24,17 @@ __all__ = ["Pair", "numeric", "pair_of", "time_of"]
 
 #: Roles of an output, best first.
 OUTPUT_ROLES: tuple[Role, ...] = ("counts", "position", "velocity")
-#: Pairs of columns that are looked at where names say nothing.
+#: Most inputs and most outputs that are tried.
 MOST_COLUMNS = 6
-#: A mass must be told by so many standard deviations.
-TOLD = 4.5
-#: Of what is left unexplained as something that the name does not say.
+#: Least mass of a reading, in its standard deviations.
+SIGNIFICANT = 4.5
+#: Factor on the unexplained part of a reading that contradicts the column's name.
 AGAINST = 3.0
-
-
-#: Part of the rows of a time column that follow the one before by nearly the same step, and how nearly.
+#: Least part of usual steps in a time column; largest relative deviation of a usual step from the median.
 MOSTLY, EVEN = 0.9, 0.2
-#: Part of its range, and how often each way, through which a column jumps that is no motion.
+#: Least jump of a column that is no motion, as a part of its range; least number of jumps in each direction.
 JUMP, FEW_JUMPS = 0.4, 3
-#: Correlation with the change of the output from which on a column is its velocity, and no input.
+#: Least correlation of a column with the change of the output that makes it the velocity, and no input.
 SAME = 0.99
 
 
@@ -54,8 +52,8 @@ class Pair:
 
 
 def numeric(table: Table) -> dict[str, Floats]:
-    """The columns that are finite numbers and not all the same, by name; missing ones at few places are filled in from
-    beside, as a guess needs no more."""
+    """The columns of numbers that are not constant, by name; missing values are interpolated, which suffices for a
+    guess."""
     found: dict[str, Floats] = {}
     for name in table:
         with suppress(UsageError):
@@ -67,7 +65,7 @@ def numeric(table: Table) -> dict[str, Floats]:
 
 
 def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, bool] | None:
-    """The time column, its values, and whether these are written as dates or times of day; None where there is none."""
+    """The time column, its values, and whether these are dates or times of day; None without a time column."""
     named = [name for name in table if role_of(name) == "time"]
     content = [name for name in columns if role_of(name) == "" and _even(columns[name])]
     for name in (*named, *content):
@@ -80,15 +78,15 @@ def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, b
 
 
 def _even(values: Floats) -> bool:
-    """Does it grow by nearly the same from row to row, as time does and no motion?"""
+    """Does a column grow by nearly equal steps, as time does and no motion?"""
     steps = np.diff(values)
     usual = np.abs(steps - np.median(steps)) < EVEN * np.median(steps)
     return bool(np.all(steps > 0) and np.mean(usual) > MOSTLY)
 
 
 def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
-    """Input and output among columns (n,) by name, sampled every dt [s]: those that their names say, and of several
-    those between which the motion explains most. None where there are not two columns."""
+    """Input and output among columns (n,) by name, sampled every dt [s]. Names decide first; among several pairs, the
+    one whose motion explains most of the input. None without two columns."""
     roles = {name: role_of(name) for name in columns}
     outputs = next(
         (found for role in OUTPUT_ROLES if (found := [name for name in columns if roles[name] == role])), None
@@ -107,21 +105,21 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
         return None
     best = max(tried, key=lambda one: one.explained)
     others = [f"{one.input} and {one.output} {100 * one.explained:.3g} %" for one in tried if one is not best]
-    beside = f"; {', '.join(others[:3])}" if others else ""
-    reason = f"the motion of {best.output} explains it to {100 * best.explained:.3g} %{beside}"
+    further = f"; {', '.join(others[:3])}" if others else ""
+    reason = f"the motion of {best.output} explains it to {100 * best.explained:.3g} %{further}"
     return Pair(best.input, best.output, best.kind, best.turned, best.explained, reason)
 
 
 def _moving(columns: Mapping[str, Floats], outputs: list[str]) -> list[str]:
-    """Those of the outputs that a mass can have: none that jumps, and no rate of one of the others."""
+    """The outputs that a mass can have: none that jumps, and no velocity of another one."""
     smooth = [name for name in outputs if role_of(name) or not _jumps(columns[name])]
     rates = {a for a in smooth for b in smooth if a != b and not role_of(a) and _is_rate(columns[a], columns[b])}
     return [name for name in smooth if name not in rates]
 
 
 def _jumps(values: Floats) -> bool:
-    """Does a column (n,) go through much of its range within a sample, to and fro, as a relay does and no mass? A
-    counter that wraps moves before it jumps, and the other way."""
+    """Does a column (n,) cross much of its range within a sample, in both directions, as a relay does and no mass? A
+    counter that wraps moves before it jumps, in the opposite direction."""
     change = np.diff(values)
     at = np.flatnonzero(np.abs(change) > JUMP * np.ptp(values))
     at = at[at > 0]
@@ -132,7 +130,7 @@ def _jumps(values: Floats) -> bool:
 
 
 def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
-    """A pair of columns, as what it explains most; None of a column and its own velocity, either way around."""
+    """A pair of columns under its best reading; None for a column and its own velocity, in either order."""
     if role != "velocity" and _is_rate(columns[name], columns[output]):
         return None
     if _is_rate(columns[output], columns[name]):
@@ -142,14 +140,14 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
     seen = [(kind, view) for kind, view in found if view is not None]
     if not seen:
         return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0, "")
-    # against its name a column is a velocity only where it explains far more as one
+    # against its name a column is a velocity only if it explains far more as one
     kind, view = min(seen, key=lambda pair: _cost(pair[1]) * (AGAINST if role and pair[0] != role else 1.0))
     explained = max(0.0, 1 - _cost(view))
     return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, "")
 
 
 def _kinds(role: Role, unit: Unit | None) -> tuple[str, ...]:
-    """What a column may be by its name and by the unit that stands there."""
+    """The possible kinds of an output, by the role and the unit in its name."""
     if role == "velocity":
         return ("velocity",)
     travel = role == "counts" or (unit is not None and unit.of in ("length", "angle"))
@@ -157,19 +155,19 @@ def _kinds(role: Role, unit: Unit | None) -> tuple[str, ...]:
 
 
 def _is_rate(values: Floats, output: Floats) -> bool:
-    """Is a column (n,) the velocity of the output (n,), as a drive logs it beside the position?"""
+    """Is a column (n,) the velocity of the output (n,), as a drive logs it together with the position?"""
     change = np.gradient(output)
     size = float(np.std(values) * np.std(change))
     return size > 0 and float(np.mean((values - values.mean()) * (change - change.mean()))) > SAME * size
 
 
 def _cost(view: View) -> float:
-    """What is left unexplained; all where no mass is seen: a rate explains its own column."""
-    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TOLD else 1.0
+    """The unexplained part; 1 without a significant mass, for a velocity explains its own column."""
+    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > SIGNIFICANT else 1.0
 
 
 def _whole(name: str, output: Floats, kind: str) -> str:
-    """Whole numbers are counts, but where the name says a length or an angle."""
+    """The kind of an output: whole numbers are counts, unless the name has a unit of travel."""
     return "counts" if kind == "position" and is_whole(output) and column_unit(name, OUTPUTS) is None else kind
 
 

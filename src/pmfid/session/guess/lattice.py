@@ -1,4 +1,4 @@
-"""The step of a column of numbers: that of the encoder behind it."""
+"""The step of a column of numbers: the resolution of the encoder that it comes from."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from pmfid.types import Floats
 
 __all__ = ["is_whole", "step_of"]
 
-#: Values that are looked at; part of the steps that must be whole multiples, and how exactly.
+#: Most values that are examined; least part of the steps that are whole multiples; largest distance from a multiple.
 MOST, PART, EXACT = 20_000, 0.98, 0.02
-#: Part of a step that a log's rounding may have: with more of it any steps would do.
+#: Largest rounding of a log, as a part of a step: with more rounding any step would fit.
 MOST_ROUNDED = 0.15
-#: A column without steps is taken to be as fine as so many in its range.
+#: Steps in the range of a column that shows no steps.
 FINE = 2**20
 
 
 def is_whole(values: Floats) -> bool:
-    """Nothing but whole numbers?"""
+    """Are all values whole numbers?"""
     return bool(np.array_equal(values, np.rint(values)))
 
 
 def step_of(values: Floats) -> tuple[float, bool]:
     """The smallest step of which all others are multiples, and whether there is one; values: (n,), finite.
 
-    Steps up to a billionth of the range are rounding, and a log may have rounded each value to so many decimals. Where
-    there is none, a millionth of the range.
+    Steps up to a billionth of the range are rounding, and a log may have rounded each value to a number of decimals.
+    Without such a step, the range over FINE.
     """
     found = np.unique(values[:MOST])
     reach = float(np.ptp(found))
@@ -48,7 +48,7 @@ def step_of(values: Floats) -> tuple[float, bool]:
 
 
 def rounding_of(values: Floats) -> float:
-    """The power of ten of which all values (n,) are multiples; 0.0 where there is none of six and more digits."""
+    """The power of ten that divides all values (n,); 0.0 if the values have too many digits."""
     for digits in range(10):
         scaled = values * 10.0**digits
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-6) and np.ptp(scaled) < 1e9:
@@ -57,7 +57,7 @@ def rounding_of(values: Floats) -> float:
 
 
 def _round_step(step: float) -> float:
-    """With as few digits as the step has."""
+    """The step with the fewest digits that give its value."""
     for digits in range(1, 8):
         short = float(f"{step:.{digits}g}")
         if abs(short - step) < 1e-5 * step:

@@ -1,4 +1,4 @@
-"""What the name of a column says of it, in English and German."""
+"""The role of a column by its name, in English and German."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Role", "role_of"]
 
 Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
 
-#: What a name has in it, as a word of its own or at the end of one -> what the column holds; the first that fits.
+#: Role of a column, and the words of its name: whole words, or the end of one; the first match counts.
 _WORDS: tuple[tuple[Role, str], ...] = (
     ("other", r"soll\w*|target|ref\w*|set\w*|desired|demand|error|err|fehler|schleppfehler|status|state|temp\w*|limit"),
     ("time", r"t|time|zeit|timestamp|zeitstempel|stamp|secs?|seconds|sekunden|datum|date|uhrzeit"),
@@ -24,7 +24,7 @@ _WORDS: tuple[tuple[Role, str], ...] = (
     ("input", r"u|i|iq|input|torque|moment|drehmoment|current|strom|force|kraft|volts?|voltage|spannung|pwm|effort|tau|"
               r"duty|stell\w*|motor|m|f|eingang|drive"),
 )  # fmt: skip
-#: What is measured in a unit -> what the column holds.
+#: Quantity of a unit -> role of the column.
 _MEASURED: dict[str, Role] = {
     "length": "position",
     "angle": "position",
@@ -34,14 +34,14 @@ _MEASURED: dict[str, Role] = {
 
 
 def role_of(name: str) -> Role:
-    """What the column of this name holds; empty where the name does not say."""
+    """The role of the column with this name; empty if the name shows none."""
     bare = re.sub(r"\s*[\[(][^\])]*[\])]\s*$", "", name)
     output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
     split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # MotorTorque
     words = [word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
-    if output is not None or driven is not None:  # whatever it is called, but for what is only asked for
-        asked = any(re.fullmatch(_WORDS[0][1], word) for word in words)
-        return "other" if asked else "input" if output is None else _MEASURED[output.of]
+    if output is not None or driven is not None:  # with any name, except for set points
+        set_point = any(re.fullmatch(_WORDS[0][1], word) for word in words)
+        return "other" if set_point else "input" if output is None else _MEASURED[output.of]
     for role, pattern in _WORDS:
         if any(re.fullmatch(pattern, word) for word in words):
             return role

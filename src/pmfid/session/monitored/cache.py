@@ -19,12 +19,12 @@ from pmfid.monitor.scores import Scale
 from pmfid.monitor.work import NormalWork
 from pmfid.types import Floats
 
-#: To be raised with every change of what a calibration computes, or of its file.
+#: Version of the calibration and of its file; to be raised with every change of either.
 VERSION = 6
 
 
 def cache_dir() -> Path:
-    """Where calibrations lie: PMFID_CACHE, or pmfid in the user's cache folder."""
+    """The folder of calibrations: PMFID_CACHE, or pmfid in the user's cache folder."""
     if os.environ.get("PMFID_CACHE"):
         return Path(os.environ["PMFID_CACHE"])
     home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -39,8 +39,8 @@ def cached_calibration(
     hours: float,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Calibration, Path, bool]:
-    """`calibrate`, its file, and whether that was there already. A cache that cannot be written is none."""
-    detectors = make_detectors(block_keep(estimator))  # their thresholds are what the file is for
+    """The calibration, its file, and whether the file existed. A cache that cannot be written is ignored."""
+    detectors = make_detectors(block_keep(estimator))  # the file keeps their thresholds
     digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None} {detectors!r}".encode())
     for part in (theta, u, np.zeros(0) if counts is None else counts):
         digest.update(np.ascontiguousarray(part).tobytes())
@@ -73,7 +73,7 @@ def _read(path: Path) -> Calibration | None:
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")
         if digest != _digest(text):
             return None  # damaged: numbers may have changed and still be numbers
-        raw: dict[str, Any] = json.loads(text)  # what is not as it was written ends in one of the errors below
+        raw: dict[str, Any] = json.loads(text)  # another structure ends in one of the errors below
         return Calibration(
             np.array(raw["theta"]),
             _scale(raw["scale"]),
@@ -85,7 +85,7 @@ def _read(path: Path) -> Calibration | None:
             None if raw["work"] is None else _work(raw["work"]),
         )
     except (OSError, ValueError, TypeError, KeyError):
-        return None  # not there, or not what this version writes: made anew
+        return None  # no file, or not of this version: the calibration is computed again
 
 
 def _scale(raw: dict[str, Any]) -> Scale:

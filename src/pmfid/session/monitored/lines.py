@@ -1,4 +1,4 @@
-"""Lines of text as a logger writes them into a pipe: its header, comments, and the values of a line."""
+"""Lines of text from a logger in a pipe: the header, comments, and the values of a line."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pmfid.session.monitored.reading import Reading, check_streamed
 from pmfid.session.monitored.timeline import Line
 from pmfid.session.tables import whole_name
 
-#: How a line begins that is for people.
+#: Beginnings of comments.
 COMMENTS = ("#", "%", "//", ";")
 
 
 @dataclass(frozen=True)
 class _Header:
-    """How lines are separated, the names of the columns, and the places of those that are wanted."""
+    """The separator of lines, the names of the columns, and the places of the wanted columns."""
 
     separator: str
     names: tuple[str, ...]
@@ -27,10 +27,9 @@ class _Header:
 
 
 class LineParser:
-    """Takes u, counts and, where [record] names it, the time out of lines, separated and with a decimal sign as in a
-    file.
+    """Reads u, counts and, if [record] names it, the time from lines with the separators and decimal signs of files.
 
-    header: the first line. Raises UsageError where it lacks a column of [record].
+    header: the first line. Raises UsageError if a column of [record] is missing in it.
     """
 
     def __init__(self, header: bytes, axis: Axis) -> None:
@@ -51,7 +50,8 @@ class LineParser:
         self._header = header
 
     def __call__(self, line: bytes) -> Line | None:
-        """What a line says; None of a comment, of units, and of a header: a logger that starts again writes its own."""
+        """The values of a line; None for a comment, for units, and for a header, which a logger writes on each
+        start."""
         text = _text(line)
         if _is_comment(text) and not (self._header.separator == ";" and text.startswith(";")):
             return None
@@ -63,7 +63,7 @@ class LineParser:
             return Line(math.nan, math.nan, 0, str(error))
 
     def _is_header(self, text: str) -> bool:
-        """Takes a line for the header of those that follow, if it has the columns."""
+        """Uses a line as the header of the next lines if it has the columns."""
         if not all(name in text for name in self._wanted):
             return False
         header = _likeliest(text, self._wanted)
@@ -71,7 +71,7 @@ class LineParser:
             return False
         try:
             self._read_header(header)
-        except UsageError:  # of other units, or with a column twice: the lines behind it are read as those before
+        except UsageError:  # of other units, or with a column twice: the next lines are read as the previous ones
             return False
         return True
 
@@ -90,7 +90,7 @@ class LineParser:
 
 
 def is_comment(line: bytes) -> bool:
-    """Whether a line is empty or begins as one for people does."""
+    """Is a line empty or a comment?"""
     return _is_comment(_text(line))
 
 
@@ -100,17 +100,17 @@ def _is_comment(text: str) -> bool:
 
 def _text(line: bytes) -> str:
     text = line.decode("utf-8", "replace").strip(" \r\n\ufeff")
-    return text.replace("\r", " ") if "\r" in text else text  # where one ends a line inside, as some loggers have it
+    return text.replace("\r", " ") if "\r" in text else text  # some loggers end lines inside with it
 
 
 def _are_units(fields: Sequence[str]) -> bool:
-    """A row of units says one at least; what is empty or 1 may be a line of data that lost the rest."""
+    """Is this a row of units, with at least one real unit? Empty cells and ones may be a damaged line of data."""
     return are_units(fields) and any(field.strip("-1%") for field in fields)
 
 
 def _likeliest(text: str, wanted: Sequence[str]) -> _Header:
-    """The line read as a header with the separator by which it has most of the columns; spaces, which may be inside of
-    names, where no other has as many."""
+    """The line as a header, with the separator that gives most of the wanted columns. Spaces, which may be inside
+    names, come last."""
     readings = [_header(text, separator, wanted) for separator in SEPARATORS]
     return max(readings, key=_columns_in)
 

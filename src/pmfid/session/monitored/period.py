@@ -10,24 +10,24 @@ import numpy as np
 
 from pmfid.errors import UsageError
 
-#: Steps from line to line that are judged together, and how much another period they must show.
+#: Steps from line to line in a group; least relative difference of their mean from the period that counts.
 STEPS, COARSE = 25, 0.05
-#: Such groups in a row, before and after one of the right period: a logger that was late writes many lines at once.
+#: Successive wrong groups that end the run, before and after a right one: a late logger writes many lines at once.
 FIRST, LATER = 1, 3
-#: Steps below are a line that is doubled, no step [sample periods].
+#: Longest step to a doubled line, which is no step [sample periods].
 DOUBLED = 0.02
-#: A group tells a period if so large a part of its steps is so near their mean.
+#: Least part of regular steps in a group with a period; largest distance of a regular step from their mean.
 REGULAR, CLOSE = 0.8, 0.25
-#: Samples after which the mean period must be right to so much.
+#: Samples after which the mean period is checked; its largest relative error.
 LONG, FINE = 500, 0.005
 
-#: Where something is, as an object for JSON.
+#: A state, as an object for JSON.
 Saved = dict[str, Any]
 
 
 @dataclass
 class Period:
-    """dt: what is expected [s]. Every method raises UsageError once the period is known to be another."""
+    """Checks the period of stamps; dt: expected [s]. Every method raises UsageError once the period is another one."""
 
     dt: float
     _steps: list[float] = field(default_factory=list, init=False)
@@ -39,7 +39,7 @@ class Period:
     _checked: bool = field(default=False, init=False)
 
     def save_state(self) -> Saved:
-        """Where it is, for JSON that knows NaN."""
+        """The state, for JSON with NaN."""
         return {
             "steps": list(self._steps),
             "last": self._last,
@@ -51,13 +51,13 @@ class Period:
         }
 
     def restore(self, saved: Saved) -> None:
-        """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
+        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
         self._steps, self._last = [float(step) for step in saved["steps"]], float(saved["last"])
         self._wrong, self._patience = int(saved["wrong"]), int(saved["patience"])
         self._start, self._count, self._checked = float(saved["start"]), int(saved["count"]), bool(saved["checked"])
 
     def line(self, time: float) -> None:
-        """A stamp [s], whatever it is worth."""
+        """Adds the stamp [s] of any line."""
         step, self._last = (time - self._last) / self.dt, time
         if abs(step) > DOUBLED:
             self._steps.append(step)
@@ -66,7 +66,7 @@ class Period:
             self._judge(steps)
 
     def sample(self, time: float) -> None:
-        """The stamp [s] of a line that is a sample."""
+        """Adds the stamp [s] of a line that is a sample."""
         if math.isnan(self._start):
             self._start, self._count = time, 0
             return
@@ -78,11 +78,11 @@ class Period:
                 self._refuse(mean)
 
     def slots(self, samples: int) -> None:
-        """Samples without a line."""
+        """Adds samples without a line."""
         self._count += samples
 
     def restart(self) -> None:
-        """The clock was set."""
+        """Forgets the stamps so far, because the clock was set."""
         self._start, self._checked, self._patience = math.nan, False, FIRST
 
     def _judge(self, steps: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""What the values of a sample mean: units and scales of [record], the same for lines of text and for named fields."""
+"""Values of a sample in units and scales of [record], the same for lines of text and for named fields."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from pmfid.session.tables import whole_name
 
 __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
 
-#: Beyond it neighbouring whole numbers are no longer separate doubles.
+#: Limit of counts: above it, neighbouring whole numbers are no longer separate doubles.
 MAX_COUNT = 2.0**53
-#: Of a stamp, in s, though it may be in ns by mistake: in samples it must stay a number.
+#: Largest time stamp [s], also for one that is in ns by mistake: in samples it must stay a number.
 MOST_TIME = 1e30
-#: Ways in which one axis's fields may be called, with units in brackets or without, that are kept.
+#: Most sets of field names of one axis that are kept: names may have units in brackets.
 _MOST_READINGS = 16
-#: Of a problem with a value from outside, so many letters are told.
+#: Most letters of a message on a received value.
 _MOST_LETTERS = 200
 
 #: A value as a text, and as JSON and line protocol have it.
@@ -34,14 +34,14 @@ def check_streamed(axis: Axis) -> None:
     if isinstance(axis.record.input_scale, str):
         raise UsageError(f"[record] input_scale = {axis.record.input_scale!r} names a variable; a pipe needs a number")
     if axis.record.output_kind == "velocity" or axis.encoder.range is not None:
-        raise UsageError("a pipe has positions that go on, or counts: unwrap or integrate the output before")
+        raise UsageError("a pipe needs counts, or positions that do not wrap: unwrap or integrate the output before")
 
 
 class Reading:
-    """From the values of input and output, and maybe of time, to a `Line`.
+    """From the values of input and output, and perhaps of time, to a `Line`.
 
-    names: of their columns, in which units may stand. Raises UsageError where these are others than the
-    configuration's, and for what cannot be read one sample at a time.
+    names: of their columns, perhaps with units. Raises UsageError for units that contradict the configuration, and for
+    a configuration that cannot be read one sample at a time.
     """
 
     def __init__(self, axis: Axis, names: tuple[str, ...]) -> None:
@@ -53,7 +53,8 @@ class Reading:
         self._unit = time_factor(config.model_copy(update={"time": names[2] if len(names) == 3 else None}))
 
     def time(self, value: Value) -> float:
-        """A stamp [s]; a date or a time of day has its own unit, whatever [record] says. Raises ValueError for none."""
+        """A time stamp [s]; dates and times of day ignore the unit of [record]. Raises ValueError for any other
+        text."""
         try:
             time = self._unit * float(value)
         except ValueError:
@@ -63,8 +64,8 @@ class Reading:
         return time
 
     def line(self, u: Value, output: Value, time: float = math.nan) -> Line:
-        """Values at a time [s], NaN for none: then ValueError or OverflowError is raised where one cannot be used,
-        beside a time the line says so."""
+        """The line of values at a time [s], NaN for none. A value that cannot be used is the line's problem if there is
+        a time; without a time, it raises ValueError or OverflowError."""
         try:
             scaled, place = self._scale * float(u), float(output)
             if not (math.isfinite(scaled) and math.isfinite(place)):
@@ -76,7 +77,7 @@ class Reading:
             return Line(time, math.nan, 0, str(error))
 
     def _count(self, value: float) -> int:
-        """The count of an output; a position a hair below a step belongs to it, as in a record."""
+        """The count of an output; a position slightly below a step belongs to it, as in a record."""
         counts = math.floor(value / self._step + 1e-6) if self._step else round(value)
         if abs(counts) >= MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
             raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
@@ -84,7 +85,7 @@ class Reading:
 
 
 class FieldReader:
-    """Fields by name, as of JSON or line protocol, to a `Line`; [record] says which are input, output and time.
+    """Fields by name, as of JSON or line protocol, to a `Line`; [record] names input, output and time.
 
     Raises UsageError for a configuration that cannot be read one sample at a time.
     """
@@ -96,15 +97,15 @@ class FieldReader:
         self._readings = {self._wanted: Reading(axis, self._wanted)}
 
     def __call__(self, fields: Mapping[str, object], stamp: float = math.nan) -> Line:
-        """Never raises: the line says what is wrong. stamp: time beside the fields [s], taken where [record] names a
-        time that is none of them."""
+        """The line of some fields; never raises, the line has the problem. stamp: time outside of the fields [s], used
+        if [record] names a time that is no field."""
         try:
             return self._line(fields, stamp)
         except (ValueError, OverflowError, UsageError) as error:
             return Line(math.nan, math.nan, 0, str(error)[:_MOST_LETTERS])
 
     def rows(self, columns: Mapping[str, object], size: int) -> Iterator[Line]:
-        """The first `size` samples of columns by name; a value that is no list holds for each. Never raises."""
+        """The first `size` samples of columns by name; a value that is no list is the same in each. Never raises."""
         names = {whole_name(columns, name) for name in self._wanted}
         used = {name: columns[name] for name in names if name in columns}
         for k in range(size):
@@ -131,7 +132,7 @@ class FieldReader:
 
 
 def _value(fields: Mapping[str, object], name: str) -> Value:
-    """The value of a field. Raises ValueError where there is none, or it is no number and no text."""
+    """The value of a field. Raises ValueError if the field is missing, or is neither number nor text."""
     if name not in fields:
         raise ValueError(f"there is no field {name!r}")
     value = fields[name]
@@ -145,7 +146,7 @@ def _is_value(value: object) -> TypeGuard[Value]:
 
 
 def _moment(text: str) -> float:
-    """Seconds since 1970 of a date with a time, and since midnight of a time of day, as ISO 8601 writes them."""
+    """Seconds since 1970 of a date with a time, and since midnight of a time of day, both in ISO 8601."""
     day = "" if "-" in text[1:] else "1970-01-01 "
     try:
         moment = datetime.fromisoformat(day + text)

@@ -16,14 +16,14 @@ from pmfid.session.monitored.sinks import Nowhere, RowSink
 from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
 from pmfid.types import Floats
 
-#: Rows that are kept for the report; beyond, every other one goes.
+#: Most rows for the report; above it, every other row is dropped.
 MOST_ROWS = 8000
-#: Lines of a kind and gaps that are told one by one, and events that are kept.
-TOLD, KEPT = 10, 10_000
+#: Most notices of one kind of line, and of gaps; most events that are kept.
+MOST_NOTICES, KEPT = 10, 10_000
 
-#: What is written as JSON: texts, numbers, and tables of them, each known by its key alone.
-Told = dict[str, Any]
-Tell = Callable[[Told], None]
+#: A notice for JSON: texts, numbers, and tables of them, by key.
+Notice = dict[str, Any]
+Tell = Callable[[Notice], None]
 #: Time, u, counts, theta, std, innovation, status bits, state.
 Row = tuple[float, float, int, Floats, Floats, float, int, str]
 #: Called with each sample, its estimate and the monitor's state.
@@ -32,15 +32,15 @@ Observer = Callable[[Sample, Estimate | Seen, str], None]
 
 @dataclass
 class RunHistory:
-    """What the report shows, in bounded memory: time, u, counts, theta, std, innovation, status bits and state of every
-    `stride`th sample; the bits of the samples between are kept, and the largest innovation."""
+    """The curves of the report, in bounded memory: time, u, counts, theta, std, innovation, status bits and state of
+    every `stride`th sample. Status bits and the largest innovation also include the samples between."""
 
     stride: int = field(default=1, init=False)
     rows: list[Row] = field(default_factory=list, init=False)
     _taken: int = field(default=0, init=False)
 
     def __call__(self, sample: Sample, estimate: Estimate | Seen, state: str) -> None:
-        """A sample and what it gave."""
+        """Adds a sample with its estimate and the monitor's state."""
         if self._taken % self.stride == 0:
             if len(self.rows) >= MOST_ROWS:
                 self.rows, self.stride = self.rows[::2], 2 * self.stride
@@ -56,10 +56,12 @@ class RunHistory:
 
 @dataclass
 class MonitoredRun:
-    """Totals of a run and its first KEPT events, as for JSON. bad_lines: that could not be used; repeated_lines: that
-    came twice or too late; comments: with headers that came again; missing: samples that the times leave out,
-    in so many gaps; clock_jumps: how often the clock was set; outliers: samples that no motion explains;
-    problem: what ended the run before its time, or ""."""
+    """Totals of a run and its first KEPT events, as for JSON.
+
+    bad_lines: could not be used; repeated_lines: came twice or too late; comments: with repeated headers; gaps: in the
+    times; missing: samples in these gaps; clock_jumps: how often the clock was set; outliers: samples that no motion
+    explains; problem: error that ended the run early, or "".
+    """
 
     samples: int = 0
     bad_lines: int = 0
@@ -70,10 +72,10 @@ class MonitoredRun:
     clock_jumps: int = 0
     outliers: int = 0
     problem: str = ""
-    events: list[Told] = field(default_factory=list)
+    events: list[Notice] = field(default_factory=list)
 
     @property
-    def alarms(self) -> list[Told]:
+    def alarms(self) -> list[Notice]:
         return [event for event in self.events if event["event"] == "alarm"]
 
     def totals(self) -> dict[str, int]:
@@ -93,7 +95,7 @@ def watch(
 ) -> MonitoredRun:
     """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples.
 
-    Samples that end in a UsageError end the run: the rest of what was asked for is still to be written.
+    A UsageError in the samples ends the run without an exception, so that its results are still written.
     """
     run = MonitoredRun()
     try:
@@ -113,43 +115,43 @@ def _step(
     events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
     estimate, now = monitor.step(sample.u, sample.counts)
     run.samples += 1
-    told = monitor.apply_known(estimate)
+    reported = monitor.apply_known(estimate)
     if not isinstance(sink, Nowhere):
-        sink.write(_row(sample.time, told, monitor.state))
+        sink.write(_row(sample.time, reported, monitor.state))
     for observe in observers:
-        observe(sample, told, monitor.state)
+        observe(sample, reported, monitor.state)
     for event in [*events, *now]:
         if isinstance(event, Outlier):
             run.outliers += 1
-            if run.outliers > TOLD:
+            if run.outliers > MOST_NOTICES:
                 continue
         shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
-        told_event = event_object(event, monitor.names, shift)
+        notice = event_object(event, monitor.names, shift)
         if len(run.events) < KEPT:
-            run.events.append(told_event)
-        tell(told_event)
+            run.events.append(notice)
+        tell(notice)
 
 
 def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
-    """Counts a line that is no sample, and tells the first of them."""
+    """Counts a line that is no sample, and reports the first ones."""
     name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
     setattr(run, name, getattr(run, name) + 1)
-    if line.kind != COMMENT and getattr(run, name) <= TOLD:
+    if line.kind != COMMENT and getattr(run, name) <= MOST_NOTICES:
         tell({"event": line.kind, "time": line.time, "problem": line.problem})
 
 
 def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> list[Event]:
-    """Counts and tells a gap, or that the clock was set, and lets the monitor know."""
+    """Counts and reports a gap or a clock that was set, and passes it to the monitor."""
     if sample.missing:
         run.gaps += 1
         run.missing += sample.missing
-        if run.gaps <= TOLD:
+        if run.gaps <= MOST_NOTICES:
             tell({"event": "gap", "time": sample.time, "missing": sample.missing})
         if sample.missing <= monitor.longest:
             return monitor.fill_gap(sample.missing, sample.u, sample.counts)
         return monitor.skip(sample.missing)
     run.clock_jumps += 1
-    if run.clock_jumps <= TOLD:
+    if run.clock_jumps <= MOST_NOTICES:
         tell({"event": "clock", "time": sample.time, "jump": sample.jump})
     return monitor.skip(1)
 
@@ -159,7 +161,7 @@ def _row(time: float, estimate: Estimate | Seen, state: str) -> tuple[float | in
     return (time, *theta, *std, estimate.innovation, estimate.status, state)
 
 
-def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> Told:
+def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> Notice:
     """The object that `--json` prints; shift: of the times [s]."""
     if isinstance(event, StateChange):
         return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
@@ -184,8 +186,8 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> To
 
 
 def _format_settled(event: Settled, names: tuple[str, ...]) -> dict[str, dict[str, float | None]]:
-    """Value, standard deviation and relative change by name; after an alarm of the gain of the input the gain leads,
-    and the others are of the machine with the gain that it has now."""
+    """Value, standard deviation and relative change by name. After an alarm of the input gain, the gain comes first,
+    and the other values use the present gain."""
     gain = {} if event.gain is None else {INPUT_GAIN: event.gain}
     factor = event.gain[0] / event.gain[2] if event.gain else 1.0
     own = zip((factor * event.theta).tolist(), (factor * event.std).tolist(), event.before.tolist(), strict=True)

@@ -29,17 +29,17 @@ from pmfid.session.monitored.cache import cached_calibration
 from pmfid.session.records import Record, read_record
 from pmfid.types import Floats
 
-#: Memory where [estimator] forgetting is 1, which would never follow a change [s].
+#: Memory if [estimator] forgetting is 1, which would never follow a change [s].
 DEFAULT_MEMORY = 2.0
-#: Standard deviation of normal work over that of the simulation from which on the encoder is not what decides.
+#: Ratio of the standard deviations of normal work and simulation above which the encoder is not the main noise.
 NOISY = 1.3
-#: Factor to which the mean time between false alarms should be known from a reference record.
+#: Factor within which a reference record should determine the mean time between false alarms.
 SURE = 2.0
 
 
 @dataclass(frozen=True)
 class Setup:
-    """A monitor at its start; nominal: (p,); calibration and its file; cached: it was there already; notes: for
+    """A monitor at its start; nominal: (p,); calibration, and its file `path`; cached: was it in the cache? notes: for
     people."""
 
     monitor: Monitor
@@ -50,17 +50,17 @@ class Setup:
     notes: tuple[str, ...]
 
     @property
-    def told(self) -> Floats:
-        """(q,): nominal, and the gain of the input where it is found."""
-        beside = len(self.monitor.names) - len(self.monitor.estimator.names)
-        return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * beside])
+    def reported(self) -> Floats:
+        """(q,): nominal, and the input gain if it is estimated."""
+        further = len(self.monitor.names) - len(self.monitor.estimator.names)
+        return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * further])
 
 
 def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None) -> Setup:
-    """The monitor that AXIS.toml asks for; folder: of AXIS.toml; record: to be watched, None: a pipe.
+    """The monitor of AXIS.toml; folder: of AXIS.toml; record: to be watched, None: a pipe.
 
-    Without a reference the record's own input calibrates, with the encoder as the only noise. Raises UsageError where
-    there is neither, or no nominal values, and NotIdentifiableError where the reference cannot identify them.
+    Without a reference the record's own input calibrates, with the encoder as the only noise. Raises UsageError without
+    both, or without nominal values, and NotIdentifiableError if the reference cannot identify them.
     """
     config, notes = axis.monitor, []
     check_monitored(axis)
@@ -92,7 +92,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
 
 
 def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float) -> list[str]:
-    """What to know of the thresholds where normal work is noisier than its simulation."""
+    """Notes on the thresholds if normal work is noisier than its simulation."""
     hours, notes = calibration.record_hours, []
     if np.max(calibration.noise) > NOISY or hours:
         notes.append(
@@ -121,7 +121,7 @@ def check_monitored(axis: Axis) -> None:
 
 
 def _configure_recursive(axis: Axis, dt: float) -> Axis:
-    """With a recursive method, `riv` for auto, and a memory where none is given."""
+    """The axis with a recursive method, `riv` for auto, and with a memory."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     forgetting = axis.estimator.forgetting
     if forgetting == 1:
@@ -131,7 +131,7 @@ def _configure_recursive(axis: Axis, dt: float) -> Axis:
 
 
 def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
-    """The recursive method that is asked for; wraps: the counter's bits matter, as in a pipe."""
+    """The configured recursive method; wraps: do the counter's bits matter, as in a pipe?"""
     method = axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator) or issubclass(ESTIMATORS[method], RLS):
         usable = [
@@ -147,13 +147,13 @@ def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
 
 
 def _set_normal_gain(axis: Axis, source: Record) -> Axis:
-    """With the gain of the input in normal work, where it is to be found: of [monitor] nominal or the reference.
-    Raises UsageError for a nominal without it."""
+    """The axis with the input gain of normal work, if it is estimated: from [monitor] nominal or the reference. Raises
+    UsageError if nominal has no input gain."""
     if not finds_gain(axis):
         return axis
     given = axis.monitor.nominal
     if given is not None and INPUT_GAIN not in given:
-        raise UsageError(f"[monitor] nominal must name {INPUT_GAIN}, too, where [model] has it to be found")
+        raise UsageError(f"[monitor] nominal must name {INPUT_GAIN}, too, if [model] leaves it to be estimated")
     if given is not None:
         return set_gain(axis, given[INPUT_GAIN])
 
@@ -182,12 +182,12 @@ def _nominal(
 
 
 def start_object(setup: Setup) -> dict[str, object]:
-    """What is watched and how, for `--json`."""
+    """The settings of a watched axis, for `--json`."""
     monitor = setup.monitor
     return {
         "event": "start",
         "method": monitor.estimator.method,
-        "nominal": dict(zip(monitor.names, setup.told.tolist(), strict=True)),
+        "nominal": dict(zip(monitor.names, setup.reported.tolist(), strict=True)),
         "units": dict(zip(monitor.names, monitor.units, strict=True)),
         "detector": monitor.watch.detector,
         "mtbf_hours": monitor.watch.mtbf_hours,

@@ -1,4 +1,4 @@
-"""Where the estimates of a monitored run go: CSV line by line, or Parquet, which is made of such lines at the end."""
+"""Files for the estimates of a monitored run: CSV line by line, or Parquet, which is made of such lines at the end."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Row = tuple[float | int | str, ...]
 
 
 class RowSink(Protocol):
-    """Takes rows; after `close` all of them are in the file. path: of the file, None where there is none; lost: rows
-    that could not be written."""
+    """Takes rows; after `close` all of them are in the file. path: of the file, None without one; lost: rows that could
+    not be written."""
 
     @property
     def path(self) -> Path | None: ...
@@ -86,8 +86,8 @@ class CsvSink:
 
 
 class ParquetSink:
-    """Rows go to a CSV file beside the Parquet file, which `close` makes of it: memory stays small, and whoever is
-    killed without notice finds all rows there."""
+    """Rows go to a CSV file in the same folder, and `close` converts it to Parquet. Memory stays small, and a process
+    that is killed loses no row."""
 
     def __init__(self, path: Path, header: Sequence[str], tell: Tell) -> None:
         self.path = path
@@ -104,7 +104,7 @@ class ParquetSink:
         self._rows.put(",".join(map(str, row)))
 
     def close(self) -> None:
-        """Makes the Parquet file; where that fails, the rows stay, and it is told."""
+        """Makes the Parquet file; if that fails, the rows stay, and `tell` gets the error."""
         import polars as pl
 
         self._rows.close()
@@ -123,7 +123,7 @@ class ParquetSink:
 
 
 def rows_path(path: Path) -> Path:
-    """Where the rows of a Parquet file wait for its end."""
+    """The CSV file with the rows of an unfinished Parquet file."""
     return path.with_name(f"{path.name}.csv")
 
 
@@ -132,7 +132,7 @@ def _short(row: Row) -> str:
 
 
 def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink:
-    """The sink for a path; "-": CSV on standard output. A file that is there stays: the rows go to path-2 and so on.
+    """The sink for a path; "-": CSV on standard output. An existing file stays: the rows go to path-2 and so on.
 
     Raises UsageError for another kind of file.
     """

@@ -1,4 +1,4 @@
-"""Samples as they arrive: lines of CSV from a pipe, and the same from a record; stopping in good order."""
+"""Samples from lines of CSV in a pipe, or from a record, with an orderly stop at signals."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pmfid.session.monitored.lines import LineParser, is_comment
 from pmfid.session.monitored.timeline import BAD, COMMENT, REPEATED, Found, Metronome, Sample, Skipped, Timeline
 from pmfid.session.records import Record
 
-#: A line has at most so many bytes; what is longer is several bad ones.
+#: Most bytes of a line; a longer one counts as several bad lines.
 LONGEST_LINE = 65536
-#: Of so many lines at the beginning some must be samples, and of so many at the end.
+#: Lines at the beginning and at the end that must contain samples; least samples among the first ones.
 FIRST_LINES, LEAST_SAMPLES = 100, 10
-#: A logger may write every line so many times more.
+#: Most repetitions of every line by a logger.
 MOST_REPEATED = 3
 
 
@@ -31,7 +31,7 @@ class _InterruptedError(Exception):
 
 @contextmanager
 def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
-    """SIGINT, SIGTERM and, if wanted and where there is one, SIGHUP go to a handler inside of the block."""
+    """SIGINT, SIGTERM and, if wanted and known to the system, SIGHUP go to a handler inside the block."""
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hangup and hasattr(signal, "SIGHUP"):
         numbers.append(signal.SIGHUP)
@@ -45,7 +45,7 @@ def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool 
 
 @dataclass
 class Stop:
-    """Ends a run after the sample in hand at SIGINT, SIGTERM and SIGHUP, or at once where it waits for the next one.
+    """Ends a run at SIGINT, SIGTERM and SIGHUP: after the present sample, or at once if it waits for the next one.
 
     A SIGHUP that is ignored, as under nohup, stays ignored."""
 
@@ -59,7 +59,7 @@ class Stop:
 
     @contextmanager
     def handling(self) -> Iterator[Stop]:
-        """Signals are handled here inside of the block."""
+        """This object handles signals inside the block."""
         hangup = getattr(signal, "SIGHUP", None)
         ignored = hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN
         with catch_signals(self._handle, hangup=not ignored):
@@ -87,10 +87,10 @@ def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
 
 
 def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Found]:
-    """The samples of the lines after the header, each as soon as it is known to be one, and the lines that are none.
+    """The samples of the lines after the header, each as soon as possible, and the lines that are no samples.
 
     dt: sample period [s]. Raises UsageError for a header without the columns of [record], for no line at all, for lines
-    with another period than dt, and where the first lines, or most of all lines, cannot be used.
+    with another period than dt, and if the first lines, or most of all lines, cannot be used.
     """
     parse = _read_header(stream, axis, stop)
     if parse is None:
@@ -109,7 +109,7 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
 
 
 def _read_header(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
-    """With the header; None if a signal comes before it."""
+    """The parser with the header; None if a signal comes before it."""
     beginning = Beginning(axis)
     while line := stop.read(stream):
         parser = beginning.take(line)
@@ -122,8 +122,8 @@ def _read_header(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
 
 @dataclass
 class Beginning:
-    """Looks for the header: the first line that has the columns. What stands in front of it, as the name of the logger,
-    is not read; but where data come there will be no header. problem: why none of the lines so far is one."""
+    """Searches the header: the first line that has the columns. Earlier lines, such as the name of the logger, are
+    skipped; data end the search. problem: why no line so far is the header."""
 
     axis: Axis
     problem: UsageError = field(
@@ -135,7 +135,7 @@ class Beginning:
     _lines: int = field(default=0, init=False)
 
     def take(self, line: bytes) -> LineParser | None:
-        """The parser for the lines behind this one, if it is the header. Raises UsageError once none will come."""
+        """The parser for the next lines, if this line is the header. Raises UsageError once no header can come."""
         if is_comment(line):
             return None
         self._lines += 1
@@ -151,7 +151,7 @@ class Beginning:
 
 @dataclass
 class _Tally:
-    """Samples, bad lines, repeated ones, and lines since the last sample; a run on hardly any samples is none."""
+    """Counts samples, bad lines, repeated lines, and lines since the last sample, and refuses a run with too few."""
 
     samples: int = 0
     bad: int = 0
@@ -164,7 +164,7 @@ class _Tally:
         return self.samples + self.bad + self.repeated
 
     def count(self, found: Sequence[Found]) -> None:
-        """Raises UsageError where the first lines are bad."""
+        """Raises UsageError if the first lines are bad."""
         before = self.lines
         for one in found:
             if isinstance(one, Sample):
@@ -186,7 +186,8 @@ class _Tally:
         self.problem = self.problem or line.problem
 
     def check(self) -> None:
-        """Raises UsageError where the last lines are bad, more lines are bad than good, or nearly all repeat others."""
+        """Raises UsageError if the last lines are bad, if more lines are bad than good, or if nearly all are
+        repeated."""
         if self.tail >= FIRST_LINES:
             self._refuse(self.tail, self.tail)
         if max(self.bad, self.repeated // MOST_REPEATED) > self.samples:

@@ -1,9 +1,9 @@
-"""From stamped lines to samples on a grid: what is doubled, late, lost, or stamped by a clock that was set.
+"""From stamped lines to samples on a grid: doubled, late and lost lines, and clocks that were set.
 
-A sample is expected one period after the last. A line near that instant is the sample; one that is not is held, and the
-next lines say what it was: where they go on from the old grid, it was a stray line (a repetition, a wrong stamp); where
-they go on from it, samples are missing, or the clock was set, and the grid begins anew there. So one bad line never
-costs more than itself. The grid follows the stamps slowly: they may be coarse, late or drift.
+A sample is expected one period after the last one. A line near that instant is the sample. Any other line is held until
+the next lines show its meaning. If they continue the old grid, it was a stray line (a repetition, a wrong stamp). If
+they continue the held line, samples are missing, or the clock was set, and the grid restarts there. So one bad line
+never costs more than itself. The grid follows the stamps slowly: stamps may be coarse, late or drift.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from dataclasses import dataclass, field
 from pmfid.errors import UsageError
 from pmfid.session.monitored.period import Period, Saved
 
-#: A line is the expected sample if its stamp is off by less [sample periods]: a late stamp is commoner than a lost one.
+#: Largest deviation of the stamp of an expected sample [sample periods]: late stamps are commoner than lost ones.
 NEAR = 0.75
 #: Share of a stamp's deviation that the grid takes over.
 FOLLOW = 0.1
-#: Lines that must follow one another before samples are believed to be missing, or the clock to be set back: a logger
-#: that sends its last lines again looks like the latter.
-AHEAD, BEHIND = 2, 5
-#: A held line is followed by one that is later by so much [sample periods]; lines between may be lost.
+#: Successive lines that show missing samples, and a clock that was set back: a logger that repeats its last lines looks
+#: like the latter.
+AHEAD, LATE = 2, 5
+#: Shortest and longest step from a held line to the next one [sample periods]; lines between may be lost.
 SOONEST, LATEST = 0.25, 10.0
-#: What is missing for longer is told as a clock that was set [s].
+#: Longest gap [s]; a longer one counts as a clock that was set.
 LONGEST_GAP = 3600.0
-#: Samples that a line is compared with: one that says the same again is no sample that came too late.
+#: Samples that a late line is compared with: an equal one is a repetition and no late sample.
 REMEMBERED = 32
-#: So many lines in a row whose time fits nowhere end the run.
+#: Successive lines without a fitting time that end the run.
 MOST_STRAYS = 1000
 
 BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
@@ -36,7 +36,7 @@ BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
 
 @dataclass(frozen=True)
 class Line:
-    """What a line says. time [s], NaN where there is none; u, NaN where it cannot be used; problem: why not, or ""."""
+    """The values of a line. time [s], NaN without one; u, NaN if it cannot be used; problem: why not, or ""."""
 
     time: float
     u: float
@@ -46,8 +46,8 @@ class Line:
 
 @dataclass(frozen=True)
 class Sample:
-    """time [s]; u, NaN where it is lost; counts, the last where it is lost; missing: samples that should have come
-    before; jump: by how much the clock was set before it [s]."""
+    """time [s]; u, NaN if the sample is lost; counts, the last ones if it is lost; missing: samples that are missing
+    before it; jump: change of the clock before it [s]."""
 
     time: float
     u: float
@@ -58,7 +58,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A line that is no sample. time: when the next sample was expected [s]; kind: BAD, REPEATED or COMMENT."""
+    """A line that is no sample. time: of the next expected sample [s]; kind: BAD, REPEATED or COMMENT."""
 
     time: float
     kind: str
@@ -77,15 +77,15 @@ class Metronome:
     _counts: int = field(default=0, init=False)
 
     def save_state(self) -> Saved:
-        """Where it is, for JSON."""
+        """The state, for JSON."""
         return {"next": self._next, "counts": self._counts}
 
     def restore(self, saved: Saved) -> None:
-        """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
+        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
         self._next, self._counts = float(saved["next"]), int(saved["counts"])
 
     def take(self, line: Line) -> list[Found]:
-        """What the line gives; one that cannot be used takes its time all the same."""
+        """The sample of a line; a line that cannot be used takes its time, too."""
         time, self._next = self._next, self._next + self.dt
         if line.problem:
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
@@ -101,7 +101,7 @@ class Metronome:
 class Timeline:
     """Lines with a time. dt: sample period [s].
 
-    `take` raises UsageError where the lines come with another period, or where MOST_STRAYS in a row fit nowhere.
+    `take` raises UsageError if the lines have another period, or if MOST_STRAYS in a row fit nowhere.
     """
 
     dt: float
@@ -116,7 +116,7 @@ class Timeline:
         self._recent: deque[Line] = deque(maxlen=REMEMBERED)
 
     def save_state(self) -> Saved:
-        """Where it is, for JSON that knows NaN."""
+        """The state, for JSON with NaN."""
         lines = {"held": self._held, "recent": self._recent}
         return {
             "expected": self._expected,
@@ -128,7 +128,7 @@ class Timeline:
         }
 
     def restore(self, saved: Saved) -> None:
-        """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
+        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
         self._expected, self._unused = float(saved["expected"]), int(saved["unused"])
         self._strays, self._counts = int(saved["strays"]), int(saved["counts"])
         self._held = [Line(*entry) for entry in saved["held"]]
@@ -136,7 +136,7 @@ class Timeline:
         self._period.restore(saved["period"])
 
     def take(self, line: Line) -> list[Found]:
-        """What is known after a line, in the order of time."""
+        """The samples and skipped lines that are known after a line, in the order of time."""
         if math.isnan(line.time):
             return [self._skip(line.problem)]
         self._period.line(line.time)
@@ -150,14 +150,14 @@ class Timeline:
         return self._irregular(line)
 
     def end(self) -> list[Found]:
-        """What was held to the end."""
+        """The lines that were held to the end."""
         return self._drop_held()
 
     def _offset(self, time: float) -> float:
         return (time - self._expected) / self.dt
 
     def _place(self, time: float) -> int | None:
-        """How many samples after the expected one a line belongs; those before it may be the unusable lines."""
+        """The place of a line, in samples after the expected one; unusable lines may have the places before it."""
         offset = self._offset(time)
         place = min(max(0, round(offset)), self._unused + len(self._held))
         return place if abs(offset - place) < NEAR else None
@@ -167,7 +167,7 @@ class Timeline:
         self._expected += place * self.dt
         self._period.slots(place)
         held, self._held = self._held, []
-        # lines with an old time and new values are samples of a clock that was set back by a few
+        # lines with an old time and new values are samples of a clock that was set back by a few periods
         late = sum(other.time < self._expected - NEAR * self.dt and other not in self._recent for other in held)
         found += self._accept(line, late)
         for other in held:  # two lines that changed places
@@ -199,11 +199,11 @@ class Timeline:
                 f"{MOST_STRAYS} lines in a row have a time that fits nowhere, the last {line.time:.9g} s: correct the "
                 f"time column, which must step by {self.dt:.6g} s, or leave it out and give [record] dt"
             )
-        needed = AHEAD if self._held[0].time > self._expected else BEHIND
-        return found + self._begin_anew() if len(self._held) >= needed else found
+        needed = AHEAD if self._held[0].time > self._expected else LATE
+        return found + self._restart_grid() if len(self._held) >= needed else found
 
-    def _begin_anew(self) -> list[Found]:
-        """The lines held are a grid of their own."""
+    def _restart_grid(self) -> list[Found]:
+        """The held lines are a new grid."""
         (first, *others), self._held, self._unused = self._held, [], 0
         jump = first.time - self._expected
         gap = 0 < jump <= LONGEST_GAP
@@ -228,8 +228,8 @@ class Timeline:
 
     def _stray(self, line: Line) -> Skipped:
         expected = self._expected
-        kind, problem = (BAD, "ahead") if line.time > expected else (REPEATED, "behind")
-        return Skipped(expected, kind, f"its time {line.time:.9g} s is {problem} of the expected {expected:.9g} s")
+        kind, problem = (BAD, "later") if line.time > expected else (REPEATED, "earlier")
+        return Skipped(expected, kind, f"its time {line.time:.9g} s is {problem} than the expected {expected:.9g} s")
 
     def _skip(self, problem: str) -> Skipped:
         self._unused += 1
