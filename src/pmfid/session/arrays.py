@@ -165,7 +165,7 @@ def search_terms(
     other: tuple[ArrayLike, ArrayLike] | None = None,
     **settings: object,
 ) -> TermSearch:
-    """Searches the terms that a drive has beyond those of a model, as `pmfid terms` does.
+    """Searches further terms of a drive beyond a model, as `pmfid terms` does.
 
     u, counts (n,), dt [s], cutoff [rad/s], encoder, settings: as for `identify`. turn: the period of gravity on a
     rotary axis; pitch: of a cogging force, one or several; friction_period: of friction that changes along the travel

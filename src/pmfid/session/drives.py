@@ -99,8 +99,8 @@ class Drives(Kind[Record]):
             found = fill_by_motion(method, known.u, known.counts, data.there)
             if found is not None:
                 u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
-                said = {describe_missing(data.u, data.there): describe_missing(u, data.there)}
-                notes = tuple(said.get(note, note) for note in data.notes)
+                renewed = {describe_missing(data.u, data.there): describe_missing(u, data.there)}
+                notes = tuple(renewed.get(note, note) for note in data.notes)
                 more = doubt(method, u, counts, data.there)
                 return replace(data, u=u, counts=counts, notes=notes, doubt=more)
         return data
@@ -204,12 +204,12 @@ def _check_known(result: DriveResult) -> None:
         raise NotIdentifiableError(f"this record does not fit the model: {advice}")
 
 
-def _check_error(estimator: Estimator, relative: float, said: Verdict) -> list[Finding]:
+def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> list[Finding]:
     """The note on an equation whose error exceeds the input. The steps of a coarse encoder in the acceleration cause
     that, even at the right parameters. Raises NotIdentifiableError if no simulated motion confirms the parameters."""
     if not relative > 1:
         return []
-    sentence, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", said.adequacy
+    sentence, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", judgement.adequacy
     if adequacy is not None and adequacy.left < FOLLOWED:
         return make_notes(
             "relative_error",
@@ -218,9 +218,10 @@ def _check_error(estimator: Estimator, relative: float, said: Verdict) -> list[F
                 f"{100 * adequacy.left:.2g} % of the measured one"
             ],
         )
-    if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(said.judged):
+    if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):
         advice = (
-            "; ".join(texts(said.judged)) or "check the columns and the scales of input and output, or lower the cutoff"
+            "; ".join(texts(judgement.judged))
+            or "check the columns and the scales of input and output, or lower the cutoff"
         )
         raise NotIdentifiableError(
             f"{sentence}, more than no motion at all would, and no simulated motion follows the measured one: this "
@@ -246,18 +247,19 @@ def _estimate(
         estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
         fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
     asked = all_known(estimator, record, fit.theta, fit.theta_std)
-    said = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
-    spread = np.r_[said.spread, np.full(fit.theta.size - said.spread.size, np.nan)]  # of parameters it is not linear in
+    judgement = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
+    further = fit.theta.size - judgement.spread.size  # parameters that are not linear in the equation
+    spread = np.r_[judgement.spread, np.full(further, np.nan)]
     unused = []
     if axis.estimator.window is not None and not isinstance(estimator, OE):
         unused.append(f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         unused.append(f"{estimator.method} is an off-line method: forgetting is not used")
     notes = make_notes("record", record.notes) + make_notes("method", fit.notes) + make_notes("unused", unused)
-    notes += _check_error(estimator, fit.relative_error, said)
-    findings = sort_findings((*status_findings(fit.status & ~_collect_status(record)), *said.findings, *notes))
+    notes += _check_error(estimator, fit.relative_error, judgement)
+    findings = sort_findings((*status_findings(fit.status & ~_collect_status(record)), *judgement.findings, *notes))
     found = fit.theta, fit.theta_std, findings
-    result = DriveResult(estimator, *found, record, fit.relative_error, said.matter, fit=fit, model_spread=spread)
+    result = DriveResult(estimator, *found, record, fit.relative_error, judgement.matter, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
 
 
@@ -357,12 +359,12 @@ def _recursive(
     if known is not None and known.find_gain:
         known, last_estimate = known.rescaled(last_estimate)
         method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
-    said = verdict(method, record.u, record.counts, theta, std, None, axis.estimator.tolerance)
-    notes = make_notes("record", record.notes) + _check_error(method, relative, said)
-    findings = sort_findings((*status_findings(held), *said.findings, *notes))
-    found = method, theta, std, findings, record, relative, said.matter
-    result = DriveResult(*found, track=reported, model_spread=said.spread)
-    return result if known is None else put_together(result, known, axis, known.of(last_estimate, said.spread))
+    judgement = verdict(method, record.u, record.counts, theta, std, None, axis.estimator.tolerance)
+    notes = make_notes("record", record.notes) + _check_error(method, relative, judgement)
+    findings = sort_findings((*status_findings(held), *judgement.findings, *notes))
+    found = method, theta, std, findings, record, relative, judgement.matter
+    result = DriveResult(*found, track=reported, model_spread=judgement.spread)
+    return result if known is None else put_together(result, known, axis, known.of(last_estimate, judgement.spread))
 
 
 def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:

@@ -75,7 +75,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
     its standard deviation."""
     config, estimator = axis.estimator, result.estimator
     unused = [name for name in (*config.given, *config.prior) if name not in known.names]
-    said = [f"{estimator.method} has no {name}: what is known of it is not used" for name in unused]
+    notes = [f"{estimator.method} has no {name}: prior information on it is not used" for name in unused]
     if known.find_gain:
         gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
         if not std < abs(gain):
@@ -93,7 +93,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         known=known,
     ).with_findings(
         *(Finding(CONTRADICTED, contradiction) for contradiction in estimate.notes),
-        *make_notes("known", [*said, _describe_known(known)]),
+        *make_notes("known", [*notes, _describe_known(known)]),
     )
 
 

@@ -92,8 +92,8 @@ class Stored:
         """Raises UsageError for the parameters of another equation: the names do not show a known dead time, the speed
         of a friction or the pitch of a force."""
         if self.equation is not None and self.equation != text:
-            said = printable(" ".join(self.equation.split()))[:LONGEST]
-            self._refuse(f"it was identified with {said}, and [model] says {text}; {SAME_AXIS}")
+            stored = printable(" ".join(self.equation.split()))[:LONGEST]
+            self._refuse(f"it was identified with {stored}, and [model] says {text}; {SAME_AXIS}")
 
     def _refuse(self, text: str) -> NoReturn:
         raise UsageError(f"{self.source}: {text}")

@@ -65,7 +65,7 @@ TWICE = "_duplicated_0"
 
 
 def lookup(table: Table, key: str, name: str) -> object:
-    """The column `name`, which [record] `key` asks for; raises UsageError listing what there is."""
+    """The column `name`, which [record] `key` asks for; raises UsageError that lists the columns."""
     if f"{name}{TWICE}" in table:
         raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
     if name in table:

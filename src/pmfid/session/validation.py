@@ -121,14 +121,16 @@ def _horizon(horizon: Horizon) -> dict[str, object]:
 
 
 def _remarks(run: FreeRun) -> list[str]:
-    said = []
+    remarks = []
     if run.encoder is not None and run.rmse <= WITHIN * run.encoder:
-        said.append(f"{run.name}: the free run explains every count, the error is that of the encoder")
+        remarks.append(f"{run.name}: the free run explains every count, the error is that of the encoder")
     if run.rmse >= min(run.mean, run.standstill):
         better = [f for f in run.horizons if f.rmse < 0.5 * f.standstill]
         over = f"; over {better[-1].seconds:g} s it does" if better else ""
-        said.append(f"{run.name}: the free run predicts no better than an axis that stands still or a constant{over}")
-    return said
+        remarks.append(
+            f"{run.name}: the free run predicts no better than an axis that stands still or a constant{over}"
+        )
+    return remarks
 
 
 def read_records(paths: Sequence[Path], axis: Axis) -> list[Records]:

@@ -1,4 +1,4 @@
-"""What is wrong with a log, said in plain sentences before anything is estimated, and with every estimate.
+"""Checks of a log: findings on mistakes in it, before an estimate and with every estimate.
 
 A check takes a `CheckedLog` and yields findings; each family has a file of its own. Checks in SOON cost next to nothing
 and run with every identification. Checks in LATER run in `pmfid check`, and if an estimate is in doubt.
@@ -34,17 +34,17 @@ LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 
 
 def scan_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
-    """What the columns show at a glance."""
+    """The findings of the fast checks."""
     return sort_findings(_run_families(CheckedLog(unbroken(record), axis), SOON))
 
 
 def check_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
-    """All that is found."""
+    """The findings of all checks."""
     return sort_findings(_run_families(CheckedLog(unbroken(record), axis), (*SOON, *LATER)))
 
 
 def _run_families(log: CheckedLog, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
-    """What the families find, up to the first that finds more than a note."""
+    """The findings of the families, up to the first family with more than a note."""
     for family in families:
         found = [finding for check in family for finding in check(log)]
         yield from found

@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 __all__ = ["period_of"]
 
-#: Rows between two changes, at the most; changes, at the least; the part of them that must be in step; the part of the
-#: rows in step at which there is a change, at the least.
+#: Most rows between two changes; fewest changes; least part of the changes in step; least part of the rows in step with
+#: a change.
 MOST, LEAST, IN_STEP, OFTEN = 50, 30, 0.98, 0.3
 
 
 def period_of(changes: NDArray[np.intp]) -> int:
-    """The largest k so that the changes (m,), numbers of rows, are all a multiple of k apart; 1 where there is none.
+    """The largest k such that the changes (m,), numbers of rows, are multiples of k apart; 1 if there is none.
 
-    By chance m changes are in step with probability k^(1 - m), and one column of many that is in step is still one with
-    few changes: those of steps that last long are left to the input's own steps.
+    By chance m changes are in step with probability k^(1 - m). A column with few changes may be in step by chance or by
+    design, so a column of long steps is left out.
     """
     if changes.size < LEAST:
         return 1

@@ -1,1 +1,1 @@
-"""Samples that a drive's record lacks: which they are, where they belong in time, and what stands in their place."""
+"""Missing samples of a drive's record: their places in time, and the values that replace them."""

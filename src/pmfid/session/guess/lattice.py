@@ -22,7 +22,7 @@ def is_whole(values: Floats) -> bool:
 
 
 def step_of(values: Floats) -> tuple[float, bool]:
-    """The smallest step of which all others are multiples, and whether there is one; values: (n,), finite.
+    """The smallest step that divides all others, and whether there is one; values: (n,), finite.
 
     Steps up to a billionth of the range are rounding, and a log may have rounded each value to a number of decimals.
     Without such a step, the range over FINE.
