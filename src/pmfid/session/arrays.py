@@ -171,7 +171,7 @@ def search_terms(
     rotary axis; pitch: of a cogging force, one or several; friction_period: of friction that changes along the travel
     [unit of y]; what is not given is not looked for, but a pitch, unless scan is False. other: u and counts of a second
     record, which the models are to predict in place of parts of the first.
-    Raises UsageError for arguments that do not fit each other and NotIdentifiableError where the record is too short,
+    Raises UsageError for arguments that do not fit each other, and NotIdentifiableError if the record is too short,
     or cannot identify the model to begin with.
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})

@@ -39,7 +39,7 @@ class DriveSpec(FileSection):
     mass: Positive = Field(description="the moving mass in kg, as near as it is known")
     viscous_friction: NotNegative = Field(description="the viscous friction in N s/m, as near as it is known")
     coulomb_friction: NotNegative = Field(description="the Coulomb friction in N, as near as it is known")
-    offset: float | None = Field(None, description="the constant load in N, or leave it out where there is none")
+    offset: float | None = Field(None, description="the constant load in N, or leave it out if there is none")
 
 
 class EncoderSpec(FileSection):
@@ -78,9 +78,9 @@ class MotionSpec(FileSection):
     intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
     start: float = Field(0.0, description="the position in m at the start")
     start_velocity: float = Field(0.0, description="the velocity in m/s at the start")
-    end: float | None = Field(None, description="the position in m at the end, or leave it out where it is free")
+    end: float | None = Field(None, description="the position in m at the end, or leave it out if it is free")
     end_velocity: float | None = Field(
-        None, description="the velocity in m/s at the end, 0.0 for rest, or leave it out where it is free"
+        None, description="the velocity in m/s at the end, 0.0 for rest, or leave it out if it is free"
     )
     end_tolerance: Pair = Field((0.0, 0.0), description="[position, velocity] by which the end may be missed")
     directions: Annotated[tuple[int, ...], Field(strict=False)] = Field(
@@ -102,7 +102,8 @@ class LimitsSpec(FileSection):
     energy: Positive | None = Field(None, description="the largest integral of the squared input over time")
     rms: Positive | None = Field(None, description="the largest root of the mean square of the input")
     min_speed: NotNegative = Field(
-        0.0, description="the least speed in m/s while the axis moves; at 0.0 it may park where the model is wrong"
+        0.0,
+        description="the least speed in m/s while the axis moves; at 0.0 it may park where the model is wrong",
     )
 
     @model_validator(mode="after")

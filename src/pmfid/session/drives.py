@@ -160,7 +160,7 @@ def match_kind(record: Record, axis: Axis) -> Axis:
         return axis
     if axis.estimator.given or axis.estimator.prior or axis.monitor.nominal:
         raise UsageError(
-            'the file has an angle for output: write [model] axis = "rotary", and inertia where a mass is known'
+            'the file has an angle for output: write [model] axis = "rotary", and inertia in place of a known mass'
         )
     return axis.model_copy(update={"model": axis.model.model_copy(update={"axis": "rotary"})})
 

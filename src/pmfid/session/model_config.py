@@ -120,11 +120,11 @@ class ModelConfig(FileSection):
     unstable: bool = Field(
         False, description="true if a controller holds a transfer function with poles in the right half-plane"
     )
-    axis: AxisKind = Field("linear", description='"linear" or "rotary", or leave it out where units tell it')
+    axis: AxisKind = Field("linear", description='"linear" or "rotary", or leave it out if units determine it')
     input_gain: Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain), WrapValidator(_gain)] | None = (
         Field(
             None,
-            description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative where they '
+            description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative if they '
             'point apart, or "estimate" to '
             "find it",
         )

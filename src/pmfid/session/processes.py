@@ -1,4 +1,4 @@
-"""Transfer functions: from records as they come to a result, and the search for a structure."""
+"""Transfer functions: from records to a result, and the search for a structure."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
 
 
 def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
-    """The only record, evenly spaced and complete."""
+    """The single record. Raises UsageError unless it is evenly spaced and complete."""
     first = experiments[0]
     stretches = first.stretches()
     whole = len(stretches) == 1 and stretches[0].grid.uniform and stretches[0].rows.size == first.u.size
@@ -165,7 +165,7 @@ def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[
 
 
 def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandidate) -> str:
-    """Why there is no estimate of a structure, or none to recommend; "" where there is one."""
+    """The reason against a structure: no estimate, or none to recommend; "" without a reason."""
     places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
     model = axis.model.model_copy(update={"kind": "transfer_function", **places})
     try:

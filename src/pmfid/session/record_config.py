@@ -54,7 +54,7 @@ class RecordConfig(FileSection):
         "position", description="what the output column holds"
     )
     input_unit: InputUnit | None = Field(
-        None, description='the unit of the input, for example "mA", or leave it out where the column\'s name is right'
+        None, description='the unit of the input, for example "mA", or leave it out if the column\'s name is right'
     )
     output_unit: OutputUnit | None = Field(
         None, description='the unit of the output, for example "mm" or "deg", or leave it out, as the input\'s'
@@ -67,7 +67,7 @@ class RecordConfig(FileSection):
     )
     time: Name | None = Field(None, description="the name of the time column")
     time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        None, description="the unit of the time column, or leave it out where the column's name or s is right"
+        None, description="the unit of the time column, or leave it out if the column's name or s is right"
     )
     reference: Name | None = Field(
         None, description="the name of the column that holds the reference of a controller, of a transfer function"

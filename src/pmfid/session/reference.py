@@ -40,7 +40,7 @@ _KEY = "key of AXIS.toml"
 @dataclass(frozen=True)
 class ReferenceEntry:
     """A key of a file, or a word of a status. name: with its section; what: one of these; kind, unit, default: of a
-    key, "" where it has none; models: the kinds of model that it is for, "" for all; meaning: a sentence."""
+    key, "" without one; models: the kinds of model that use it, "" for all; meaning: a sentence."""
 
     name: str
     what: str
@@ -56,12 +56,12 @@ class ReferenceEntry:
 
     @property
     def called(self) -> tuple[str, str, str]:
-        """With its section, without, and the section itself."""
+        """The name with its section, the name alone, and the section."""
         return self.name, self.name.rpartition(".")[2], self.section
 
     @property
     def text(self) -> str:
-        """For people, several lines."""
+        """The entry for people, in several lines."""
         if not self.kind:
             return f"{self.name}: {self.what}\n  {self.meaning}"
         rows = {"type": self.kind, "unit": self.unit, "default": self.default, "only with": self.models}
@@ -74,7 +74,7 @@ class ReferenceEntry:
 
 
 def entries() -> tuple[ReferenceEntry, ...]:
-    """Of all keys in the order of the file, then of all words of a status."""
+    """The entries of all keys in the order of the file, then of all words of a status."""
     sections = ((name, field) for name, field in Axis.model_fields.items())
     keys = [key for name, field in sections for key in keys_in(name, field.annotation)]
     bits = {str(bit.name).lower(): ADVICE[bit] for bit in Status}
@@ -83,7 +83,7 @@ def entries() -> tuple[ReferenceEntry, ...]:
 
 
 def keys_in(section: str, annotation: object, what: str = _KEY) -> Iterator[ReferenceEntry]:
-    """Of a section of this type, and of the tables inside it; what: that they are."""
+    """The entries of a section of this type, and of the tables inside it; what: their kind."""
     for model in _models_in(annotation):
         for name, own in model.model_fields.items():
             described = own.description or ""
@@ -106,7 +106,7 @@ def _models_in(annotation: object) -> list[type[BaseModel]]:
 
 
 def _kind(annotation: object, metadata: Sequence[object] = ()) -> str:
-    """The type in words, with what limits it."""
+    """The type in words, with its limits."""
     bare = [mark for mark in metadata if not isinstance(mark, WrapValidator)]
     if len(bare) < len(metadata):
         return f"{_kind(annotation, bare)} or text with a unit"
@@ -224,7 +224,7 @@ What `status` says of an estimate, in the terminal, in JSON, in reports and in P
 
 
 def _describe_section(section: str) -> str:
-    """What a whole section is, where it has a description of its own."""
+    """The description of a whole section, "" without one."""
     field = Axis.model_fields.get(section)
     return f"{_sentence(field.description)}\n\n" if field is not None and field.description else ""
 

@@ -44,8 +44,7 @@ def notes_of(table: Table) -> tuple[str, ...]:
 
 
 def whole_name(table: Table, name: str) -> str:
-    """The name of the column that is called so, there maybe with a unit in brackets, "t [ms]" for "t", or at the end of
-    a path that no other has, "/run.t"."""
+    """The full name of a column: the file may add a unit in brackets, "t [ms]" for "t", or a unique path, "/run.t"."""
     if name in table:
         return name
     plain = {full: _UNIT.sub("", full) for full in table}
@@ -87,7 +86,7 @@ def _check_cells(label: str, series: pl.Series) -> None:
 
 
 def column(table: Table, key: str, name: str) -> Floats:
-    """The column `name` as (n,) numbers, NaN where a cell is empty; raises UsageError where it is not numeric."""
+    """The column `name` as (n,) numbers, NaN for empty cells; raises UsageError if it is not numeric."""
     value = lookup(table, key, name)
     label = f"{key} column {name!r}"
     if isinstance(value, np.ndarray):
@@ -96,7 +95,8 @@ def column(table: Table, key: str, name: str) -> Floats:
 
 
 def times(table: Table, name: str) -> tuple[Floats, bool]:
-    """The time column `name` as (n,) numbers, and whether they are s since its first row, as of dates and times of day.
+    """The time column `name` as (n,) numbers, and whether it had dates or times of day, which give s since its first
+    row.
 
     Whole numbers count from the first row, too, in their own unit: an epoch in ns has more digits than a float.
     Raises UsageError as `column`.
@@ -125,7 +125,7 @@ def _read_clock(label: str, series: pl.Series) -> tuple[Floats, bool]:
 
 
 def _past_midnight(seconds: Floats) -> Floats:
-    """Times of day (n,) that go on where the day ends."""
+    """Times of day (n,) that continue after midnight."""
     back = np.nan_to_num(np.diff(seconds, prepend=seconds[:1])) < -DAY / 2
     return seconds + DAY * np.cumsum(back)
 
@@ -137,7 +137,7 @@ def _has_number(series: pl.Series) -> bool:
 
 
 def _parse_times(series: pl.Series) -> pl.Series:
-    """Dates with times, or times of day, as ISO 8601 writes them; the text itself where it is neither."""
+    """Dates with times, or times of day, in ISO 8601; any other text unchanged."""
     import polars as pl
 
     plain = series.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)

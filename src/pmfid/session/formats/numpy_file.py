@@ -37,5 +37,5 @@ def _array(data: bytes) -> NDArray[np.generic]:
     body = data[stream.tell() :]
     size = int(np.prod(shape, dtype=object)) * dtype.itemsize
     if size != len(body):
-        raise ValueError(f"{len(body)} bytes of values where the shape {shape} has {size}")
+        raise ValueError(f"{len(body)} bytes of values, but the shape {shape} has {size}")
     return np.frombuffer(body, dtype).reshape(shape, order="F" if by_columns else "C")
