@@ -139,7 +139,7 @@ def test_a_record_without_two_columns_is_refused(tmp_path: Path) -> None:
 
 def test_a_record_without_time_says_what_to_fill_in(tmp_path: Path) -> None:
     pl.DataFrame({"u": run().motion.u, "counts": run().counts}).write_csv(tmp_path / "log.csv")
-    assert "dt = 0.001  # TO DO: no column tells the time" in guess(tmp_path / "log.csv").text
+    assert "dt = 0.001  # TO DO: no column has the time" in guess(tmp_path / "log.csv").text
 
 
 @pytest.mark.parametrize("step", [22.75e-6, 0.36, 1.0, 2 * np.pi / 4096])
