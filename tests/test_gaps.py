@@ -136,7 +136,7 @@ def test_three_records_are_one_estimate() -> None:
 def test_several_records_where_the_place_matters_are_refused() -> None:
     runs = [run(100, seed) for seed in range(2)]
     spring = {**SETTINGS, "model": Drive(STAGE.input_gain, spring=True)}
-    with pytest.raises(UsageError, match="nobody knows where each begins"):
+    with pytest.raises(UsageError, match="the start of each is not known"):
         identify(runs, **spring)
 
 
