@@ -12,7 +12,7 @@ from pmfid.design import Limits, Problem, appraise, evaluate
 from pmfid.monitor.calibration import calibrate
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.shown import Shown
+from pmfid.presentation import Presentable
 from pmfid.simulation import CART, CART_DT
 from tests.conftest import cart_run, unjudged
 
@@ -58,7 +58,7 @@ def _monitor() -> Monitor:
 
 
 @cache
-def gallery() -> dict[str, Shown | pmfid.Estimate]:
+def gallery() -> dict[str, Presentable | pmfid.Estimate]:
     """By what it is."""
     bcrls = pmfid.BCRLS(DRIVE, RUN.encoder, CART_DT, CUTOFF, forgetting=0.995)
     fit = pmfid.LS(DRIVE, RUN.encoder, CART_DT, CUTOFF).fit(RUN.u, RUN.counts)

@@ -22,7 +22,7 @@ REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
 KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
-GROUND = {"errors", "types", "findings", "status", "shown", "durable"} | KERNELS
+GROUND = {"errors", "types", "findings", "status", "presentation", "durable"} | KERNELS
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "transfer"}
 JUDGE = ESTIMATORS | {"estimators"}
@@ -34,8 +34,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "findings": set(),
     "status": {"kernel", "findings"},
     "lazy_imports": set(),
-    "shown": {"errors", "lazy_imports"},
-    "_estimate": {"errors", "shown", "status"},
+    "presentation": {"errors", "lazy_imports"},
+    "_estimate": {"errors", "presentation", "status"},
     "_stage": set(),
     "durable": {"errors"},
     "_detect": set(),
@@ -47,13 +47,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
-    "transfer": {"errors", "types", "shown", "_stage"},
+    "transfer": {"errors", "types", "presentation", "_stage"},
     "estimators": ESTIMATORS,
     "judge": JUDGE,
     "monitor": JUDGE | {"lazy_imports"},
     "testing": JUDGE,
     "simulation": {"errors", "types"},
-    "design": {"errors", "types", "shown", "lazy_imports", "models", "simulation"},
+    "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
     "export": JUDGE | {"pmfid"},
     "session": SESSION,
     "stream": SESSION | {"session"},

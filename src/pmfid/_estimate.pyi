@@ -3,7 +3,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from polars import DataFrame
 
-from pmfid.shown import Summary
+from pmfid.presentation import Summary
 
 class Estimate:
     @property

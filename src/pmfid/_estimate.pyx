@@ -5,7 +5,7 @@ cimport numpy as cnp
 import numpy as np
 
 from pmfid.errors import place_of
-from pmfid.shown import Parameters, figure_of, frame_of, plain, remarks_of
+from pmfid.presentation import Parameters, figure_of, frame_of, plain, remarks_of
 from pmfid.status import status_names
 
 cnp.import_array()
@@ -81,7 +81,7 @@ cdef class Estimate:
         names = self._names or tuple(f"parameter {i + 1}" for i in range(self._n))  # of a kernel that has none
         return Parameters(names, self.units, self.theta, self.theta_std)
 
-    # a cdef class has no base in Python: what `Shown` does for every other result is called here
+    # a cdef class has no base in Python: what `Presentable` does for every other result is called here
     def summary(self):
         """What a person sees of it."""
         return self._parameters().summary("the estimate of a sample", remarks_of(self.status_names))

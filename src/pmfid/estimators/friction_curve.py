@@ -26,7 +26,7 @@ from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.results import Columns
 from pmfid.estimators.scatter import scatter
 from pmfid.models.axes import LINEAR, Units
-from pmfid.shown import Shown, Summary, plain_dict, remarks_of
+from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Counts, Floats
 
 #: Nodes of each direction in addition to the one at rest.
@@ -42,7 +42,7 @@ LESS = 0.01
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrictionCurve(Shown):
+class FrictionCurve(Presentable):
     """velocity (k,) [m/s]: the nodes, rising, those backward first; force, std (k,) [N]; mass, mass_std [kg]; weight:
     of the bend, that was chosen; error (n,) [N] that is left of the n samples in use, the last of the record; notes:
     for people; motion: the units, of a rotary axis rad/s, N m and kg m2."""

@@ -23,7 +23,7 @@ from pmfid.estimators.results import Fit
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.track import Track, join_tracks
 from pmfid.models.drive import Drive
-from pmfid.shown import Parameters, Shown, Summary, remarks_of
+from pmfid.presentation import Parameters, Presentable, Summary, remarks_of
 from pmfid.status import status_names
 from pmfid.types import Floats
 
@@ -37,7 +37,7 @@ PIECE = 200
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Posterior(Shown):
+class Posterior(Presentable):
     """An estimate combined with prior information. names, units: of the q parameters, the gain of the input last if it
     was unknown; theta: (q,); theta_cov: (q, q); model_spread: (q,) or None; notes: contradictions."""
 
@@ -254,7 +254,7 @@ def choose_naming(estimator: Estimator, known: Known | None) -> Estimator | Know
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Seen(Shown):
+class Seen(Presentable):
     """The estimate of a step combined with prior information at the first use. Before the first estimate theta is 0 and
     the error bars are infinite."""
 

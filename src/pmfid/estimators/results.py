@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import place_of
-from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
+from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import status_names
 
 
 @dataclass(frozen=True, repr=False)
-class Fit(Shown):
+class Fit(Presentable):
     """Result of an off-line estimate with p parameters from n used samples.
 
     theta: (p,); theta_cov: (p, p), for coloured residuals (Newey and West 1987); names, units; samples: n;

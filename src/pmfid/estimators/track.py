@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from pmfid._stage import bars
 from pmfid.errors import place_of
-from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
+from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import Status, status_names
 
 
 @dataclass(frozen=True, repr=False)
-class Track(Shown):
+class Track(Presentable):
     """Estimates over a record of n samples with p parameters.
 
     theta: (n, p); innovation: (n,) a priori error in the unit of the target; innovation_variance: (n,);

@@ -23,7 +23,7 @@ from pmfid.monitor.lost import guess, longest
 from pmfid.monitor.rows import FleetRows
 from pmfid.monitor.saved import AxisStates, check_states, read, write_states
 from pmfid.monitor.scores import ScoreFilter, reference_kernel
-from pmfid.shown import Parameters, Shown, Summary, plain, remarks_of
+from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import Status
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ ANY_OUTLIER = sum(OUTLIERS)
 
 
 @dataclass(repr=False)
-class Monitor(WatchedAxis, Shown):
+class Monitor(WatchedAxis, Presentable):
     """Watches one axis.
 
     estimator: recursive, at its start; calibration: of its configuration and the reference parameters. `step` takes one

@@ -17,16 +17,16 @@ from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.judge.assess import Assessment
 from pmfid.judge.matter import NORMAL_95, Matter, weigh_findings
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.presentation import Parameters, Presentable, Summary, plain_dict
 from pmfid.session.parameters import parameter_header, parameter_rows
 from pmfid.session.records import Record
-from pmfid.shown import Parameters, Shown, Summary, plain_dict
 from pmfid.transfer.experiment import Experiment
 from pmfid.transfer.process import Process
 from pmfid.types import Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(Shown):
+class Result(Presentable):
     """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: on the parameters
     and the record, most important first. `result["mass"]` is one parameter.
 

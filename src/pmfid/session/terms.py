@@ -22,6 +22,7 @@ from pmfid.judge.term_fits import Bench, cutoff_for, shortest_part
 from pmfid.judge.term_trials import known_shapes
 from pmfid.judge.terms import Step, Terms, search
 from pmfid.models.drive import Drive
+from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.session.config import Axis, check_sampling
 from pmfid.session.drives import Drives, all_known, match_kind
 from pmfid.session.gaps.longest import unbroken
@@ -33,7 +34,6 @@ from pmfid.session.outliers import repair_as_configured
 from pmfid.session.records import Record
 from pmfid.session.result import DriveResult
 from pmfid.session.weighed import WeighedTerm, weighed_terms
-from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 
 #: What the flags of `pmfid identify` do not say.
 AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
@@ -54,7 +54,7 @@ class Hidden:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TermSearch(Shown):
+class TermSearch(Presentable):
     """What a search has found. name, samples, resolution [unit of y]: of the record; models: from that to begin with to
     the chosen one; weighed: every term that was fitted, with its size; hidden: terms that are not in it; status, notes:
     as of a result."""

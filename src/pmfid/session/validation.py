@@ -11,12 +11,12 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.judge.free_run import FreeRun, Horizon
+from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.session.config import Axis
 from pmfid.session.identify import check, kind_of
 from pmfid.session.kinds import Records, parameters_of
 from pmfid.session.known import set_stored_gain
 from pmfid.session.stored import Stored
-from pmfid.shown import Shown, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
 __all__ = ["Validation", "read_records", "validate_parameters", "validate_stored"]
@@ -26,7 +26,7 @@ WITHIN = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Validation(Shown):
+class Validation(Presentable):
     """Free runs over one record or more. kind, method: of the model and of its estimate; names, units, theta: (p,) of
     its parameters; unit: of the output, empty without one; findings: doubts in the model by each record, as from
     `identify`."""

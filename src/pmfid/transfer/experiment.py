@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.shown import Shown, Summary, plain
+from pmfid.presentation import Presentable, Summary, plain
 from pmfid.transfer.propagate import Grid
 from pmfid.types import Floats
 
@@ -28,7 +28,7 @@ SAMPLES_PER_COEFFICIENT = 10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Experiment(Shown):
+class Experiment(Presentable):
     """One record of a process.
 
     u, y: (N,) input and output at the same instants; y is NaN where a sample is missing, u where it is not known, which

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
-from pmfid.shown import Shown, Summary, plain_dict
+from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.transfer.experiment import RecordStretch
 from pmfid.transfer.propagate import Grid
 from pmfid.transfer.sensitivity import Structure, channels
@@ -28,7 +28,7 @@ GAINS = (("gain", ""), ("velocity gain", "1/s"), ("acceleration gain", "1/s^2"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Process(Shown):
+class Process(Presentable):
     """G(s) = exp(-delay s) (b_0 + ... + b_m s^m) / (a_0 + ... + a_{n-1} s^{n-1} + s^n).
 
     a: (n,), b: (m+1,), both from the constant upwards; cov: (n+m+1, n+m+1) covariance of a and b, with one row and

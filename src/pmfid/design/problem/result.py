@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 
 from pmfid.design.problem.problem import Problem
-from pmfid.shown import Shown, Summary, plain_dict
+from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
 
 __all__ = ["Design"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Design(Shown):
+class Design(Presentable):
     """An input, its nominal motion, and what it tells.
 
     t: (n+1,) nodes [s]; u: (n,) input, held from t[k] to t[k+1]; x, v: (n+1,) nominal position [m] and velocity [m/s].

@@ -19,7 +19,7 @@ from pmfid.design.search.standard import StandardInput, standard_inputs
 from pmfid.design.trial.choice import USUAL, best_input, stds
 from pmfid.design.trial.encoder_error import expected_covariance, is_counted
 from pmfid.design.trial.simulated import simulated_information
-from pmfid.shown import Shown, Summary, plain_dict
+from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
 
 __all__ = ["Appraisal", "Worth", "accumulate_value", "appraise", "worth_of"]
@@ -51,7 +51,7 @@ class Worth:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Appraisal(Shown):
+class Appraisal(Presentable):
     """A design compared with the standard inputs; worths: by name, "design" for the design itself.
 
     price: part of the nominal information that robustness costs, None if the design is not robust.

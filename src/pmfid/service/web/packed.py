@@ -9,9 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.presentation import plain
 from pmfid.service.board import Overview
 from pmfid.service.board.panel import Records
-from pmfid.shown import plain
 
 __all__ = ["json_line", "packed", "packed_overview", "packed_rows"]
 

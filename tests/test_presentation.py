@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 import pmfid
 from pmfid.findings import Finding
+from pmfid.presentation import Presentable, Summary
 from pmfid.report.html import svg
-from pmfid.shown import Shown, Summary
 from tests.gallery import gallery
 from tests.test_architecture import modules_after
 
@@ -56,7 +56,7 @@ class Text(HTMLParser):
 def test_the_gallery_has_all_of_them() -> None:
     assert tuple(gallery()) == KINDS
     public = {getattr(pmfid, name) for name in pmfid.__all__}
-    shown = {cls for cls in public if inspect.isclass(cls) and issubclass(cls, Shown)}
+    shown = {cls for cls in public if inspect.isclass(cls) and issubclass(cls, Presentable)}
     there = tuple(type(one) for one in gallery().values())
     assert {cls.__name__ for cls in shown if not any(issubclass(kind, cls) for kind in there)} == {"TermSearch"}
 
@@ -189,6 +189,6 @@ def test_a_figure_has_the_style_of_the_report_whatever_the_user_has_set() -> Non
 
 
 def test_results_load_no_library_of_figures_or_tables_until_asked() -> None:
-    loaded = {name.partition(".")[0] for name in modules_after("import pmfid._estimate, pmfid.shown")}
+    loaded = {name.partition(".")[0] for name in modules_after("import pmfid._estimate, pmfid.presentation")}
     assert "numpy" in loaded
     assert {"matplotlib", "polars"} & loaded == set()

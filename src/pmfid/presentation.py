@@ -68,7 +68,7 @@ def _safe(text: str) -> str:
     return html.escape(printable(text))
 
 
-class Shown(ABC):
+class Presentable(ABC):
     """A result for people and programs: `repr`, `_repr_html_` in notebooks, `plot`, `to_dict`, `to_frame`."""
 
     @abstractmethod
