@@ -23,7 +23,7 @@ from pathlib import Path
 
 from pmfid.service import arrangement
 from pmfid.service.plant import Plant, ServiceSection
-from pmfid.service.sources.mqtt import MqttSection
+from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.wire.sender import Sender
 from pmfid.session.monitored import setup
 from pmfid.simulation import CART, CART_DT, Schedule
@@ -63,7 +63,7 @@ def work_of(seed: int, seconds: float) -> Work:
 
 def plant_of(folder: Path, axis: Path, broker: Broker) -> Plant:
     service = ServiceSection(state="state", checkpoint=0.2, window=3 * BLOCK * CART_DT, every=0.0)
-    source = MqttSection(kind="mqtt", port=broker.port, topics=("hall/blocks",))
+    source = MqttSourceSection(kind="mqtt", port=broker.port, topics=("hall/blocks",))
     return Plant(folder, service, dict.fromkeys(AXES, axis), {"hall": source}, page={"enabled": False})
 
 

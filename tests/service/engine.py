@@ -9,7 +9,7 @@ from threading import Thread
 from typing import Any
 
 from pmfid.service.sources import Source
-from pmfid.stream.delivery import Block, Delivery, Lines, Unusable, one_by_one
+from pmfid.stream.delivery import Block, Delivery, Lines, Unusable, split_tables
 
 
 @dataclass
@@ -29,7 +29,7 @@ class FakeEngine:
             time.sleep(self.slow)
         if not self.ends:
             self.deliveries.append(delivery)
-            for item in one_by_one(delivery.items):
+            for item in split_tables(delivery.items):
                 if isinstance(item, Block):
                     self.reached[item.axis] = max(item.end, self.reached.get(item.axis, 0))
         return not self.ends
@@ -43,7 +43,7 @@ class FakeEngine:
 
     @property
     def items(self) -> list[Block | Lines | Unusable]:
-        return [item for delivery in list(self.deliveries) for item in one_by_one(delivery.items)]
+        return [item for delivery in list(self.deliveries) for item in split_tables(delivery.items)]
 
     @property
     def blocks(self) -> list[Block]:

@@ -86,7 +86,7 @@ class FakePlant:
                 self._rows(group, n, end - (steps - 1 - step) * self.every)
 
     def _rows(self, group: Kindred, n: int, received: float) -> None:
-        followed = self.board.followed()
+        followed = self.board.list_followed()
         axes = [i for i, name in enumerate(group.axes) if self.odd.get(name) != "silent" or self.samples < 5000]
         every = np.array([i for i in axes if group.axes[i] in followed], np.int64)
         rest = np.array([i for i in axes if group.axes[i] not in followed], np.int64)
@@ -144,7 +144,7 @@ class FakePlant:
         self.tell(axis, event="reference", time=self.samples * DT, nominal=normal)
         return True
 
-    def begin_anew(self, axis: str) -> bool:
+    def restart_numbers(self, axis: str) -> bool:
         self.tell(axis, event="anew", dropped=0)
         return True
 

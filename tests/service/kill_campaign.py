@@ -29,7 +29,7 @@ import numpy as np
 
 from pmfid.service import arrangement
 from pmfid.service.context import Context, SourceSection
-from pmfid.service.log import Log
+from pmfid.service.log import NoticeLog
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
 from pmfid.service.sources import Source, Take
@@ -198,7 +198,7 @@ def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:
     code = 1
     try:
         crash.arm(setting)
-        _Service(lambda: plant, Log(log), until_end=True).run()
+        _Service(lambda: plant, NoticeLog(log), until_end=True).run()
         code = 0
     finally:
         os._exit(code)

@@ -10,7 +10,7 @@ from random import Random
 import numpy as np
 
 from pmfid.stream.delivery import Block
-from pmfid.stream.order import ANEW
+from pmfid.stream.order import UNKNOWN_GAP
 from pmfid.types import Counts, Floats
 
 DT = 0.01
@@ -61,9 +61,9 @@ def made(u: Floats, counts: Counts, random: Random, window: int, loss: float = 0
             lead, apart, fresh = 0, False, False
         place, first, time = place + n, first + n, time + n * DT
         if not fresh and lead == 0 and random.random() < restart:
-            missing = random.choice([ANEW, random.randint(20, 300)])
+            missing = random.choice([UNKNOWN_GAP, random.randint(20, 300)])
             epoch, first, fresh, apart, lead = epoch + random.randint(1, 3), random.randrange(9), True, True, missing
-            time = random.choice([-50.0, time + 4000.0]) if missing == ANEW else time + missing * DT
+            time = random.choice([-50.0, time + 4000.0]) if missing == UNKNOWN_GAP else time + missing * DT
     return Sending(tuple(sent), tuple(_shuffled(sent, window, random)), tuple(expected), window)
 
 

@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
-from pmfid.stream.alike import alike
+from pmfid.stream.alike import read_alike_blocks
 from pmfid.stream.blocks import decode, encode
 from pmfid.stream.delivery import Block, Unusable
 from pmfid.stream.layout import CRC, HEADER, block_type
@@ -39,7 +39,7 @@ def said(found: list[Block | Unusable]) -> list[tuple[object, ...]]:
 @pytest.mark.parametrize("name", ["axis-{:02d}", "ä{}-long-name-of-an-axis-0123456789"])
 def test_many_blocks_say_what_each_says(wide: bool, name: str) -> None:
     parts = [encode(block(k % 9 + 1, wide, name)) for k in range(30)]
-    found = alike(b"".join(parts))
+    found = read_alike_blocks(b"".join(parts))
     assert found is not None
     assert said([*found.blocks()]) == said([one for part in parts for one in decode(part)])
     assert found.u.dtype == np.float64
@@ -69,7 +69,7 @@ def test_what_is_wrong_with_one_is_told_of_that_one(place: int, value: bytes) ->
     parts = [encode(block(k + 1)) for k in range(8)]
     parts[5] = sealed(parts[5], place, value)
     data = b"".join(parts)
-    assert alike(data) is None
+    assert read_alike_blocks(data) is None
     found = decode(data)
     assert [one.axis for one in found if isinstance(one, Block)][:5] == [f"axis-{k:02d}" for k in range(1, 6)]
     assert sum(isinstance(one, Unusable) for one in found) >= 1
@@ -88,13 +88,13 @@ def test_a_shorter_name_is_a_block_of_another_form() -> None:
     parts = [encode(block(k + 1)) for k in range(8)]
     parts[5] = sealed(parts[5], 12, b"\x05")
     data = b"".join(parts)
-    assert alike(data) is None
+    assert read_alike_blocks(data) is None
     assert [one.axis for one in decode(data) if isinstance(one, Block)][5] == "axis-"
 
 
 def test_blocks_of_other_sizes_are_read_one_by_one() -> None:
     data = b"".join(encode(block(k + 1, wide=k % 2 == 0)) for k in range(8))
-    assert alike(data) is None
+    assert read_alike_blocks(data) is None
     assert sum(isinstance(one, Block) for one in decode(data)) == 8
 
 

@@ -175,7 +175,7 @@ def test_who_follows_gets_every_row_of_one_axis_bit_by_bit() -> None:
     group = kindred("a", "b")
     board = board_of(group)
     subscription = board.follow("b")
-    assert board.followed() == {"b"}
+    assert board.list_followed() == {"b"}
     rows = rows_of(group, [0, 1, 1, 1], [1, 1, 2, 3])
     board.rows(rows)
     board.rows(rows_of(group, [0], [2]))
@@ -187,7 +187,7 @@ def test_who_follows_gets_every_row_of_one_axis_bit_by_bit() -> None:
     assert subscription.take() == (None, 0)
     subscription.close()
     subscription.close()
-    assert board.followed() == frozenset()
+    assert board.list_followed() == frozenset()
 
 
 def test_who_follows_and_never_takes_costs_bounded_memory_and_is_counted() -> None:
@@ -205,7 +205,7 @@ def test_who_follows_and_never_takes_costs_bounded_memory_and_is_counted() -> No
     assert counters.values()["pmfid_page_rows_dropped_total", ()] == 30_000
     assert quick.take() == (None, 0)
     slow.close()
-    assert board.followed() == {"a"}, "the other still looks"
+    assert board.list_followed() == {"a"}, "the other still looks"
 
 
 def test_new_groups_keep_what_is_known_of_axes_that_stay() -> None:
@@ -241,12 +241,12 @@ def test_set_as_reference_makes_what_is_normal_for_one_axis() -> None:
     assert board.layout == layout
     board.notice(Notice("a", 2, 0.0, {"event": "reference", "nominal": {"mass": 2.5, "friction": 5.0}}))
     assert board.layout > layout, "pages read the plant again"
-    assert board.referred() == [{0: [2.5, 5.0]}]
+    assert board.list_referred() == [{0: [2.5, 5.0]}]
     assert board.news().groups[0].deviation.tolist() == pytest.approx([0.0, 0.25])
     board.arrange([kindred("b", "a")])
-    assert board.referred() == [{1: [2.5, 5.0]}]
+    assert board.list_referred() == [{1: [2.5, 5.0]}]
     board.arrange([kindred("b", "a")], {"b": (3.0, 6.0)})
-    assert board.referred() == [{0: [3.0, 6.0]}], "what the engine says of all of them"
+    assert board.list_referred() == [{0: [3.0, 6.0]}], "what the engine says of all of them"
 
 
 def test_an_engine_and_readers_in_other_threads_do_not_disturb_each_other() -> None:
@@ -272,4 +272,4 @@ def test_an_engine_and_readers_in_other_threads_do_not_disturb_each_other() -> N
     while any(reader.is_alive() for reader in readers):
         plant.run(1.0)
     assert problems == []
-    assert board.followed() == frozenset()
+    assert board.list_followed() == frozenset()

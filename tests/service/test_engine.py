@@ -9,7 +9,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from pmfid.service.arrangement import arranged
+from pmfid.service.arrangement import arrange_groups
 from pmfid.session.monitored.timeline import Line, Sample
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import read_snapshot, snapshot
@@ -17,7 +17,7 @@ from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Unusable
 from pmfid.stream.engine import Engine
 from pmfid.stream.groups import Pace, Prepared
-from pmfid.stream.order import ANEW
+from pmfid.stream.order import UNKNOWN_GAP
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Collected, monitored
 from tests.service.orders import Sending, made
@@ -38,7 +38,7 @@ def motions() -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def engine_of(prepared: Prepared, outlet: Collected, pace: Pace = PACE, axes: Sequence[str] = AXES) -> Engine:
     engine = Engine(Counters(), [outlet])
-    engine.arranged(arranged([], dict.fromkeys(axes, prepared), pace)[0])
+    engine.set_groups(arrange_groups([], dict.fromkeys(axes, prepared), pace)[0])
     return engine
 
 
@@ -86,15 +86,15 @@ class Restarted:
         assert found.marks == {"source": {"place": self.saved[0]}}
         engine = Engine(Counters(), [self.outlet])
         found.restore(engine)
-        groups = [one.restored(self.prepared, PACE) for one in found.groups]
-        engine.arranged(arranged(groups, dict.fromkeys(AXES, self.prepared), PACE)[0])
+        groups = [one.restore_group(self.prepared, PACE) for one in found.groups]
+        engine.set_groups(arrange_groups(groups, dict.fromkeys(AXES, self.prepared), PACE)[0])
         return engine
 
 
 def expected(sending: Sending) -> list[Sample]:
     """The sorted, de-duplicated data as `pmfid monitor` has them."""
     return [
-        Sample(time, u, counts, max(0, lead), 1.0 if lead == ANEW else 0.0)
+        Sample(time, u, counts, max(0, lead), 1.0 if lead == UNKNOWN_GAP else 0.0)
         for lead, _, u, counts, time in sending.expected
     ]
 

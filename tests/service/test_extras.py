@@ -10,7 +10,7 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import BrokerSection
-from pmfid.service.sources.mqtt import MqttSection, MqttSource
+from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 from pmfid.service.sources.serial import SerialSection, SerialSource
 from pmfid.service.wire.sender import Sender
 
@@ -28,7 +28,7 @@ def test_sections_and_sources_are_imported_without_their_libraries() -> None:
 
 def made(library: str) -> MqttSource | SerialSource:
     if library == "paho":
-        return MqttSource("a", MqttSection(kind="mqtt", topics=("a",)), {}, lambda what: None)
+        return MqttSource("a", MqttSourceSection(kind="mqtt", topics=("a",)), {}, lambda what: None)
     section = SerialSection(kind="serial", port="nowhere", format="block")
     return SerialSource("a", section, {}, lambda what: None)
 

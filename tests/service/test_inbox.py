@@ -26,10 +26,10 @@ def test_a_delay_is_made_up_for_in_portions_and_in_order() -> None:
         assert inbox.put(delivery(k, size))
     portions = []
     while len(inbox):
-        portions.append(inbox.taken(0.0))
+        portions.append(inbox.take_deliveries(0.0))
     assert [int(one.source) for portion in portions for one in portion] == list(range(30))
     assert all((len(portion) - 1) * size < module.AT_ONCE <= len(portion) * size for portion in portions[:-1])
-    assert inbox.taken(0.0) == []
+    assert inbox.take_deliveries(0.0) == []
 
 
 def test_a_source_waits_while_the_inbox_is_full_of_blocks() -> None:
@@ -44,11 +44,11 @@ def test_a_source_waits_while_the_inbox_is_full_of_blocks() -> None:
     source.start()
     assert wait_for(lambda: len(put) == 9)
     assert len(inbox) == 9
-    assert [one.source for one in inbox.taken(0.0)] == ["0", "1"]
+    assert [one.source for one in inbox.take_deliveries(0.0)] == ["0", "1"]
     assert wait_for(lambda: len(put) == 11)
     inbox.close()
     source.join(10.0)
-    left = [one for _ in range(9) for one in inbox.taken(0.0)]
+    left = [one for _ in range(9) for one in inbox.take_deliveries(0.0)]
     assert [int(one.source) for one in left] == list(range(2, 11))
     assert inbox.closed
     assert not inbox.put(Delivery("late", [Block("x", 0, 0, 0.0, 1.0, np.zeros(1), np.zeros(1, int))]))

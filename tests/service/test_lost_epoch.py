@@ -59,7 +59,7 @@ def test_a_sender_that_lost_its_epoch_is_told_what_helps(
     assert "POST /api/axis/NAME/anew" in told[-1]["problem"]
     assert len(told) < 20
     if remedy == "begin anew":
-        assert engine.commands.begin_anew("x1")
+        assert engine.commands.restart_numbers("x1")
         engine.tick(0.0)
     again = epoch if remedy == "begin anew" else 10
     engine.process(blocks(motion, 700, SAMPLES, again, first=200))
@@ -76,7 +76,7 @@ def test_what_waited_is_said_where_an_axis_begins_anew(
     engine.process(blocks(motion, 0, 100, epoch=0, first=0))
     (early,) = blocks(motion, 150, 200, epoch=0, first=150)
     engine.process([early])
-    engine.commands.begin_anew("x1")
+    engine.commands.restart_numbers("x1")
     engine.tick(0.0)
     assert [what["dropped"] for what in outlet.events("x1", "anew")] == [min(BLOCK, WINDOW)]
 

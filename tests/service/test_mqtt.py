@@ -16,7 +16,7 @@ from pydantic import Field
 from pmfid.errors import UsageError
 from pmfid.service.broker import BrokerSection, pauses
 from pmfid.service.secrets import secret
-from pmfid.service.sources.mqtt import MqttSection, MqttSource
+from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 from pmfid.service.wire.sender import Sender
 from pmfid.session.toml_file import FileSection, validate_sections
 from pmfid.stream.blocks import encode
@@ -36,7 +36,9 @@ def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Broker]:
 
 
 def source(engine: FakeEngine, broker: Broker, client: str, *topics: str, **options: object) -> MqttSource:
-    section = MqttSection(kind="mqtt", port=broker.port, topics=topics or (f"{client}/#",), client=client, **options)
+    section = MqttSourceSection(
+        kind="mqtt", port=broker.port, topics=topics or (f"{client}/#",), client=client, **options
+    )
     return MqttSource("hall", section, {}, engine.tell)
 
 
@@ -305,7 +307,7 @@ def test_a_secret_that_is_not_there_is_named_and_never_told(tmp_path: Path, monk
 
 
 class Plant(FileSection):
-    source: MqttSection = Field(description="a source")
+    source: MqttSourceSection = Field(description="a source")
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from pmfid.errors import UsageError
 from pmfid.service.broker import new_client
 from pmfid.service.sinks import mqtt, queued
 from pmfid.service.sinks.broker_link import BrokerLink
-from pmfid.service.sinks.mqtt import MqttSection, MqttSink
+from pmfid.service.sinks.mqtt import MqttSink, MqttSinkSection
 from pmfid.service.sinks.queued import Queued
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401
 from tests.service.feed import Host, alarm, block, kindred, notice, until
@@ -54,7 +54,7 @@ class Link(BrokerLink):
 
 
 def sink_of(link: Link, **keys: object) -> MqttSink:
-    sink = MqttSink("m", "pmfid/hall-3", link, MqttSection(**keys))  # type: ignore[arg-type]
+    sink = MqttSink("m", "pmfid/hall-3", link, MqttSinkSection(**keys))  # type: ignore[arg-type]
     sink.open()
     return sink
 
@@ -143,8 +143,8 @@ def test_events_are_published_unless_only_alarms_are_wanted(tmp_path: Path) -> N
     quiet = Link()
     sink_of(quiet, events=False).put([alarm(2)])
     assert [topic for topic, *_ in quiet.got] == ["pmfid/hall-3/status", ALARM]
-    assert MqttSection(events=False).wants_events() == {"alarm", "acknowledged", "settled", "cleared"}
-    assert MqttSection(estimates="off").wants_rows() is False
+    assert MqttSinkSection(events=False).wants_events() == {"alarm", "acknowledged", "settled", "cleared"}
+    assert MqttSinkSection(estimates="off").wants_rows() is False
 
 
 def test_the_end_is_said() -> None:
@@ -155,7 +155,7 @@ def test_the_end_is_said() -> None:
 
 def test_secrets_come_from_the_environment_alone(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="NO_SUCH_SECRET is not set"):
-        MqttSection(user="me", password_env="NO_SUCH_SECRET").make("m", Host(tmp_path))
+        MqttSinkSection(user="me", password_env="NO_SUCH_SECRET").make("m", Host(tmp_path))
 
 
 # --- with Mosquitto ---------------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def started(tmp_path: Path, broker: Broker, monkeypatch: pytest.MonkeyPatch) -> 
     running: list[Queued] = []
 
     def start(host: Host, **keys: object) -> Queued:
-        section = MqttSection(port=broker.port, **keys)  # type: ignore[arg-type]
+        section = MqttSinkSection(port=broker.port, **keys)  # type: ignore[arg-type]
         running.append(section.outlet("m", host))
         running[-1].start()
         return running[-1]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from pmfid.session.monitored.timeline import Line
 from pmfid.stream.delivery import Block, Lines
-from pmfid.stream.order import ANEW, Order, Piece, Verdict
+from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, SamplePiece
 from pmfid.stream.timed import Timed
 from tests.service.orders import DT, sending_of
 
@@ -23,16 +23,16 @@ SEEDS = st.integers(0, 2**32)
 SOME = settings(max_examples=30, deadline=None, derandomize=True)
 
 
-def put_in_order(blocks: Sequence[Block], window: int = WINDOW) -> tuple[list[Piece], Verdict]:
+def put_in_order(blocks: Sequence[Block], window: int = WINDOW) -> tuple[list[SamplePiece], ItemReport]:
     """Pieces of blocks as they come, and the sum of the verdicts."""
-    order, pieces, total = Order(DT, window), list[Piece](), Verdict()
+    order, pieces, total = Order(DT, window), list[SamplePiece](), ItemReport()
     for turn, block in enumerate(blocks):
         verdict = order.take(block, 0.0, turn, pieces)
         if verdict is not None:
             total.duplicate += verdict.duplicate
             total.late += verdict.late
             total.refused += verdict.refused
-            total.told += verdict.told
+            total.events += verdict.events
     return pieces, total
 
 
@@ -47,7 +47,7 @@ class Step:
     time: float
 
 
-def steps(pieces: Sequence[Piece]) -> list[Step]:
+def steps(pieces: Sequence[SamplePiece]) -> list[Step]:
     found = []
     for piece in pieces:
         for k, (u, counts) in enumerate(zip(piece.u.tolist(), piece.counts.tolist(), strict=True)):
@@ -86,7 +86,7 @@ def test_every_order_within_the_window_gives_the_same(seed: int) -> None:
 def test_a_hole_is_a_gap_once_more_than_the_window_waits_behind_it_and_then_late() -> None:
     pieces, verdict = put_in_order([block(0, 50), block(50, 51), block(120, 70), block(190, 40)])
     assert [(p.lead, p.u.size) for p in pieces] == [(0, 50), (0, 51), (19, 70), (0, 40)]
-    assert [told["event"] for told in verdict.told] == ["gap"]
+    assert [told["event"] for told in verdict.events] == ["gap"]
     _, verdict = put_in_order([block(0, 101), block(120, 110), block(101, 19), block(0, 10)])
     assert (verdict.late, verdict.duplicate) == (19, 10)
 
@@ -106,10 +106,10 @@ def test_without_a_window_nothing_waits() -> None:
 def test_a_new_epoch_is_a_gap_of_known_length_where_the_clock_tells_and_else_unknown() -> None:
     later = [block(0, 10, time=5.0), block(0, 10, epoch=1, time=5.0 + 60 * DT)]
     back = [block(0, 10, time=5.0), block(0, 10, epoch=1, time=1.0)]
-    for blocks, lead in ((later, 50), (back, ANEW)):
+    for blocks, lead in ((later, 50), (back, UNKNOWN_GAP)):
         pieces, verdict = put_in_order(blocks, window=0)
         assert [(p.lead, p.apart) for p in pieces] == [(0, True), (lead, True)]
-        assert [told["event"] for told in verdict.told] == ["epoch"]
+        assert [told["event"] for told in verdict.events] == ["epoch"]
     _, verdict = put_in_order([*later, block(10, 5, time=5.1)], window=0)
     assert verdict.late == 5
 
@@ -118,7 +118,7 @@ def test_another_period_is_refused_and_told_once() -> None:
     pieces, verdict = put_in_order([block(0, 200), block(200, 10, dt=1.01 * DT), block(210, 10, dt=1.01 * DT)])
     assert len(pieces) == 1
     assert verdict.refused == 20
-    assert [told["event"] for told in verdict.told] == ["period"]
+    assert [told["event"] for told in verdict.events] == ["period"]
 
 
 @pytest.mark.parametrize("jump", [-3600.0, 3600.0])
@@ -126,28 +126,28 @@ def test_a_clock_that_is_set_is_told_and_the_numbers_rule(jump: float) -> None:
     blocks = [block(10 * k, 10, time=100 + 10 * k * DT + (jump if k > 3 else 0.0)) for k in range(8)]
     pieces, verdict = put_in_order(blocks, window=0)
     assert [p.lead for p in pieces] == [0] * 8
-    (told,) = verdict.told
+    (told,) = verdict.events
     assert told["event"] == "clock"
     assert told["jump"] == pytest.approx(jump)
 
 
 def test_a_clock_at_another_rate_is_told_once() -> None:
     slow, right = ([block(50 * k, 50, time=rate * 50 * k * DT) for k in range(400)] for rate in (1.03, 1 + 1e-4))
-    assert [told["event"] for told in put_in_order(slow, window=0)[1].told] == ["clock"]
-    assert put_in_order(right, window=0)[1].told == []
+    assert [told["event"] for told in put_in_order(slow, window=0)[1].events] == ["clock"]
+    assert put_in_order(right, window=0)[1].events == []
 
 
 # --- lines ------------------------------------------------------------------------------------------------------------
 
 
-def lines_in_order(lines: Sequence[Line], window: float) -> tuple[list[Step], Verdict]:
-    timed, pieces, total = Timed(DT, window, timed=True), list[Piece](), Verdict()
+def lines_in_order(lines: Sequence[Line], window: float) -> tuple[list[Step], ItemReport]:
+    timed, pieces, total = Timed(DT, window, timed=True), list[SamplePiece](), ItemReport()
     for turn, line in enumerate(lines):
         verdict = timed.take(Lines("x", [line]), 0.0, turn, pieces)
-        total.told += verdict.told
+        total.events += verdict.events
         total.refused += verdict.refused
         restored = Timed(DT, window, timed=True)
-        restored.restore(timed.saved())
+        restored.restore(timed.save_state())
         timed = restored
     found = []
     for piece in pieces:
@@ -173,12 +173,12 @@ def test_lines_in_any_order_within_the_window_are_sorted(seed: int) -> None:
 def test_lines_that_come_again_after_a_restart_are_a_no_op() -> None:
     lines = [Line(k * DT, 0.5 * k, k) for k in range(200)]
     for window in (0.0, 10 * DT):
-        timed, pieces = Timed(DT, window, timed=True), list[Piece]()
+        timed, pieces = Timed(DT, window, timed=True), list[SamplePiece]()
         timed.take(Lines("x", lines[:150]), 0.0, 0, pieces)
         again = Timed(DT, window, timed=True)
-        again.restore(timed.saved())
+        again.restore(timed.save_state())
         verdict = again.take(Lines("x", lines[120:]), 0.0, 1, pieces)
-        assert verdict.told == []
+        assert verdict.events == []
         assert sum(verdict.lines.values()) == 30
         counts = np.concatenate([piece.counts for piece in pieces])
         assert counts.tolist() == list(range(counts.size))
@@ -190,7 +190,7 @@ def test_lines_of_a_clock_that_was_set_back_go_on() -> None:
     lines = [Line(100 + k * DT, 1.0, k) for k in range(100)]
     lines += [Line(100 + k * DT - 3600, 1.0, k) for k in range(100, 300)]
     found, verdict = lines_in_order(lines, 10 * DT)
-    assert [told["event"] for told in verdict.told if told["event"] == "clock"] == ["clock"]
+    assert [told["event"] for told in verdict.events if told["event"] == "clock"] == ["clock"]
     assert len(found) > 280
 
 
@@ -198,7 +198,7 @@ def test_lines_with_another_period_are_refused_until_it_fits_again() -> None:
     lines = [Line(k * DT, 1.0, k) for k in range(200)]
     lines += [Line(2.0 + 2 * k * DT, 1.0, k) for k in range(400)]
     wrong, verdict = lines_in_order(lines, 0.0)
-    assert [told["event"] for told in verdict.told].count("period") == 1
+    assert [told["event"] for told in verdict.events].count("period") == 1
     assert len(wrong) < 330
     lines += [Line(10.0 + k * DT, 1.0, k) for k in range(300)]
     found, _ = lines_in_order(lines, 0.0)

@@ -34,9 +34,9 @@ def test_what_a_broker_may_have_forgotten_goes_out_again_in_order() -> None:
     box.begin(3)
     assert box.pump(link)
     assert link.sent == [b"\0", b"\1", b"\2"], "no more than have room"
-    box.acknowledged(1)
+    box.note_acknowledged(1)
     now[0] = 5.0
-    box.acknowledged(2)
+    box.note_acknowledged(2)
     box.pump(link)
     assert link.sent[3:] == [b"\3", b"\4"]
     box.end()
@@ -48,7 +48,7 @@ def test_what_a_broker_may_have_forgotten_goes_out_again_in_order() -> None:
     assert b"".join(link.sent) == bytes(range(6)), "while the connection is down nothing becomes safe"
     for k in range(6):
         assert not box.settled
-        box.acknowledged(k + 1)
+        box.note_acknowledged(k + 1)
     assert box.settled
     now[0] = 111.0
     box.take(b"\6")
@@ -64,16 +64,16 @@ def test_the_oldest_go_where_there_is_no_room_and_are_counted_once() -> None:
     for k in range(3):
         box.take(bytes([k]))
     box.pump(Link())
-    box.acknowledged(1)
+    box.note_acknowledged(1)
     for k in range(3, 6):
         box.take(bytes([k]))
     assert box.dropped == 2, "the first was acknowledged"
-    box.acknowledged(2)
+    box.note_acknowledged(2)
     box.begin(9)
     box.pump(link := Link())
     assert b"".join(link.sent) == bytes([3, 4, 5])
     for k in range(3):
-        box.acknowledged(k + 1)
+        box.note_acknowledged(k + 1)
     assert box.settled
 
 

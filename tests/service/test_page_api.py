@@ -15,7 +15,7 @@ from pmfid.monitor.events import STATES
 from pmfid.service.board import Board
 from pmfid.service.web.api import csv_of
 from pmfid.service.web.hub import Feed, Hub
-from pmfid.service.web.packed import json_line, packed, packed_rows
+from pmfid.service.web.packed import json_line, pack_array, pack_rows
 from pmfid.session.records import Record
 from pmfid.stream.counters import Counters
 from pmfid.stream.outcome import Kindred
@@ -72,7 +72,7 @@ def test_one_axis_is_streamed_bit_by_bit(page: Served) -> None:
     board = page.plant.board
     with page.stream("/api/stream?axis=gantry-y") as lines:
         assert next(lines)["groups"] == []
-        assert until(lambda: board.followed() == {"gantry-y"})
+        assert until(lambda: board.list_followed() == {"gantry-y"})
         mine = board.follow("gantry-y")
         page.plant.run(2.0)
         rows, _ = mine.take()
@@ -84,7 +84,7 @@ def test_one_axis_is_streamed_bit_by_bit(page: Served) -> None:
                 found.append(unpacked(message["theta"][0]).tobytes())
     assert rows is not None
     assert b"".join(found) == rows["theta"][:, 0].tobytes()
-    assert until(lambda: board.followed() == frozenset()), "who left costs nothing"
+    assert until(lambda: board.list_followed() == frozenset()), "who left costs nothing"
 
 
 def test_history_trends_and_reference(page: Served) -> None:
@@ -209,7 +209,7 @@ def test_numbers_that_json_does_not_have_are_null_in_objects_and_exact_in_arrays
     line = json_line({"a": float("nan"), "b": [np.float64(1.5), float("inf")], "c": np.int64(3)})
     assert json.loads(line) == {"a": None, "b": [1.5, None], "c": 3}
     values = np.array([np.nan, np.inf, -0.0, 0.1])
-    assert unpacked(packed(values, "f8")).tobytes() == values.tobytes()
+    assert unpacked(pack_array(values, "f8")).tobytes() == values.tobytes()
 
 
 def test_rows_of_any_layout_are_packed() -> None:
@@ -218,7 +218,7 @@ def test_rows_of_any_layout_are_packed() -> None:
     plant.run(2)
     rows, _ = subscription.take()
     assert rows is not None
-    columns = packed_rows(rows[::2])
+    columns = pack_rows(rows[::2])
     assert unpacked(str(columns["number"])).tolist() == rows["number"][::2].tolist()
 
 
@@ -279,4 +279,4 @@ def test_the_stream_of_an_axis_ends_with_the_service() -> None:
 
     assert len(asyncio.run(look())) == 1
     assert isinstance(plant.board, Board)
-    assert plant.board.followed() == frozenset()
+    assert plant.board.list_followed() == frozenset()

@@ -33,7 +33,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     file.write_text(READER + "\n")
     file.chmod(0o600)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connection, "Limits", partial(connection.Limits, request=0.6, stuck=0.3))
+        patch.setattr(connection, "ConnectionLimits", partial(connection.ConnectionLimits, request=0.6, stuck=0.3))
         patch.setattr(security, "FREE", 10_000)  # test_page_guesses.py is about more wrong tokens
         plant = FakePlant(12)
         plant.run(5)
@@ -234,7 +234,7 @@ def test_a_connection_that_says_nothing_ends(page: Served) -> None:
 
 def test_a_browser_that_stops_reading_is_dropped_and_counted() -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connection, "Limits", partial(connection.Limits, stuck=0.2))
+        patch.setattr(connection, "ConnectionLimits", partial(connection.ConnectionLimits, stuck=0.2))
         with served(FakePlant(2)) as page, socket.socket() as line:
             line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             line.connect(page.address)
@@ -254,7 +254,7 @@ def test_more_streams_than_configured_are_refused(page: Served) -> None:
         assert page.ask("/api/stream")[0] == 503
         assert page.ask("/api/plant")[0] == 200
     assert until(lambda: page.page._api.hub.streams == 0)
-    assert page.plant.board.followed() == frozenset()
+    assert page.plant.board.list_followed() == frozenset()
 
 
 # --- paths and what is reflected --------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from pmfid.service.sinks import queued
 from pmfid.service.sinks.queued import Queued
-from pmfid.service.sinks.waiting import Limits, Waiting, size_of
+from pmfid.service.sinks.waiting import OutcomeQueue, QueueLimits, size_of
 from pmfid.stream.outcome import Notice, Rows
 from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
 
@@ -33,7 +33,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(queued, "LONGEST_PAUSE", 0.02)
 
 
-def started(sink: Faulty, host: Host, limits: Limits | None = None) -> Queued:
+def started(sink: Faulty, host: Host, limits: QueueLimits | None = None) -> Queued:
     outlet = Queued(sink, host.counters, host.tell, limits)
     outlet.start()
     return outlet
@@ -48,7 +48,7 @@ def started(sink: Faulty, host: Host, limits: Limits | None = None) -> Queued:
     st.integers(1, 5),
 )
 def test_what_waits_is_bounded_in_order_and_all_accounted_for(steps: list[str], rows: int, notices: int) -> None:
-    waiting = Waiting(Limits(rows, 10**9, notices, take=25))
+    waiting = OutcomeQueue(QueueLimits(rows, 10**9, notices, take=25))
     offered_rows = offered_notices = lost_rows = lost_notices = 0
     serials: list[int] = []
     taken = []
@@ -79,7 +79,7 @@ def test_what_waits_is_bounded_in_order_and_all_accounted_for(steps: list[str], 
 
 
 def test_the_oldest_rows_go_first_and_alarms_stay() -> None:
-    waiting = Waiting(Limits(rows=30, notices=3))
+    waiting = OutcomeQueue(QueueLimits(rows=30, notices=3))
     for number in range(1, 11):
         waiting.add(block(GROUP, number))
         waiting.add(alarm(100 + number) if number in (1, 9) else notice(200 + number, "gap"))
@@ -88,7 +88,7 @@ def test_the_oldest_rows_go_first_and_alarms_stay() -> None:
 
 def test_bytes_bound_it_too() -> None:
     size = size_of(block(GROUP))
-    waiting = Waiting(Limits(size=3 * size))
+    waiting = OutcomeQueue(QueueLimits(size=3 * size))
     dropped = [waiting.add(block(GROUP, number)).rows for number in range(1, 8)]
     assert dropped == [0, 0, 0, 10, 10, 10, 10]
     assert waiting.size == 3 * size
@@ -99,7 +99,7 @@ def test_bytes_bound_it_too() -> None:
 
 def test_a_sink_that_hangs_costs_the_engine_nothing(host: Host) -> None:
     sink = Faulty(hold=threading.Event())
-    outlet = started(sink, host, Limits(rows=1000))
+    outlet = started(sink, host, QueueLimits(rows=1000))
     outlet.rows(block(GROUP, 1))
     assert until(lambda: sink.puts)
     offered, slowest = 3000, 0.0
@@ -127,7 +127,7 @@ def test_a_slow_sink_is_told_once_and_what_is_dropped_is_counted(host: Host) -> 
             super().put(outcomes)
 
     sink = Slow()
-    outlet = started(sink, host, Limits(size=200_000, take=200))
+    outlet = started(sink, host, QueueLimits(size=200_000, take=200))
     rows = block(GROUP, 1, samples=10)
     offered = 400
     for _ in range(offered):  # some 4 MB
@@ -167,7 +167,7 @@ def test_only_what_is_wanted_waits(host: Host) -> None:
 @pytest.mark.usefixtures("quick")
 def test_an_error_is_told_once_and_the_end_of_it_too(host: Host) -> None:
     sink = Faulty(error=OSError(28, "No space left on device", "out.jsonl"))
-    outlet = started(sink, host, Limits(rows=50))
+    outlet = started(sink, host, QueueLimits(rows=50))
     for number in range(1, 11):
         outlet.rows(block(GROUP, number))
         outlet.notice(alarm(100 + number))
@@ -243,7 +243,7 @@ def test_what_a_sink_can_never_take_is_dropped_alone(host: Host) -> None:
 
 def test_closing_ends_in_time_also_where_the_sink_hangs(host: Host) -> None:
     sink = Faulty(hold=threading.Event())
-    outlet = started(sink, host, Limits(take=10))
+    outlet = started(sink, host, QueueLimits(take=10))
     outlet.rows(block(GROUP, 1))
     assert until(lambda: sink.puts)
     for number in range(2, 5):
@@ -282,7 +282,7 @@ def test_a_sink_is_looked_after_while_nothing_comes(host: Host, monkeypatch: pyt
 
 def test_what_is_kept_for_a_sink_is_what_it_may_still_get(host: Host) -> None:
     sink = Faulty(error=OSError(28, "No space left on device"))
-    outlet = started(sink, host, Limits(notices=5))
+    outlet = started(sink, host, QueueLimits(notices=5))
     for number in range(1, 21):
         outlet.notice(alarm(number))
     assert until(lambda: host.told)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from io import StringIO
 from pathlib import Path
 
-from pmfid.service.log import Log
+from pmfid.service.log import NoticeLog
 from pmfid.service.plant import Plant, ServiceSection, load_plant
 from pmfid.service.run import Service
 from tests.service.test_serve import PLANT, Acting, folder  # noqa: F401 a fixture
@@ -16,7 +16,7 @@ Referred = list[dict[int, list[float]]]
 def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]:
     """The normal values of x1 as the page has them and as the monitor has them, at the end of a record."""
     text = StringIO()
-    service = Service(lambda: plant, Log(text))
+    service = Service(lambda: plant, NoticeLog(text))
     found: list[tuple[Referred, list[float]]] = []
 
     def step() -> None:
@@ -28,7 +28,7 @@ def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]
     def look() -> None:
         acting.until("serving")
         (group,) = service._engine.groups
-        found.append((service._board.referred(), group.fleet.references()[0].tolist()))
+        found.append((service._board.list_referred(), group.fleet.references()[0].tolist()))
 
     acting = Acting(service, text)
     acting.run(*([step] if refer else []), look)

@@ -21,7 +21,7 @@ import pytest
 
 from pmfid.cli.serve_lines import line
 from pmfid.service.kinds import SINKS, SOURCES
-from pmfid.service.log import Log, json_line
+from pmfid.service.log import NoticeLog, json_line
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.web.config import PageConfig
@@ -149,7 +149,7 @@ class Running:
 
     def acting(self, form: Any) -> Acting:
         text = StringIO()
-        return Acting(Service(lambda: load_plant(self.place / "plant.toml"), Log(text, form)), text)
+        return Acting(Service(lambda: load_plant(self.place / "plant.toml"), NoticeLog(text, form)), text)
 
     def ask(self, acting: Acting, path: str, token: str | None, method: str = "GET") -> int:
         """What the page answers is kept; of a stream, its beginning."""

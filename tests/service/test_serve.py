@@ -21,7 +21,7 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.service.arrangement import Configurations
-from pmfid.service.log import Log
+from pmfid.service.log import NoticeLog
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.simulation import CART, CART_DT, Schedule
@@ -263,7 +263,7 @@ class Acting:
 @pytest.fixture
 def acting(folder: Path) -> Acting:
     text = StringIO()
-    return Acting(Service(lambda: load_plant(folder / "plant.toml"), Log(text)), text)
+    return Acting(Service(lambda: load_plant(folder / "plant.toml"), NoticeLog(text)), text)
 
 
 def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting: Acting) -> None:

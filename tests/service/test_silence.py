@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 
 from pmfid.cli.serve_lines import line
-from pmfid.service.arrangement import arranged
+from pmfid.service.arrangement import arrange_groups
 from pmfid.service.board import Board
 from pmfid.service.kinds import SINKS
-from pmfid.service.log import Log
+from pmfid.service.log import NoticeLog
 from pmfid.service.metrics import exposition
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
@@ -83,7 +83,7 @@ class Watched:
     def __post_init__(self) -> None:
         self.outlet, self.sink, self.at, self.first = Outlet(), Sink(), 1000.0, dict.fromkeys(self.axes, 0)
         self.engine = self._engine()
-        self.engine.arranged(arranged([], dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
+        self.engine.set_groups(arrange_groups([], dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
         self.engine.silence.tick(self.at)
 
     def _engine(self) -> Engine:
@@ -113,8 +113,8 @@ class Watched:
         found = read_snapshot(b"".join(snapshot(self.engine)))
         self.engine = self._engine()
         found.restore(self.engine)
-        groups = [one.restored(self.prepared, Pace(0.0, 1.0)) for one in found.groups]
-        self.engine.arranged(arranged(groups, dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
+        groups = [one.restore_group(self.prepared, Pace(0.0, 1.0)) for one in found.groups]
+        self.engine.set_groups(arrange_groups(groups, dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
 
     def taken(self) -> list[tuple[str, str, str]]:
         """(event, what is silent, its name) since the last time."""
@@ -208,7 +208,7 @@ def test_a_restart_neither_repeats_nor_forgets_an_alarm(watched: Watched) -> Non
     assert watched.level("pmfid_axes_silent", group="axis.toml") == 2
     assert watched.level("pmfid_source_silent", source="lab") == watched.level("pmfid_sink_silent", sink="db") == 1
     board = Board([], Counters())
-    for one in watched.engine.notices.replayed(watched.engine.notices.alarms.all()):
+    for one in watched.engine.notices.replay_alarms(watched.engine.notices.alarms.all()):
         board.notice(one)
     assert [alarm.cleared for alarm in board.news().alarms] == [None] * 4, "the page shows them as open"
     watched.run(3 * LIMIT, "x1", other="")
@@ -226,7 +226,7 @@ def test_what_is_removed_has_no_alarm_any_more(watched: Watched) -> None:
     watched.run(LIMIT + 2, "x1", "x3")
     assert watched.taken() == [("alarm", "axis", "x2")]
     left = dict.fromkeys(("x1", "x3"), watched.prepared)
-    watched.engine.arranged(arranged(watched.engine.groups, left, Pace(0.0, 1.0))[0])
+    watched.engine.set_groups(arrange_groups(watched.engine.groups, left, Pace(0.0, 1.0))[0])
     watched.run(1, "x1", "x3")
     assert watched.taken() == [("cleared", "axis", "x2")]
 
@@ -243,7 +243,7 @@ def test_an_axis_that_begins_anew_stays_silent_until_it_sends(watched: Watched) 
     watched.run(LIMIT + 2, "x1", "x3")
     seat = watched.engine.seat("x2")
     assert seat is not None
-    seat.begin_anew()
+    seat.restart_numbers()
     watched.run(LIMIT + 2, "x1", "x3")
     assert watched.taken() == [("alarm", "axis", "x2")]
 
@@ -421,7 +421,7 @@ path = "folder/that/is/a/file/a.jsonl"
 
 def acting(place: Path) -> Acting:
     text = StringIO()
-    return Acting(Service(lambda: load_plant(place / "plant.toml"), Log(text)), text)
+    return Acting(Service(lambda: load_plant(place / "plant.toml"), NoticeLog(text)), text)
 
 
 def told_in_order(one: Acting) -> list[tuple[str, str]]:

@@ -8,13 +8,13 @@ from random import Random
 import numpy as np
 import pytest
 
-from pmfid.service.arrangement import arranged
+from pmfid.service.arrangement import arrange_groups
 from pmfid.session.monitored.timeline import Line
 from pmfid.simulation import CART_DT
 from pmfid.stream import clock
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.counters import Counters
-from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, one_by_one
+from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tables
 from pmfid.stream.engine import Engine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.intake import take_expected
@@ -28,7 +28,7 @@ PACE = Pace(4 * SIZE * CART_DT, 5 * CART_DT)
 
 def engine_of(prepared: Prepared, outlet: Collected, axes: Sequence[str] = AXES) -> Engine:
     engine = Engine(Counters(), [outlet])
-    engine.arranged(arranged([], dict.fromkeys(axes, prepared), PACE)[0])
+    engine.set_groups(arrange_groups([], dict.fromkeys(axes, prepared), PACE)[0])
     return engine
 
 
@@ -100,7 +100,7 @@ def test_a_table_is_its_blocks_one_by_one(prepared: Prepared, seed: int, monkeyp
     for outlet, single in zip(outlets, (False, True), strict=True):
         engine = engine_of(prepared, outlet)
         for batch in batches:
-            own = [Delivery(d.source, one_by_one(d.items), received=d.received) for d in batch] if single else batch
+            own = [Delivery(d.source, split_tables(d.items), received=d.received) for d in batch] if single else batch
             engine.process(own)
         engines.append(engine)
     tables, blocks = (told(engine, outlet) for engine, outlet in zip(engines, outlets, strict=True))
@@ -118,13 +118,13 @@ def test_what_an_order_knows_goes_with_its_axis_when_others_go_and_over_a_restar
     (group,) = engine.groups
     before = {seat.name: (seat.order.epoch, seat.order.expected, seat.order.held) for seat in group.seats}
     left = [name for name in AXES if name not in ("x0", "x3")]
-    engine.arranged(arranged(engine.groups, dict.fromkeys([*left, "new"], prepared), PACE)[0])
+    engine.set_groups(arrange_groups(engine.groups, dict.fromkeys([*left, "new"], prepared), PACE)[0])
     (group,) = engine.groups
     after = {seat.name: (seat.order.epoch, seat.order.expected, seat.order.held) for seat in group.seats}
     assert after == {name: before[name] for name in left} | {"new": (-1, 0, ())}
     (saved,) = read_snapshot(b"".join(snapshot(engine))).groups
     restored = Engine(Counters())
-    restored.arranged([saved.restored(prepared, PACE)])
+    restored.set_groups([saved.restore_group(prepared, PACE)])
     rest = [Delivery("source", [table([blocks[name][k] for name in left])]) for k in range(20, 40)]
     for one in (engine, restored):
         one.process(rest)
@@ -144,7 +144,7 @@ def test_a_clock_whose_rate_comes_right_and_goes_wrong_again_is_told_twice(monke
         if take_expected(both.place.positions, CART_DT, np.array([0]), table([block])).all():
             at_once += 1
         elif (verdict := both.take(block, 0.0, k, [])) is not None:
-            told += verdict.told
+            told += verdict.events
         for name, column in vars(both.place.positions).items():
             assert np.array_equal(column, getattr(alone.place.positions, name), equal_nan=True), name
     assert [what["event"] for what in told] == ["clock", "clock"]

@@ -16,11 +16,11 @@ import pytest
 from pmfid.durable import vault as module
 from pmfid.errors import UsageError
 from pmfid.service import keeping
-from pmfid.service.arrangement import arranged
+from pmfid.service.arrangement import arrange_groups
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
-from pmfid.stream.checkpoint import Room, read_snapshot, snapshot
+from pmfid.stream.checkpoint import StateBuffer, read_snapshot, snapshot
 from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import Engine
@@ -120,7 +120,7 @@ def test_a_folder_has_one_service(tmp_path: Path) -> None:
 
 def engine_of(prepared: Prepared, window: float = 0.0) -> Engine:
     engine = Engine(Counters())
-    engine.arranged(arranged([], {"x1": prepared, "x2": prepared}, Pace(window, 1.0))[0])
+    engine.set_groups(arrange_groups([], {"x1": prepared, "x2": prepared}, Pace(window, 1.0))[0])
     return engine
 
 
@@ -133,10 +133,10 @@ def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) ->
     engine.process([Delivery("source", [block(0, 60), block(80), block(120), block(5, 70, "x2")], mark={"at": 7})])
     body = b"".join(snapshot(engine))
     found = read_snapshot(body)
-    (group,) = [one.restored(prepared, Pace(0.5, 1.0)) for one in found.groups]
+    (group,) = [one.restore_group(prepared, Pace(0.5, 1.0)) for one in found.groups]
     again = Engine(Counters())
     found.restore(again)
-    again.arranged([group])
+    again.set_groups([group])
     assert [b.first for b in group.seats[0].order.held] == [80, 120]
     assert snapshot(again)[2:] == snapshot(engine)[2:]
     assert again.marks == {"source": {"at": 7}}
@@ -148,7 +148,7 @@ def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) ->
 
 def _restored(body: bytes, prepared: Prepared) -> None:
     for one in read_snapshot(body).groups:
-        one.restored(prepared, Pace())
+        one.restore_group(prepared, Pace())
 
 
 class Broken:
@@ -218,7 +218,7 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
     found = vault.load(read_snapshot, told.append)
     vault.close()
     assert found is not None
-    assert found.groups[0].restored(prepared, Pace()).numbers.tolist() == [40, 0]
+    assert found.groups[0].restore_group(prepared, Pace()).numbers.tolist() == [40, 0]
     assert not list(tmp_path.glob("*.part"))
 
 
@@ -285,13 +285,13 @@ def test_the_engine_does_not_wait_for_new_memory(
 ) -> None:
     monkeypatch.setattr(keeping, "LARGE", 0)
     keeper, makers = Checkpoints(Vault(tmp_path), 0.0, Counters(), Told().append), list[str]()
-    grow = Room.grow
+    grow = StateBuffer.grow
 
-    def noted(room: Room, size: int) -> None:
+    def noted(room: StateBuffer, size: int) -> None:
         makers.append(current_thread().name)
         grow(room, size)
 
-    monkeypatch.setattr(Room, "grow", noted)
+    monkeypatch.setattr(StateBuffer, "grow", noted)
     engine, done = engine_of(prepared), list[int]()
     engine.keeper = keeper
     for k in range(3):

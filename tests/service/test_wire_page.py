@@ -12,7 +12,7 @@ from pydantic import Field
 
 from pmfid.service.kinds import SINKS, SOURCES
 from pmfid.service.sources.execd import ExecdSection
-from pmfid.service.sources.mqtt import MqttSection
+from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.sources.serial import SerialSection
 from pmfid.service.web.config import PORT
 from pmfid.service.wire.messages import LARGEST, Messages
@@ -25,11 +25,11 @@ from tests.service.test_lines import axis
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
 GUIDE = (ROOT / "docs" / "guide" / "service.md").read_text(encoding="utf-8")
-SECTIONS = (MqttSection, SerialSection, ExecdSection)
+SECTIONS = (MqttSourceSection, SerialSection, ExecdSection)
 
 
 class Plant(FileSection):
-    sources: dict[str, MqttSection | SerialSection | ExecdSection] = Field(description="sources")
+    sources: dict[str, MqttSourceSection | SerialSection | ExecdSection] = Field(description="sources")
 
 
 def test_the_sections_are_valid_and_every_kind_has_one() -> None:
@@ -55,7 +55,7 @@ def test_the_samples_are_read(tmp_path: Path, form: str) -> None:
 
 
 def test_limits_are_those_of_the_code() -> None:
-    defaults = {name: field.default for name, field in MqttSection.model_fields.items()}
+    defaults = {name: field.default for name, field in MqttSourceSection.model_fields.items()}
     assert (defaults["receive_maximum"], defaults["keepalive"], defaults["session"]) == (20_000, 60, 86_400)
     assert defaults["largest"] == LARGEST == 2**20
     assert "| `largest` of the source | 1 MiB |" in PAGE

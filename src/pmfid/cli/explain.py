@@ -39,10 +39,10 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
 
 def _find_entries(word: str, plant: bool) -> list[ReferenceEntry]:
     """The entries of a word; plant: of PLANT.toml alone. Raises UsageError for an unknown word."""
-    from pmfid.service.reference import plant_entries, without_names
+    from pmfid.service.reference import plant_entries, strip_names
     from pmfid.session.reference import entries, find
 
     known = plant_entries() if plant else (*entries(), *plant_entries())
     names = {entry.name for entry in known}
-    own = [name for name in without_names(word) if name in names]
+    own = [name for name in strip_names(word) if name in names]
     return [entry for entry in known if entry.name in own] if own and word not in names else find(word, known)

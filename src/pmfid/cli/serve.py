@@ -52,7 +52,7 @@ def serve(
 
     SIGTERM and Ctrl-C end the service with everything written; SIGHUP reads PLANT.toml again.
     """
-    from pmfid.service.log import Log, json_line
+    from pmfid.service.log import NoticeLog, json_line
     from pmfid.service.run import Service
     from pmfid.session.config import load_axis
     from pmfid.session.records import read_record
@@ -71,7 +71,7 @@ def serve(
         return plant.with_page(page)
 
     line = json_line if as_json else _sentence
-    log = Log(sys.stderr if load().speaks else sys.stdout, line)
+    log = NoticeLog(sys.stderr if load().speaks else sys.stdout, line)
     Service(load, log, until_end, record).run()
 
 

@@ -15,7 +15,7 @@ from pmfid.session.records import Record
 from pmfid.stream.engine import Engine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
-__all__ = ["Configurations", "arranged", "remember", "tell_configurations"]
+__all__ = ["Configurations", "arrange_groups", "remember", "tell_configurations"]
 
 #: The progress of a calibration is told so often [s].
 PROGRESS = 10.0
@@ -34,20 +34,20 @@ class Configurations:
     record: Record | None = None
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
 
-    def of(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
+    def load_all(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
         """Name -> configuration of those axes whose configuration can be used: the present one, or where that fails
         the one before. Raises PmfidError or OSError where there is but one, which could never be used."""
         paths = dict.fromkeys(axes.values())
-        found = {path: self._prepared(path, only=len(paths) == 1) for path in paths}
+        found = {path: self._load_one(path, only=len(paths) == 1) for path in paths}
         return {name: prepared for name, path in axes.items() if (prepared := found[path]) is not None}
 
-    def _prepared(self, path: Path, only: bool) -> Prepared | None:
+    def _load_one(self, path: Path, only: bool) -> Prepared | None:
         before = self._known.get(path)
         try:
             axis = load_axis(path)
-            stamp = _stamp(path, axis)
+            stamp = _build_stamp(path, axis)
             if before is None or before[0] != stamp:
-                self._known[path] = stamp, self._made(path, axis)
+                self._known[path] = stamp, self._calibrate(path, axis)
             return self._known[path][1]
         except (PmfidError, OSError) as error:
             if only and before is None:
@@ -56,7 +56,7 @@ class Configurations:
             self.tell({"event": "configuration", "config": path.name, "problem": f"{error}; {left}"})
             return None if before is None else before[1]
 
-    def _made(self, path: Path, axis: Axis) -> Prepared:
+    def _calibrate(self, path: Path, axis: Axis) -> Prepared:
         told = [monotonic()]
 
         def progress(part: float) -> None:
@@ -70,14 +70,14 @@ class Configurations:
         return made
 
 
-def _stamp(path: Path, axis: Axis) -> str:
+def _build_stamp(path: Path, axis: Axis) -> str:
     """What changes when the configuration does, or the record that it names."""
     reference = axis.monitor.reference
     status = None if reference is None else (path.parent / reference).stat()
     return f"{axis.model_dump_json(warnings=False)} {status and (status.st_size, status.st_mtime_ns, status.st_ino)}"
 
 
-def arranged(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:
+def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:
     """The groups for these axes, and the names of those that start anew: axes that are in a group with the same
     configuration stay there as they are."""
     present = {group.prepared.digest: group for group in groups}
@@ -113,4 +113,4 @@ def tell_configurations(engine: Engine) -> None:
     for entry in engine.history:
         if entry["digest"] in present:
             told = {key: entry[key] for key in ("config", "digest", "nominal")}
-            engine.notices.own("", {"event": "configuration", **told})
+            engine.notices.publish_own("", {"event": "configuration", **told})

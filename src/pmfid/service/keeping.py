@@ -8,7 +8,7 @@ from threading import Condition, Thread
 from time import monotonic
 from typing import Any
 
-from pmfid.stream.checkpoint import Draft, Room, draft, state_size
+from pmfid.stream.checkpoint import Draft, StateBuffer, draft, state_size
 from pmfid.stream.counters import Counters
 from pmfid.stream.crash import crash_point
 from pmfid.stream.engine import Engine
@@ -58,12 +58,12 @@ class Checkpoints:
     _closing: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        self._changed, self._room = Condition(), Room()
+        self._changed, self._room = Condition(), StateBuffer()
         self._next, self._rested, self._made_at = monotonic() + self.period, 0.0, -1
         self._thread = Thread(target=self._run, name="checkpoints", daemon=True)
         self._thread.start()
 
-    def taken(self, done: Done) -> None:
+    def call_when_kept(self, done: Done) -> None:
         """To be called with the next checkpoint that is durable."""
         self._undone.append(done)
         if self._failing or len(self._undone) > MOST:
@@ -140,13 +140,13 @@ class Checkpoints:
             self.counters.put("pmfid_checkpoint_bytes", sum(map(len, chunks)))
             self.vault.write(chunks)
         except OSError as error:
-            self._failed(error)
+            self._note_failure(error)
         else:
-            self._succeeded(monotonic() - begun)
+            self._note_success(monotonic() - begun)
         self._rested = monotonic() + REST * (monotonic() - begun)
         self._call(done)
 
-    def _failed(self, error: OSError) -> None:
+    def _note_failure(self, error: OSError) -> None:
         self.counters.add("pmfid_checkpoint_errors_total")
         self.counters.put("pmfid_checkpoint_working", 0)
         if not self._failing:
@@ -158,7 +158,7 @@ class Checkpoints:
             )
             self.tell({"event": "checkpoint", "problem": problem, "last": self.vault.sequence})
 
-    def _succeeded(self, seconds: float) -> None:
+    def _note_success(self, seconds: float) -> None:
         self.counters.add("pmfid_checkpoints_total")
         self.counters.put("pmfid_checkpoint_working", 1)
         self.counters.put("pmfid_checkpoint_seconds", seconds)

@@ -27,9 +27,9 @@ def _stdin() -> type[SourceSection]:
 
 
 def _mqtt() -> type[SourceSection]:
-    from pmfid.service.sources.mqtt import MqttSection
+    from pmfid.service.sources.mqtt import MqttSourceSection
 
-    return MqttSection
+    return MqttSourceSection
 
 
 def _execd() -> type[SourceSection]:
@@ -51,9 +51,9 @@ def _file_sink() -> type[SinkSection]:
 
 
 def _mqtt_sink() -> type[SinkSection]:
-    from pmfid.service.sinks.mqtt import MqttSection
+    from pmfid.service.sinks.mqtt import MqttSinkSection
 
-    return MqttSection
+    return MqttSinkSection
 
 
 def _sqlite() -> type[SinkSection]:

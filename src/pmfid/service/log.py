@@ -9,7 +9,7 @@ from typing import IO
 from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.stream.outcome import Notice, Rows
 
-__all__ = ["Log", "json_line"]
+__all__ = ["NoticeLog", "json_line"]
 
 
 def json_line(notice: Notice) -> str:
@@ -18,7 +18,7 @@ def json_line(notice: Notice) -> str:
 
 
 @dataclass
-class Log:
+class NoticeLog:
     """A sink that writes lines to a stream; line: of a notice, "" for one that is not for this log."""
 
     stream: IO[str]

@@ -134,8 +134,8 @@ def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
             path.parent,
             _section("service", ServiceSection, raw.get("service", {}) | (given or {})),
             _axes(raw, path.parent),
-            {name: _of_kind("sources", name, table, SOURCES) for name, table in raw.get("sources", {}).items()},
-            {name: _of_kind("sinks", name, table, SINKS) for name, table in raw.get("sinks", {}).items()},
+            {name: _read_kind("sources", name, table, SOURCES) for name, table in raw.get("sources", {}).items()},
+            {name: _read_kind("sinks", name, table, SINKS) for name, table in raw.get("sinks", {}).items()},
             raw.get("page"),
         )
     except UsageError as error:
@@ -150,7 +150,7 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     raw: dict[str, object] = {"kind": "stdin", "axis": name}
     if not piped:
         raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
-    sources = {"input" if piped else "record": _of_kind("sources", "input" if piped else "record", raw, SOURCES)}
+    sources = {"input" if piped else "record": _read_kind("sources", "input" if piped else "record", raw, SOURCES)}
     own = {"name": name, "window": 0.0, "every": 0.1} | ({} if piped else {"silence": 0.0})  # a record has an end
     service = _section("service", ServiceSection, own | dict(given or {}))
     return Plant(config.parent, service, {name: config}, sources)
@@ -242,7 +242,7 @@ def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Pat
     axes.update(dict.fromkeys(names, folder / fleet.config))
 
 
-def _of_kind(
+def _read_kind(
     where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, Callable[[], type[Section]]]
 ) -> Section:
     """A source or a sink: `kind` says which section it is."""

@@ -15,21 +15,21 @@ from typing import Any
 from pmfid.session.monitored.stream import catch_signals
 from pmfid.stream.counters import Counters
 
-__all__ = ["Signals", "Standing", "notify"]
+__all__ = ["PauseWatch", "SignalRequests", "notify"]
 
 #: A process that has not come by for so long was stopped [s]: no load keeps it away.
 STOOD = 10.0
 
 
 @dataclass
-class Signals:
+class SignalRequests:
     """What was asked for by a signal."""
 
     stop: bool = False
     reload: bool = False
 
     @contextmanager
-    def handled(self) -> Iterator[Signals]:
+    def catch(self) -> Iterator[SignalRequests]:
         """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
         with catch_signals(self._handle):
             yield self
@@ -42,7 +42,7 @@ class Signals:
 
 
 @dataclass
-class Standing:
+class PauseWatch:
     """To be called again and again: tells how long the whole process stood still. Nothing else would tell why its
     estimates came late."""
 

@@ -10,7 +10,7 @@ from pmfid.service.plant import AxisSection, FleetSection, ServiceSection
 from pmfid.service.web.config import HERE, PORT, PageConfig
 from pmfid.session.reference import ReferenceEntry, keys_in, tables
 
-__all__ = ["plant_entries", "plant_page", "without_names"]
+__all__ = ["plant_entries", "plant_page", "strip_names"]
 
 _KEY = "key of PLANT.toml"
 _ABOUT = {
@@ -45,7 +45,7 @@ def _entries() -> Iterator[ReferenceEntry]:
             yield from keys_in(f"{section}.{kind}", made(), _KEY)
 
 
-def without_names(word: str) -> list[str]:
+def strip_names(word: str) -> list[str]:
     """What a word with a name of someone's plant may mean: axes.x1.config is axes.config, and sources.hall.qos that key
     of each kind."""
     found = re.fullmatch(r"\[?(axes|fleets|sources|sinks)\.[^.\]]+\]?[. ](\w+)", word.strip())
@@ -58,9 +58,9 @@ def without_names(word: str) -> list[str]:
 
 def plant_page() -> str:
     """The page of all keys, in Markdown."""
-    return "\n".join([_HEAD, *tables(plant_entries(), _about)])
+    return "\n".join([_HEAD, *tables(plant_entries(), _describe_section)])
 
 
-def _about(section: str) -> str:
+def _describe_section(section: str) -> str:
     table, _, kind = section.partition(".")
     return f"{_ABOUT[table].format(kind=kind)}\n\n"

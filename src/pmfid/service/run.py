@@ -10,13 +10,13 @@ from threading import Thread
 from typing import Any
 
 from pmfid.errors import PmfidError, UsageError
-from pmfid.service.arrangement import Configurations, arranged, remember, tell_configurations
+from pmfid.service.arrangement import Configurations, arrange_groups, remember, tell_configurations
 from pmfid.service.board import Board
 from pmfid.service.context import Context
 from pmfid.service.keeping import Checkpoints
-from pmfid.service.log import Log
+from pmfid.service.log import NoticeLog
 from pmfid.service.plant import Plant, page_config
-from pmfid.service.process import Signals, Standing, notify
+from pmfid.service.process import PauseWatch, SignalRequests, notify
 from pmfid.service.running import Sources
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.web.server import Page
@@ -50,7 +50,7 @@ class Service:
     with its last source; record: that the only axis is watched on, read already."""
 
     load: Callable[[], Plant]
-    log: Log
+    log: NoticeLog
     until_end: bool = False
     record: Record | None = None
     counters: Counters = field(default_factory=Counters, init=False)
@@ -59,10 +59,10 @@ class Service:
         """Until a signal, or the end of all sources. Raises UsageError for a plant that cannot be served at all."""
         self._plant = plant = self.load()
         self._page: Page | None = None
-        self._signals = Signals()
+        self._signals = SignalRequests()
         self._reloading: Thread | None = None
         self._prepare(plant)  # may take minutes: a signal ends it at once, for nothing runs yet
-        with self._signals.handled():
+        with self._signals.catch():
             try:
                 self._start(plant)
                 gc.freeze()  # what is there stays: not to be looked through again and again
@@ -83,7 +83,7 @@ class Service:
         self._log = Queued(self.log, self.counters, lambda told: None, rows_wanted=False)
         self._log.start()
         self._outlets: list[Outlet] = [self._board, self._log]
-        self._engine = Engine(self.counters, self._outlets, self._board.followed)
+        self._engine = Engine(self.counters, self._outlets, self._board.list_followed)
         self._sinks: list[Queued] = []
         self._engine.silence.limit, self._engine.silence.sources = plant.service.silence, tuple(plant.sources)
         self._unwritten: dict[str, list[Notice]] = {}
@@ -92,8 +92,8 @@ class Service:
         self._configurations = Configurations(self._tell_now, self.record)
         vault: Vault | None = None
         try:
-            vault = self._looked_at(plant)
-            self._axes: dict[str, Prepared] = self._configurations.of(plant.axes)
+            vault = self._check_plant(plant)
+            self._axes: dict[str, Prepared] = self._configurations.load_all(plant.axes)
             if not self._axes:
                 raise UsageError("no axis can be watched; correct what the log says of their configurations")
             self._restore(plant, vault)
@@ -103,7 +103,7 @@ class Service:
             self._log.close(ENDING)
             raise
 
-    def _looked_at(self, plant: Plant) -> Vault | None:
+    def _check_plant(self, plant: Plant) -> Vault | None:
         """What is told before axes are calibrated, which may take minutes."""
         page_config(plant)
         if not plant.sources:
@@ -126,7 +126,7 @@ class Service:
         saved, groups = found
         saved.restore(engine)
         self._unwritten = saved.unwritten
-        for notice in engine.notices.replayed(saved.alarms):
+        for notice in engine.notices.replay_alarms(saved.alarms):
             self._board.notice(notice)
         fresh = self._arrange(groups)
         known = set(saved.axes())
@@ -143,16 +143,16 @@ class Service:
         """A checkpoint and its groups that are still configured so. Raises ValueError for what is none."""
         saved = read_snapshot(body)
         present = {prepared.digest: prepared for prepared in self._axes.values()}
-        groups = [one.restored(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
+        groups = [one.restore_group(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
         return saved, groups
 
     def _tell_now(self, what: dict[str, Any]) -> None:
-        self._engine.notices.own("", what)
+        self._engine.notices.publish_own("", what)
 
     def _arrange(self, groups: list[Group]) -> list[str]:
         """Puts the axes into their groups, those of `groups` among them; names of the axes that start anew."""
-        made, fresh = arranged(groups, self._axes, self._pace)
-        self._engine.arranged(made)
+        made, fresh = arrange_groups(groups, self._axes, self._pace)
+        self._engine.set_groups(made)
         remember(self._engine)
         seats = [seat for group in self._engine.groups for seat in group.seats]
         referred = {seat.name: seat.referred for seat in seats if seat.referred is not None}
@@ -174,7 +174,7 @@ class Service:
             self._outlets.append(queued)
         self._say_started(plant)
         tell_configurations(self._engine)
-        self._thread = Thread(target=self._engine_runs, name="engine", daemon=True)
+        self._thread = Thread(target=self._run_engine, name="engine", daemon=True)
         self._problem: BaseException | None = None
         self._thread.start()
         for source in sources:
@@ -192,7 +192,7 @@ class Service:
         state = None if plant.state is None else str(plant.state)
         told = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
         self._outlets.remove(self._log)
-        number = self._engine.notices.own("", told).number
+        number = self._engine.notices.publish_own("", told).number
         self._outlets.append(self._log)
         self._log.notice(Notice("", number, time.time(), {**told, **self._page_address(plant)}))
 
@@ -242,7 +242,7 @@ class Service:
 
     # --- while it runs ------------------------------------------------------------------------------------------------
 
-    def _engine_runs(self) -> None:
+    def _run_engine(self) -> None:
         try:
             self._engine.run()
         except BaseException as error:
@@ -250,7 +250,7 @@ class Service:
             self._engine.inbox.close()
 
     def _watch(self) -> None:
-        alive, standing = time.monotonic(), Standing(self._engine.tell, self.counters)
+        alive, standing = time.monotonic(), PauseWatch(self._engine.tell, self.counters)
         while not self._signals.stop and self._thread.is_alive():
             time.sleep(LOOK)
             standing.look()
@@ -275,7 +275,7 @@ class Service:
         try:
             plant = self.load()
             self._configurations.tell = self._engine.tell
-            axes = self._configurations.of(plant.axes)
+            axes = self._configurations.load_all(plant.axes)
         except (PmfidError, OSError) as error:
             self._engine.tell({"event": "reload", "problem": f"{error}; the service goes on as before"})
             return

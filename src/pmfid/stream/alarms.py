@@ -7,14 +7,14 @@ from typing import Any
 
 from pmfid.stream.outcome import Notice
 
-__all__ = ["Alarms", "Standing"]
+__all__ = ["AlarmRecord", "Alarms"]
 
 #: Alarms that are kept; beyond, the oldest that is acknowledged or over goes first.
 MOST = 2000
 
 
 @dataclass(frozen=True)
-class Standing:
+class AlarmRecord:
     """An alarm and what became of it. number: of its notice; wall: seconds since 1970; what: as `pmfid monitor --json`
     tells it; note, acknowledged: what someone wrote, and when, None while nobody did; settled: the new values once
     they are known, as in "settled"; cleared: when what had been silent was back, None while it is not."""
@@ -45,9 +45,9 @@ class Standing:
 class Alarms:
     """By number, in the order in which they were told."""
 
-    _all: dict[int, Standing] = field(default_factory=dict, init=False)
+    _all: dict[int, AlarmRecord] = field(default_factory=dict, init=False)
 
-    def take(self, notice: Notice) -> list[Standing]:
+    def take(self, notice: Notice) -> list[AlarmRecord]:
         """What a notice changes: the alarms as they are now. One that came before changes nothing again."""
         what = notice.what
         if what.get("event") == "alarm":
@@ -61,23 +61,23 @@ class Alarms:
             return self._settle(notice)
         return []
 
-    def _raise(self, notice: Notice) -> list[Standing]:
+    def _raise(self, notice: Notice) -> list[AlarmRecord]:
         if notice.number in self._all:
             return []
-        self._all[notice.number] = Standing(notice.axis, notice.number, notice.wall, notice.what)
+        self._all[notice.number] = AlarmRecord(notice.axis, notice.number, notice.wall, notice.what)
         if len(self._all) > MOST:
             over = (n for n, one in self._all.items() if not one.acknowledged is one.cleared is None)
             del self._all[next(over, next(iter(self._all)))]
         return [self._all[notice.number]] if notice.number in self._all else []
 
-    def _change(self, number: object, **changed: Any) -> list[Standing]:
+    def _change(self, number: object, **changed: Any) -> list[AlarmRecord]:
         alarm = self._all.get(number) if isinstance(number, int) else None
         if alarm is None:
             return []
         self._all[alarm.number] = replace(alarm, **changed)
         return [self._all[alarm.number]]
 
-    def _settle(self, notice: Notice) -> list[Standing]:
+    def _settle(self, notice: Notice) -> list[AlarmRecord]:
         """The alarms of the axis that no value is known of yet."""
         told = {"time": notice.what.get("time"), "parameters": notice.what.get("parameters", {})}
         of_axis = [alarm for alarm in self._all.values() if alarm.axis == notice.axis]
@@ -86,9 +86,9 @@ class Alarms:
             self._all[alarm.number] = replace(alarm, settled=told)
         return [self._all[alarm.number] for alarm in open_ones]
 
-    def all(self) -> list[Standing]:
+    def all(self) -> list[AlarmRecord]:
         """Oldest first."""
         return list(self._all.values())
 
-    def get(self, number: int) -> Standing | None:
+    def get(self, number: int) -> AlarmRecord | None:
         return self._all.get(number)

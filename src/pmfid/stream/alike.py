@@ -16,7 +16,7 @@ from pmfid.stream.delivery import Table
 from pmfid.stream.layout import HEADER, LONGEST_NAME, MAGIC, MOST_NUMBER, MOST_SAMPLES, VERSION, block_type
 from pmfid.types import Flags
 
-__all__ = ["alike"]
+__all__ = ["read_alike_blocks"]
 
 #: So many blocks are worth the trouble.
 FEWEST = 4
@@ -26,7 +26,7 @@ LISTS, NAMES = 1024, 256
 _COMMON, _LETTERS = slice(0, 8), 12
 
 
-def alike(data: bytes) -> Table | None:
+def read_alike_blocks(data: bytes) -> Table | None:
     """The blocks of a message where all have the same form and nothing is wrong with any; None otherwise."""
     if len(data) < HEADER.size or not data.startswith(MAGIC):
         return None
@@ -39,10 +39,10 @@ def alike(data: bytes) -> Table | None:
     rows = np.frombuffer(data, form)
     whole = rows.view(np.uint8).reshape(rows.size, form.itemsize)
     same = (whole[:, _COMMON] == whole[0, _COMMON]).all() and (whole[:, _LETTERS] == letters).all()
-    if not (same and _sums_fit(data, rows) and _fine(rows, samples)):
+    if not (same and _sums_fit(data, rows) and _are_in_range(rows, samples)):
         return None
-    names = (_names if rows.size <= NAMES else _names.__wrapped__)(rows["name"].tobytes(), letters)
-    return None if names is None else _made(rows, names)
+    names = (_read_names if rows.size <= NAMES else _read_names.__wrapped__)(rows["name"].tobytes(), letters)
+    return None if names is None else _build_table(rows, names)
 
 
 def _sums_fit(data: bytes, rows: np.ndarray) -> bool:
@@ -51,7 +51,7 @@ def _sums_fit(data: bytes, rows: np.ndarray) -> bool:
     return bool(sums == rows["crc"].tolist())
 
 
-def _fine(rows: np.ndarray, samples: int) -> bool:
+def _are_in_range(rows: np.ndarray, samples: int) -> bool:
     """Whether all numbers are what they may be."""
     time, dt, counts = rows["time"], rows["dt"], rows["counts"]
     with np.errstate(invalid="ignore"):
@@ -63,7 +63,7 @@ def _fine(rows: np.ndarray, samples: int) -> bool:
 
 
 @lru_cache(LISTS)
-def _names(text: bytes, letters: int) -> tuple[str, ...] | None:
+def _read_names(text: bytes, letters: int) -> tuple[str, ...] | None:
     """Names of so many bytes each, which stand behind one another; None where one is none."""
     try:
         names = tuple(text[k : k + letters].rstrip(b"\0").decode() for k in range(0, len(text), letters))
@@ -74,7 +74,7 @@ def _names(text: bytes, letters: int) -> tuple[str, ...] | None:
     return names if whole else None
 
 
-def _made(rows: np.ndarray, names: tuple[str, ...]) -> Table:
+def _build_table(rows: np.ndarray, names: tuple[str, ...]) -> Table:
     # copies: they are aligned, and do not keep the whole message
     epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
     time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))

@@ -14,7 +14,7 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
-from pmfid.stream.alike import alike
+from pmfid.stream.alike import read_alike_blocks
 from pmfid.stream.delivery import Block, Table, Unusable
 from pmfid.stream.layout import (
     COUNTS,
@@ -66,13 +66,13 @@ def encode(block: Block) -> bytes:
 def items(data: bytes) -> list[Table] | list[Block | Unusable]:
     """What a message says: its blocks in order, and in place of each that cannot be used the reason; one table where
     all are alike."""
-    found = alike(data)
+    found = read_alike_blocks(data)
     return [found] if found is not None else _blocks(data, whole=True)[0]
 
 
 def decode(data: bytes) -> list[Block | Unusable]:
     """The same without tables."""
-    found = alike(data)
+    found = read_alike_blocks(data)
     return [*found.blocks()] if found is not None else _blocks(data, whole=True)[0]
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.monitor.saved import seal_parts
-from pmfid.stream.alarms import Standing
+from pmfid.stream.alarms import AlarmRecord
 from pmfid.stream.delivery import Block, Mark
 from pmfid.stream.groups import Group, Pace, Prepared, Seat
 from pmfid.stream.outcome import Notice
@@ -26,7 +26,7 @@ from pmfid.stream.outcome import Notice
 if TYPE_CHECKING:
     from pmfid.stream.engine import Engine
 
-__all__ = ["Draft", "Room", "Snapshot", "draft", "read_snapshot", "snapshot", "state_size"]
+__all__ = ["Draft", "Snapshot", "StateBuffer", "draft", "read_snapshot", "snapshot", "state_size"]
 
 _LENGTH = struct.Struct("<Q")
 #: Of every axis: where its numbers and its clock stand.
@@ -40,7 +40,7 @@ SEAT = np.dtype(
         ("first", "<i8"),
         ("seat", "<i8"),
         ("notices", "<i8"),
-        ("told", "u1"),
+        ("wrong_rate", "u1"),
         ("wrong_period", "u1"),
     ]
 )
@@ -52,7 +52,7 @@ HELD = np.dtype(
 )
 
 
-class Room:
+class StateBuffer:
     """Where states are copied to, again and again: memory that is new at each checkpoint would cost more than the
     copy."""
 
@@ -68,7 +68,7 @@ class Room:
         """New memory of so many bytes, each touched; by any thread, while nothing is copied."""
         self._bytes = np.full(size, 1, np.uint8)
 
-    def copied(self, states: Sequence[Sequence[memoryview]]) -> list[list[memoryview]]:
+    def copy_states(self, states: Sequence[Sequence[memoryview]]) -> list[list[memoryview]]:
         """The same there, until the next call."""
         size = sum(len(part) for state in states for part in state)
         if self._bytes.size < size:
@@ -103,7 +103,7 @@ class Draft:
 
 def snapshot(engine: Engine) -> list[bytes | memoryview]:
     """The engine between two ticks."""
-    return draft(engine, Room()).chunks()
+    return draft(engine, StateBuffer()).chunks()
 
 
 def state_size(engine: Engine) -> int:
@@ -111,14 +111,17 @@ def state_size(engine: Engine) -> int:
     return sum(len(part) for group in engine.groups for part in group.fleet.unsealed_state())
 
 
-def draft(engine: Engine, room: Room) -> Draft:
+def draft(engine: Engine, room: StateBuffer) -> Draft:
     """The same, to be finished by another thread; the engine can go on."""
-    states = room.copied([group.fleet.unsealed_state() for group in engine.groups])
-    others, groups = [[_seats(group).tobytes(), _held(group)] for group in engine.groups], list[dict[str, Any]]()
+    states = room.copy_states([group.fleet.unsealed_state() for group in engine.groups])
+    others, groups = (
+        [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups],
+        list[dict[str, Any]](),
+    )
     for group, state, own in zip(engine.groups, states, others, strict=True):
         names = [seat.name for seat in group.seats]
         groups.append({"digest": group.prepared.digest, "config": group.kindred.config, "axes": names})
-        groups[-1]["seats"] = {str(seat.index): rare for seat in group.seats if (rare := _rare(seat))}
+        groups[-1]["seats"] = {str(seat.index): rare for seat in group.seats if (rare := _collect_rare(seat))}
         for index in np.flatnonzero(group.positions.alarm).tolist():
             groups[-1]["seats"].setdefault(str(index), {})["silent"] = int(group.positions.alarm[index])
         groups[-1]["parts"] = [sum(map(len, state)), *map(len, own)]
@@ -140,7 +143,7 @@ def draft(engine: Engine, room: Room) -> Draft:
     return Draft(text, states, others)
 
 
-def _seats(group: Group) -> NDArray[np.void]:
+def _pack_seats(group: Group) -> NDArray[np.void]:
     found = np.zeros(len(group.seats), SEAT)
     for name in _COLUMNS:
         found[name] = getattr(group.positions, name)
@@ -149,21 +152,21 @@ def _seats(group: Group) -> NDArray[np.void]:
     return found
 
 
-def _rare(seat: Seat) -> dict[str, Any]:
+def _collect_rare(seat: Seat) -> dict[str, Any]:
     """What only some axes have."""
     found: dict[str, Any] = {}
     if seat.order.gaps:
         found["gaps"] = seat.order.gaps
-    if seat.told:
-        found["told"] = seat.told
+    if seat.notice_counts:
+        found["told"] = seat.notice_counts
     if seat.timed is not None:
-        found["timed"] = seat.timed.saved()
+        found["timed"] = seat.timed.save_state()
     if seat.referred is not None:
         found["referred"] = seat.referred
     return found
 
 
-def _held(group: Group) -> bytes:
+def _pack_held(group: Group) -> bytes:
     """Blocks that wait."""
     waiting = np.flatnonzero(group.positions.waits).tolist()
     pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
@@ -187,7 +190,7 @@ class Saved:
     held: bytes
     rare: Mapping[str, Any]
 
-    def restored(self, prepared: Prepared, pace: Pace) -> Group:
+    def restore_group(self, prepared: Prepared, pace: Pace) -> Group:
         """The group as it was. Raises ValueError for what no group has saved."""
         group = Group(prepared, pace)
         try:
@@ -215,7 +218,7 @@ class Snapshot:
     numbered: int
     marks: dict[str, Mark]
     history: list[dict[str, Any]]
-    alarms: list[Standing]
+    alarms: list[AlarmRecord]
     unwritten: dict[str, list[Notice]]
     groups: list[Saved]
 
@@ -248,7 +251,7 @@ def read_snapshot(body: bytes) -> Snapshot:
         if place != len(body):
             raise ValueError("its parts do not fill it")
         marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
-        alarms = [_standing(alarm) for alarm in raw["alarms"]]
+        alarms = [_read_alarm(alarm) for alarm in raw["alarms"]]
         unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
         history = list(raw["history"])
         return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, history, alarms, unwritten, groups)
@@ -256,14 +259,14 @@ def read_snapshot(body: bytes) -> Snapshot:
         raise ValueError(f"it is no checkpoint of this version: {error!r}") from None
 
 
-def _standing(raw: Mapping[str, Any]) -> Standing:
+def _read_alarm(raw: Mapping[str, Any]) -> AlarmRecord:
     keys = ("axis", "number", "wall", "what", "note", "acknowledged", "settled")
-    return Standing(**{key: raw[key] for key in keys}, cleared=raw.get("cleared"))
+    return AlarmRecord(**{key: raw[key] for key in keys}, cleared=raw.get("cleared"))
 
 
 def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
     seat.order.gaps = [(int(a), int(b)) for a, b in rare.get("gaps", ())]
-    seat.told = {str(kind): int(times) for kind, times in rare.get("told", {}).items()}
+    seat.notice_counts = {str(kind): int(times) for kind, times in rare.get("told", {}).items()}
     if "referred" in rare:
         seat.referred = tuple(map(float, rare["referred"]))
     if "timed" in rare:

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.stream.positions import Column, Place
+from pmfid.stream.positions import Column, PositionRow
 from pmfid.types import Flags, Floats
 
-__all__ = ["Clock", "due", "fits", "right", "runs"]
+__all__ = ["Clock", "clock_runs", "period_fits", "rate_fits", "rate_is_due"]
 
 #: A clock that is off by more was set [s]: stamps may be those of whole seconds.
 SET = 1.5
@@ -25,22 +25,22 @@ Whole = int | NDArray[np.int64]
 Answer = bool | Flags
 
 
-def fits(period: Real, dt: float) -> Answer:
+def period_fits(period: Real, dt: float) -> Answer:
     """Whether a sender has the sample period of the configuration."""
     return (period - dt <= PERIOD * dt) & (dt - period <= PERIOD * dt)
 
 
-def runs(off: Real) -> Answer:
+def clock_runs(off: Real) -> Answer:
     """Whether a clock that is off by so much [s] was not set; False for one of which nothing is known."""
     return (off <= SET) & (-off <= SET)
 
 
-def due(samples: Whole, time: Real) -> Answer:
+def rate_is_due(samples: Whole, time: Real) -> Answer:
     """Whether after so many samples and so much time [s] the rate of a clock is looked at."""
     return (samples >= RATE_SAMPLES) & (time >= RATE_TIME)
 
 
-def right(rate: Real) -> Answer:
+def rate_fits(rate: Real) -> Answer:
     """Whether a clock goes at such a rate as it should."""
     return (rate - 1 <= RATE) & (1 - rate <= RATE)
 
@@ -52,14 +52,14 @@ class Clock:
     __slots__ = ("dt", "place")
     expected, number = Column[float]("time"), Column[int]("number")
     start, first = Column[float]("start"), Column[int]("first")
-    told = Column[bool]("told")
+    wrong_rate = Column[bool]("wrong_rate")
 
-    def __init__(self, dt: float, place: Place) -> None:
+    def __init__(self, dt: float, place: PositionRow) -> None:
         self.dt, self.place = dt, place
 
     def reset(self) -> None:
         """Nothing is known of it any more."""
-        self.expected, self.number, self.start, self.first, self.told = math.nan, 0, math.nan, 0, False
+        self.expected, self.number, self.start, self.first, self.wrong_rate = math.nan, 0, math.nan, 0, False
 
     def look(self, first: int, end: int, time: float) -> dict[str, object] | None:
         """At a block in its place. What there is to tell: the clock was set, or goes at another rate."""
@@ -67,18 +67,18 @@ class Clock:
             return None
         off = time - self.expected - (first - self.number) * self.dt
         self.expected, self.number = time + (end - first) * self.dt, end
-        if not runs(off):
+        if not clock_runs(off):
             self.start, self.first = time, first
             return None if math.isnan(off) else {"event": "clock", "time": time, "jump": off}
-        if due(first - self.first, time - self.start):
+        if rate_is_due(first - self.first, time - self.start):
             return self._rate(first, time)
         return None
 
     def _rate(self, first: int, time: float) -> dict[str, object] | None:
         rate = (time - self.start) / ((first - self.first) * self.dt)
         self.start, self.first = time, first
-        wrong, known = not right(rate), self.told
-        self.told = wrong
+        wrong, known = not rate_fits(rate), self.wrong_rate
+        self.wrong_rate = wrong
         if not wrong or known:
             return None
         period = rate * self.dt

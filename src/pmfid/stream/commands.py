@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 from threading import Lock
 
-__all__ = ["Acknowledge", "Anew", "Command", "Commands", "Refer"]
+__all__ = ["Acknowledge", "Command", "Commands", "Refer", "RestartNumbers"]
 
 #: Commands that wait at most, and the longest note [characters].
 MOST, LONGEST_NOTE = 1000, 2000
@@ -28,13 +28,13 @@ class Refer:
 
 
 @dataclass(frozen=True)
-class Anew:
+class RestartNumbers:
     """The sender of the axis began anew without an epoch that says so: its next samples are taken as they are."""
 
     axis: str
 
 
-Command = Acknowledge | Refer | Anew
+Command = Acknowledge | Refer | RestartNumbers
 
 
 class Commands:
@@ -52,9 +52,9 @@ class Commands:
         """False where the engine has no room for more at the moment."""
         return self._put(Refer(axis))
 
-    def begin_anew(self, axis: str) -> bool:
+    def restart_numbers(self, axis: str) -> bool:
         """False where the engine has no room for more at the moment."""
-        return self._put(Anew(axis))
+        return self._put(RestartNumbers(axis))
 
     def _put(self, command: Command) -> bool:
         with self._lock:
@@ -63,7 +63,7 @@ class Commands:
             self._waiting.append(command)
             return True
 
-    def taken(self) -> list[Command]:
+    def take_all(self) -> list[Command]:
         """All that wait, in their order; for the engine."""
         with self._lock:
             found, self._waiting = list(self._waiting), deque()

@@ -11,7 +11,7 @@ POINTS = (
     "inbox.taken",
     "engine.ordered",
     "engine.stepped",
-    "engine.told",
+    "engine.reported",
     "checkpoint.made",
     "checkpoint.half",
     "checkpoint.written",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pmfid.session.monitored.timeline import Line
 from pmfid.types import Counts, Floats
 
-__all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "joined", "one_by_one"]
+__all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "join_arrays", "split_tables"]
 
 #: JSON of a source by which it goes on after a restart, as the place in a file.
 Mark = dict[str, int | float | str]
@@ -43,7 +43,7 @@ class Block:
         return self.first + self.counts.size
 
 
-def joined(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
+def join_arrays(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
     """The arrays of these names of each part, one behind the other."""
     return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
 
@@ -64,13 +64,13 @@ class Table:
     counts: Counts
 
     @classmethod
-    def joined(cls, tables: Sequence[Table]) -> Table:
+    def join(cls, tables: Sequence[Table]) -> Table:
         """Tables of blocks of the same length, one behind the other, as one."""
         if len(tables) == 1:
             return tables[0]
         return cls(
             tuple(chain.from_iterable(table.axes for table in tables)),
-            *joined(tables, "epoch", "first", "time", "dt", "u", "counts"),
+            *join_arrays(tables, "epoch", "first", "time", "dt", "u", "counts"),
         )
 
     def block(self, row: int) -> Block:
@@ -104,7 +104,7 @@ class Unusable:
 Item = Block | Table | Lines | Unusable
 
 
-def one_by_one(items: Sequence[Item]) -> list[Block | Lines | Unusable]:
+def split_tables(items: Sequence[Item]) -> list[Block | Lines | Unusable]:
     """The same with single blocks in place of tables."""
     found = list[Block | Lines | Unusable]()
     for item in items:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.session.monitored.run import event_object
-from pmfid.stream.commands import Acknowledge, Anew, Command, Commands, Refer
+from pmfid.stream.commands import Acknowledge, Command, Commands, Refer, RestartNumbers
 from pmfid.stream.counters import Counters
 from pmfid.stream.crash import crash_point
 from pmfid.stream.delivery import Delivery, Mark
@@ -22,7 +22,7 @@ from pmfid.stream.intake import Intake, Ordered
 from pmfid.stream.notices import Notices
 from pmfid.stream.outcome import Notice, Outlet
 from pmfid.stream.silence import Silence
-from pmfid.stream.stepping import Found, step
+from pmfid.stream.stepping import FoundEvent, step
 
 __all__ = ["Engine", "Keeper"]
 
@@ -39,7 +39,7 @@ class Keeper(Protocol):
         """Between two ticks: makes a checkpoint if it is time for one; last: at once, and waits until it is written."""
         ...
 
-    def taken(self, done: Callable[[], None]) -> None:
+    def call_when_kept(self, done: Callable[[], None]) -> None:
         """To be called once all that was stepped so far is in a checkpoint that a restart would find."""
         ...
 
@@ -50,7 +50,7 @@ class _Forgetful:
     def offer(self, engine: Engine, last: bool = False) -> None:
         """Nothing."""
 
-    def taken(self, done: Callable[[], None]) -> None:
+    def call_when_kept(self, done: Callable[[], None]) -> None:
         done()
 
 
@@ -115,7 +115,7 @@ class Engine:
 
     def tick(self, timeout: float) -> bool:
         """Takes what came and steps it; False once nothing will come any more."""
-        batch = self.inbox.taken(timeout)
+        batch = self.inbox.take_deliveries(timeout)
         self.beat = monotonic()
         self.silence.tick(self.beat)
         if batch:
@@ -128,10 +128,10 @@ class Engine:
         self.keeper.offer(self)
         return bool(batch) or not self.inbox.closed
 
-    def arranged(self, groups: Iterable[Group]) -> None:
+    def set_groups(self, groups: Iterable[Group]) -> None:
         """These are all the groups from now on."""
         self.groups = [group for group in groups if group.seats]
-        self._intake.arranged(seat for group in self.groups for seat in group.seats)
+        self._intake.set_seats(seat for group in self.groups for seat in group.seats)
         for seat in self._intake.seats.values():
             if not seat.number:
                 self.numbered += 1
@@ -152,11 +152,11 @@ class Engine:
         self._step(ordered)
         self._count(batch, begun)
         for delivery in batch:
-            self.silence.heard(delivery.source)
+            self.silence.note_delivery(delivery.source)
             if delivery.mark is not None:
                 self.marks[delivery.source] = delivery.mark
             if delivery.done is not None:
-                self.keeper.taken(delivery.done)
+                self.keeper.call_when_kept(delivery.done)
 
     def _step(self, ordered: Ordered) -> None:
         found, followed = ordered.found, self.followed()
@@ -164,17 +164,17 @@ class Engine:
             done = step(waiting, followed, self.silence.now)
             self.counters.add("pmfid_samples_total", done.samples, group=waiting.group.kindred.config)
             self.counters.add("pmfid_samples_without_input_total", done.lost, group=waiting.group.kindred.config)
-            found += [one for one in done.found if self._wanted(one)]
+            found += [one for one in done.found if self._admit_event(one)]
             for rows in done.rows:
                 for outlet in self.outlets:
                     outlet.rows(rows)
         crash_point("engine.stepped")
         found.sort(key=lambda one: (one.turn, one.sample))
         for one in found:
-            self.notices.found(one.seat, one.what)
-        crash_point("engine.told")
+            self.notices.publish_event(one.seat, one.what)
+        crash_point("engine.reported")
 
-    def _wanted(self, one: Found) -> bool:
+    def _admit_event(self, one: FoundEvent) -> bool:
         """Counts an event; what lasts is not told again and again."""
         event = str(one.what["event"])
         self.counters.add("pmfid_events_total", event=event, group=one.seat.group.kindred.config)
@@ -194,7 +194,7 @@ class Engine:
         while self._asked:
             self._asked.popleft()()
             self.changes += 1
-        for command in self.commands.taken():
+        for command in self.commands.take_all():
             self._command(command)
             self.changes += 1
             self.urgent = True
@@ -205,16 +205,16 @@ class Engine:
         elif isinstance(command, Refer):
             self._refer(command)
         else:
-            self._begin_anew(command)
+            self._restart_numbers(command)
 
-    def _begin_anew(self, command: Anew) -> None:
+    def _restart_numbers(self, command: RestartNumbers) -> None:
         seat = self.seat(command.axis)
         if seat is None:
             return
-        dropped, events = seat.begin_anew()
-        self.notices.own(seat.name, {"event": "anew", "dropped": dropped})
+        dropped, events = seat.restart_numbers()
+        self.notices.publish_own(seat.name, {"event": "anew", "dropped": dropped})
         for event in events:
-            self.notices.found(seat, event_object(event, seat.group.kindred.names))
+            self.notices.publish_event(seat, event_object(event, seat.group.kindred.names))
 
     def _acknowledge(self, command: Acknowledge) -> None:
         alarm = self.notices.alarms.get(command.number)
@@ -223,7 +223,7 @@ class Engine:
             return
         what = {key: alarm.what[key] for key in ("silent", "name") if "silent" in alarm.what}
         told = {"event": "acknowledged", "alarm": command.number, "note": command.note, **what}
-        self.notices.own(alarm.axis, told)
+        self.notices.publish_own(alarm.axis, told)
 
     def _refer(self, command: Refer) -> None:
         seat = self.seat(command.axis)
@@ -233,17 +233,19 @@ class Engine:
         try:
             events = group.fleet.refer(index)
         except UsageError as error:
-            self.notices.own(seat.name, {"event": "reference", "problem": str(error)})
+            self.notices.publish_own(seat.name, {"event": "reference", "problem": str(error)})
             return
         told = [event_object(event, group.kindred.names) for event in events]
         normal = {name: value["value"] for name, value in told[0]["parameters"].items()}
         seat.referred = tuple(normal.values())
-        self.notices.own(seat.name, {"event": "reference", "samples": int(group.numbers[index]), "nominal": normal})
+        self.notices.publish_own(
+            seat.name, {"event": "reference", "samples": int(group.numbers[index]), "nominal": normal}
+        )
         for what in told:
-            self.notices.found(seat, what)
+            self.notices.publish_event(seat, what)
 
     def _speak(self) -> None:
         """What other threads had to say."""
         while self._said:
             axis, what = self._said.popleft()
-            self.notices.own(axis, what)
+            self.notices.publish_own(axis, what)

@@ -17,13 +17,13 @@ from pmfid.session.monitored.setup import Setup, set_up
 from pmfid.session.records import Record
 from pmfid.stream.order import Order
 from pmfid.stream.outcome import Kindred
-from pmfid.stream.positions import Place, Positions
+from pmfid.stream.positions import PositionRow, Positions
 from pmfid.stream.timed import Timed
 
 __all__ = ["Group", "Pace", "Prepared", "Seat", "prepare"]
 
 #: Notices of a kind that an axis gets one by one, as those of bad lines and gaps; then each twice as late as the last.
-TOLD = 10
+EACH_NOTICE = 10
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,14 @@ class Seat:
     none; notices: how many there were of it; told: how many there were of a kind that is not always told; referred:
     (q,) what someone made normal for it by hand, None: what its configuration says."""
 
-    __slots__ = ("_place", "group", "name", "notices", "number", "order", "referred", "timed", "told")
+    __slots__ = ("_place", "group", "name", "notice_counts", "notices", "number", "order", "referred", "timed")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
-        self.group, self.name, self._place = group, name, Place(group.positions, index)
+        self.group, self.name, self._place = group, name, PositionRow(group.positions, index)
         self.order = Order(group.dt, round(group.pace.window / group.dt), self._place)
         self.timed: Timed | None = None
         self.number, self.notices = 0, 0
-        self.told: dict[str, int] = {}
+        self.notice_counts: dict[str, int] = {}
         self.referred: tuple[float, ...] | None = None
 
     @property
@@ -89,7 +89,7 @@ class Seat:
             self.timed = Timed(self.group.dt, self.group.pace.window, timed)
         return self.timed
 
-    def begin_anew(self) -> tuple[int, list[Event]]:
+    def restart_numbers(self) -> tuple[int, list[Event]]:
         """Whatever numbers come next are the first, and nothing is known between them and those before. How many
         samples waited and are dropped, and what the monitor has to tell."""
         dropped = sum(block.counts.size for block in self.order.held)
@@ -103,9 +103,9 @@ class Seat:
     def may_tell(self, kind: str) -> bool:
         """Whether another notice of a kind is to be told, or only counted; by their number alone, so that it is the
         same after a restart."""
-        times = self.told[kind] = self.told.get(kind, 0) + 1
-        rounds, rest = divmod(times, TOLD)
-        return times <= TOLD or (rest == 0 and rounds.bit_count() == 1)
+        times = self.notice_counts[kind] = self.notice_counts.get(kind, 0) + 1
+        rounds, rest = divmod(times, EACH_NOTICE)
+        return times <= EACH_NOTICE or (rest == 0 and rounds.bit_count() == 1)
 
 
 @dataclass
@@ -123,7 +123,7 @@ class Group:
         self.dt = self.prepared.dt
         self.fleet = MonitorFleet(self.prepared.setup.monitor, 0)
         self.stride = max(1, round(self.pace.every / self.dt))
-        self.kindred = self._kindred()
+        self.kindred = self._build_kindred()
 
     def add(self, names: Iterable[str]) -> None:
         """Axes that start anew."""
@@ -135,7 +135,7 @@ class Group:
         self.positions.add(len(fresh))
         self.seats += [Seat(self, start + k, name) for k, name in enumerate(fresh)]
         self.numbers = np.concatenate([self.numbers, np.zeros(len(fresh), np.int64)])
-        self.kindred = self._kindred()
+        self.kindred = self._build_kindred()
 
     def remove(self, gone: Sequence[int]) -> None:
         """Without these axes; the others go on."""
@@ -148,7 +148,7 @@ class Group:
         self.positions.remove(gone)
         for k, seat in enumerate(self.seats):
             seat.move(k)
-        self.kindred = self._kindred()
+        self.kindred = self._build_kindred()
 
     def restore(self, names: Sequence[str], state: bytes) -> None:
         """Goes on with axes from the saved states of their fleet. Raises UsageError for those of others."""
@@ -156,9 +156,9 @@ class Group:
         self.positions.add(len(names))
         self.seats = [Seat(self, k, name) for k, name in enumerate(names)]
         self.numbers = np.array(self.fleet.samples(), np.int64)
-        self.kindred = self._kindred()
+        self.kindred = self._build_kindred()
 
-    def _kindred(self) -> Kindred:
+    def _build_kindred(self) -> Kindred:
         axis, setup, monitor = self.prepared.axis, self.prepared.setup, self.prepared.setup.monitor
         rotary = axis.model.axis == "rotary"
         force = ("N m" if rotary else "N") if axis.model.input_gain == 1 else ""

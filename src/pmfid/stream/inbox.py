@@ -22,7 +22,7 @@ TICK = 0.025
 
 
 class Inbox:
-    """`put` by the threads of the sources, `taken` by the engine's."""
+    """`put` by the threads of the sources, `take_deliveries` by the engine's."""
 
     def __init__(self) -> None:
         self._waiting: deque[Delivery] = deque()
@@ -53,7 +53,7 @@ class Inbox:
     def _enough(self) -> bool:
         return self._items >= AT_ONCE or self._full
 
-    def taken(self, timeout: float) -> list[Delivery]:
+    def take_deliveries(self, timeout: float) -> list[Delivery]:
         """What came first, at the earliest TICK after the last call returned some, or as soon as there is enough;
         nothing after `timeout` [s]."""
         with self._changed:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.stream.clock import due, fits, right, runs
+from pmfid.stream.clock import clock_runs, period_fits, rate_fits, rate_is_due
 from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Table, Unusable
 from pmfid.stream.groups import Group, Seat
-from pmfid.stream.order import Piece, Verdict
+from pmfid.stream.order import ItemReport, SamplePiece
 from pmfid.stream.positions import Positions
 from pmfid.stream.seating import Seating, Seatings, Tables
-from pmfid.stream.stepping import Found
-from pmfid.stream.waiting import Batch, Waiting
+from pmfid.stream.stepping import FoundEvent
+from pmfid.stream.waiting import Batch, GroupQueue
 from pmfid.types import Flags, Floats
 
 __all__ = ["Intake", "Ordered", "take_expected"]
@@ -27,25 +27,25 @@ __all__ = ["Intake", "Ordered", "take_expected"]
 class Ordered:
     """What became of some deliveries. rounds: to be stepped one after the other; found: what there is to tell."""
 
-    rounds: list[Waiting] = field(default_factory=list)
-    found: list[Found] = field(default_factory=list)
-    _last: dict[int, Waiting] = field(default_factory=dict)
+    rounds: list[GroupQueue] = field(default_factory=list)
+    found: list[FoundEvent] = field(default_factory=list)
+    _last: dict[int, GroupQueue] = field(default_factory=dict)
 
     def put(self, group: Group, batch: Batch) -> None:
         """Blocks of a table, each of another axis."""
-        waiting = self._of(group)
+        waiting = self._get_waiting(group)
         if not waiting.may_put(batch.index):
             del self._last[id(group)]
-            waiting = self._of(group)
+            waiting = self._get_waiting(group)
         waiting.put(batch)
 
-    def queue(self, seat: Seat, pieces: list[Piece]) -> None:
+    def queue(self, seat: Seat, pieces: list[SamplePiece]) -> None:
         """Pieces of an axis."""
-        self._of(seat.group).queue(seat, pieces)
+        self._get_waiting(seat.group).queue(seat, pieces)
 
-    def _of(self, group: Group) -> Waiting:
+    def _get_waiting(self, group: Group) -> GroupQueue:
         if id(group) not in self._last:
-            self._last[id(group)] = Waiting(group)
+            self._last[id(group)] = GroupQueue(group)
             self.rounds.append(self._last[id(group)])
         return self._last[id(group)]
 
@@ -61,7 +61,7 @@ class Intake:
     _unusable: set[tuple[str, str]] = field(default_factory=set, init=False)
     _turn: int = field(default=0, init=False)
 
-    def arranged(self, seats: Iterable[Seat]) -> None:
+    def set_seats(self, seats: Iterable[Seat]) -> None:
         """These are all the axes from now on."""
         self.seats = {seat.name: seat for seat in seats}
         self._seatings = Seatings(self.seats)
@@ -90,16 +90,16 @@ class Intake:
         """Tables that follow one another, all at once where no axis comes twice."""
         if not tables.tables:
             return
-        seating = self._seatings.of([table.axes for table in tables.tables])
+        seating = self._seatings.seat_tables([table.axes for table in tables.tables])
         if seating is not None or len(tables.tables) == 1:
             self._table(tables, seating or [], ordered)
             return
-        for one in tables.one_by_one():
+        for one in tables.split():
             self._settle(one, ordered)
 
     def _table(self, tables: Tables, seating: Seating, ordered: Ordered) -> None:
         """What was expected at once, the rest block by block; each block counts as an item."""
-        table, size = Table.joined(tables.tables), tables.size
+        table, size = Table.join(tables.tables), tables.size
         turns = np.arange(self._turn + 1, self._turn + 1 + size)
         received = np.repeat([one.received for one in tables.deliveries], [len(one.axes) for one in tables.tables])
         self._turn += size
@@ -110,7 +110,7 @@ class Intake:
                 ordered.put(group, _batch(table, taken, index, turns, received))
                 rest &= ~taken
         left = np.flatnonzero(rest).tolist()
-        deliveries = tables.by_block() if left else []
+        deliveries = tables.list_block_deliveries() if left else []
         for row in left:
             self._single(table.block(row), deliveries[row], int(turns[row]), ordered)
 
@@ -132,9 +132,9 @@ class Intake:
             problem = f"there is no axis {item.axis!r} in this plant; add it to PLANT.toml, or correct the sender"
             self._refuse(delivery.source, Unusable("axis", problem, item.axis))
             return
-        pieces = list[Piece]()
+        pieces = list[SamplePiece]()
         try:
-            verdict = _ordered(seat, item, delivery.received, turn, pieces)
+            verdict = _order_item(seat, item, delivery.received, turn, pieces)
         finally:  # what an order has given out it does not give again
             if pieces:
                 ordered.queue(seat, pieces)
@@ -148,7 +148,7 @@ class Intake:
         self._unusable.add((source, item.reason))
         self.tell({"event": "unusable", "source": source, "reason": item.reason, "problem": item.problem}, "")
 
-    def _judge(self, seat: Seat, verdict: Verdict, turn: int, found: list[Found]) -> None:
+    def _judge(self, seat: Seat, verdict: ItemReport, turn: int, found: list[FoundEvent]) -> None:
         """Counts what came to nothing, and keeps what there is to tell for its turn."""
         group = seat.group.kindred.config
         for reason in ("duplicate", "late", "refused"):
@@ -161,15 +161,17 @@ class Intake:
                 f"{verdict.late} samples came too late, when the samples behind them had been taken"
             )
             self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
-        for what in verdict.told:
+        for what in verdict.events:
             self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)
             if what["event"] == "gap":
                 self.counters.add("pmfid_samples_missing_total", float(what["missing"]), group=group)  # type: ignore[arg-type]
             if seat.may_tell(str(what["event"])):
-                found.append(Found(turn, -1, seat, what))
+                found.append(FoundEvent(turn, -1, seat, what))
 
 
-def _ordered(seat: Seat, item: Block | Lines, received: float, turn: int, pieces: list[Piece]) -> Verdict | None:
+def _order_item(
+    seat: Seat, item: Block | Lines, received: float, turn: int, pieces: list[SamplePiece]
+) -> ItemReport | None:
     if isinstance(item, Block):
         return seat.order.take(item, received, turn, pieces)
     timed = any(line.time == line.time for line in item.lines)
@@ -195,9 +197,9 @@ def take_expected(positions: Positions, dt: float, index: NDArray[np.int64], tab
     n, known = table.counts.shape[1], positions
     samples, time = table.first - known.first[index], table.time - known.start[index]
     with np.errstate(invalid="ignore", divide="ignore"):
-        measured = due(samples, time)
-        at_rate = np.logical_not(measured) | (right(time / (samples * dt)) & ~known.told[index])
-        taken = _expected(known, dt, index, table) & (np.isnan(table.time) | at_rate)
+        measured = rate_is_due(samples, time)
+        at_rate = np.logical_not(measured) | (rate_fits(time / (samples * dt)) & ~known.wrong_rate[index])
+        taken = _find_expected(known, dt, index, table) & (np.isnan(table.time) | at_rate)
     known.expected[index[taken]] = table.first[taken] + n
     timed = taken & ~np.isnan(table.time)
     known.time[index[timed]], known.number[index[timed]] = table.time[timed] + n * dt, table.first[timed] + n
@@ -206,11 +208,11 @@ def take_expected(positions: Positions, dt: float, index: NDArray[np.int64], tab
     return taken
 
 
-def _expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
+def _find_expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
     """But for the rate of their clocks."""
     known, first, time = positions, table.first, table.time
     off = time - known.time[index] - (first - known.number[index]) * dt
-    quiet = np.logical_or(np.isnan(time), runs(off))
+    quiet = np.logical_or(np.isnan(time), clock_runs(off))
     next_one = (table.epoch == known.epoch[index]) & (first == known.expected[index]) & ~known.waits[index]
-    found: Flags = np.logical_and((index >= 0) & next_one & quiet, fits(table.dt, dt))
+    found: Flags = np.logical_and((index >= 0) & next_one & quiet, period_fits(table.dt, dt))
     return found

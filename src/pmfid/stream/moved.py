@@ -10,18 +10,18 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.monitor.monitor import Monitor
-from pmfid.stream.alarms import Standing
+from pmfid.stream.alarms import AlarmRecord
 from pmfid.stream.checkpoint import HELD, Saved, Snapshot, snapshot
 from pmfid.stream.counters import Counters
 from pmfid.stream.engine import Engine
 from pmfid.stream.groups import Group, Pace, Prepared
 
-__all__ = ["body_from", "body_of", "joined", "only"]
+__all__ = ["body_from", "body_of", "join_groups", "keep_axes"]
 
 _LENGTH = struct.Struct("<Q")
 
 
-def joined(groups: Sequence[Saved], prepared: Prepared) -> Saved:
+def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
     """Groups of one configuration as one, in their order. Raises ValueError for states of another one, or an axis that
     comes twice."""
     axes = tuple(name for group in groups for name in group.axes)
@@ -37,10 +37,10 @@ def joined(groups: Sequence[Saved], prepared: Prepared) -> Saved:
     pairs = list(zip(groups, starts, strict=False))
     rare = {str(int(k) + start): own for group, start in pairs for k, own in group.rare.items()}
     seats = np.concatenate([group.seats for group in groups])
-    return Saved(groups[0].digest, axes, fleet.get_state(), seats, _held(groups, starts), rare)
+    return Saved(groups[0].digest, axes, fleet.get_state(), seats, _join_held(groups, starts), rare)
 
 
-def _held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
+def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
     """Blocks that wait, with the numbers that their axes have now."""
     parts: list[tuple[bytes, bytes, bytes]] = []
     number = 0
@@ -57,21 +57,21 @@ def _held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
     return b"".join([_LENGTH.pack(number), *(part[k] for k in range(3) for part in parts)]) if parts else b""
 
 
-def only(group: Group, names: Collection[str]) -> Group:
+def keep_axes(group: Group, names: Collection[str]) -> Group:
     """The same group without all others."""
     group.remove([seat.index for seat in group.seats if seat.name not in names])
     return group
 
 
 def body_of(
-    saved: Saved, prepared: Prepared, pace: Pace, names: Collection[str], alarms: Sequence[Standing], numbered: int
+    saved: Saved, prepared: Prepared, pace: Pace, names: Collection[str], alarms: Sequence[AlarmRecord], numbered: int
 ) -> bytes:
     """The body of a checkpoint of some axes of a group, and of their alarms. Raises ValueError for what no group has
     saved."""
     engine = Engine(Counters())
     here = [alarm for alarm in alarms if alarm.axis in names]
     Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
-    engine.arranged([only(saved.restored(prepared, pace), names)])
+    engine.set_groups([keep_axes(saved.restore_group(prepared, pace), names)])
     return b"".join(snapshot(engine))
 
 
@@ -86,5 +86,5 @@ def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -
     except UsageError as error:
         raise ValueError(str(error)) from None
     engine = Engine(Counters())
-    engine.arranged([group])
+    engine.set_groups([group])
     return b"".join(snapshot(engine))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pmfid.stream.alarms import Alarms, Standing
+from pmfid.stream.alarms import AlarmRecord, Alarms
 from pmfid.stream.groups import Seat
 from pmfid.stream.outcome import Notice, Outlet
 
@@ -32,12 +32,12 @@ class Notices:
     wall: Callable[[], float] = time.time
     _own: int = field(default=OWN, init=False)
 
-    def found(self, seat: Seat, what: dict[str, Any]) -> Notice:
+    def publish_event(self, seat: Seat, what: dict[str, Any]) -> Notice:
         """Of the data of an axis."""
         seat.notices += 1
         return self._give(Notice(seat.name, seat.number * OF_AXIS + seat.notices, self.wall(), what))
 
-    def own(self, axis: str, what: dict[str, Any]) -> Notice:
+    def publish_own(self, axis: str, what: dict[str, Any]) -> Notice:
         """Of the service itself."""
         wall = self.wall()
         self._own = max(self._own + 1, int(1e6 * wall))
@@ -48,14 +48,14 @@ class Notices:
         """Number of the last notice of the service itself."""
         return self._own
 
-    def restore(self, alarms: Sequence[Standing]) -> None:
+    def restore(self, alarms: Sequence[AlarmRecord]) -> None:
         """Goes on with the alarms of a checkpoint."""
         self.alarms = Alarms()
-        for notice in self.replayed(alarms):
+        for notice in self.replay_alarms(alarms):
             self.alarms.take(notice)
 
     @staticmethod
-    def replayed(alarms: Sequence[Standing]) -> list[Notice]:
+    def replay_alarms(alarms: Sequence[AlarmRecord]) -> list[Notice]:
         """Notices that lead to these alarms; for who must know them without being told anew."""
         found = list[Notice]()
         for alarm in alarms:

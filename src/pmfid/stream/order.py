@@ -12,15 +12,15 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from pmfid.stream.clock import Clock, fits
+from pmfid.stream.clock import Clock, period_fits
 from pmfid.stream.delivery import Block
-from pmfid.stream.positions import Column, Place, Positions
+from pmfid.stream.positions import Column, PositionRow, Positions
 from pmfid.types import Counts, Floats
 
-__all__ = ["ANEW", "Order", "Piece", "Verdict"]
+__all__ = ["UNKNOWN_GAP", "ItemReport", "Order", "SamplePiece"]
 
 #: In place of a number of missing samples: the sender began anew, nobody knows what lies between.
-ANEW = -1
+UNKNOWN_GAP = -1
 #: Between two epochs more is not a gap [s], and between two numbers no drive has more [samples].
 LONGEST_GAP, MOST_MISSING = 3600.0, 2**40
 #: Gaps that are remembered, to tell what is late from what came twice.
@@ -35,11 +35,14 @@ REMEDY = (
 )
 
 
-class Piece(NamedTuple):
-    """Samples to be stepped. lead: samples that are missing before the first, ANEW where nobody knows how many; apart:
-    the sender began anew, its counter with it, so that nothing is known between the samples on both sides; time: of
-    sample `-offset` [s], or NaN; received: `time.monotonic()`; turn: number of its item since the start, by which
-    events are ordered; times: (n,) where the samples have their own."""
+class SamplePiece(NamedTuple):
+    """Samples to be stepped.
+
+    lead: samples missing before the first, UNKNOWN_GAP if their number is unknown; apart: the sender and its counter
+    restarted, so the samples on both sides share nothing; time: of sample `-offset` [s], or NaN; received:
+    `time.monotonic()`; turn: number of its item since the start, which orders events; times: (n,) of the samples if
+    they have their own.
+    """
 
     lead: int
     apart: bool
@@ -53,16 +56,19 @@ class Piece(NamedTuple):
 
 
 @dataclass
-class Verdict:
-    """What became of an item, beside pieces. duplicate, late: samples that were dropped; refused: that have another
-    period; lines: that are no samples, by what they are; told: objects for notices; stale: what to do about a sender
-    all of whose samples are dropped; again: that is to be told however often something was."""
+class ItemReport:
+    """The outcome of an item apart from its pieces.
+
+    duplicate, late: samples that were dropped; refused: samples of another period; lines: number of lines without a
+    sample, by their kind; events: objects for notices; stale: the remedy for a sender whose samples are all dropped;
+    again: `stale` becomes a notice even if it was reported before.
+    """
 
     duplicate: int = 0
     late: int = 0
     refused: int = 0
     lines: dict[str, int] = field(default_factory=dict)
-    told: list[dict[str, object]] = field(default_factory=list)
+    events: list[dict[str, object]] = field(default_factory=list)
     stale: str = ""
     again: bool = False
 
@@ -79,9 +85,9 @@ class Order:
     epoch, expected = Column[int]("epoch"), Column[int]("expected")
     wrong_period, _waiting = Column[bool]("wrong_period"), Column[bool]("waits")
 
-    def __init__(self, dt: float, window: int, place: Place | None = None) -> None:
+    def __init__(self, dt: float, window: int, place: PositionRow | None = None) -> None:
         self.dt, self.window = dt, window
-        self.place = place or Place(Positions.fresh(1), 0)
+        self.place = place or PositionRow(Positions.fresh(1), 0)
         self._held: list[Block] = []
         self.gaps: list[tuple[int, int]] = []
         self.clock = Clock(dt, self.place)
@@ -96,7 +102,7 @@ class Order:
         self._held.insert(at, block)
         self._waiting = True
 
-    def take(self, block: Block, received: float, turn: int, pieces: list[Piece]) -> Verdict | None:
+    def take(self, block: Block, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport | None:
         """Appends to `pieces` what can be stepped; None for the block that was expected."""
         n = block.counts.size
         if (
@@ -104,18 +110,18 @@ class Order:
             and block.epoch == self.epoch
             and block.first == self.expected
             and not self._held
-            and fits(block.dt, self.dt)
+            and period_fits(block.dt, self.dt)
         ):
             self.expected = block.first + n
-            pieces.append(Piece(0, False, block.u, block.counts, block.time, 0, received, turn))
+            pieces.append(SamplePiece(0, False, block.u, block.counts, block.time, 0, received, turn))
             told = self.clock.look(block.first, self.expected, block.time)
-            return None if told is None else Verdict(told=[told])
-        return self._sorted(block, received, turn, pieces)
+            return None if told is None else ItemReport(events=[told])
+        return self._sort_block(block, received, turn, pieces)
 
-    def _sorted(self, block: Block, received: float, turn: int, pieces: list[Piece]) -> Verdict:
-        verdict = Verdict()
+    def _sort_block(self, block: Block, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport:
+        verdict = ItemReport()
         n = block.counts.size
-        if not fits(block.dt, self.dt):
+        if not period_fits(block.dt, self.dt):
             return self._refuse(block, verdict)
         if n == 0:
             return verdict
@@ -124,14 +130,14 @@ class Order:
             verdict.stale = f"{n} samples of epoch {block.epoch} came when epoch {self.epoch} had begun. {REMEDY}"
             return verdict
         if block.epoch == self.epoch and block.end <= self.expected:
-            self._old(block.first, block.end, verdict)
-            self._repeated(block, verdict)
+            self._count_old(block.first, block.end, verdict)
+            self._note_repetition(block, verdict)
             return verdict
         if self._hold(block, verdict):
             self._release(received, turn, pieces, verdict)
         return verdict
 
-    def _refuse(self, block: Block, verdict: Verdict) -> Verdict:
+    def _refuse(self, block: Block, verdict: ItemReport) -> ItemReport:
         verdict.refused += block.counts.size
         if not self.wrong_period:
             self.wrong_period = True
@@ -139,16 +145,16 @@ class Order:
                 f"its samples come every {block.dt:.6g} s, the reference has {self.dt:.6g} s: send with that period, "
                 "or take a reference with this one"
             )
-            verdict.told.append({"event": "period", "problem": problem})
+            verdict.events.append({"event": "period", "problem": problem})
         return verdict
 
-    def _old(self, first: int, end: int, verdict: Verdict) -> None:
+    def _count_old(self, first: int, end: int, verdict: ItemReport) -> None:
         """Counts samples that are of no use any more: those of a gap are late, the others came twice."""
         late = sum(max(0, min(end, b) - max(first, a)) for a, b in self.gaps)
         verdict.late += late
         verdict.duplicate += end - first - late
 
-    def _repeated(self, block: Block, verdict: Verdict) -> None:
+    def _note_repetition(self, block: Block, verdict: ItemReport) -> None:
         """A sender that sends known numbers for long is told that, then and each time that is doubled."""
         before = self.idle[0] if self.idle[1] == self.expected else 0
         now, most = before + block.counts.size, NOTHING_NEW / self.dt
@@ -160,7 +166,7 @@ class Order:
                 f"{block.epoch}, and {self.expected} is the next. {REMEDY}"
             )
 
-    def _hold(self, block: Block, verdict: Verdict) -> bool:
+    def _hold(self, block: Block, verdict: ItemReport) -> bool:
         """Puts a block among those that wait, by epoch and number; False for one that waits there already."""
         key = (block.epoch, block.first)
         at = len(self._held)
@@ -173,28 +179,28 @@ class Order:
         self.hold(at, block)
         return True
 
-    def _release(self, received: float, turn: int, pieces: list[Piece], verdict: Verdict) -> None:
+    def _release(self, received: float, turn: int, pieces: list[SamplePiece], verdict: ItemReport) -> None:
         while self._held:
             block = self._held[0]
-            lead = self._lead(block)
+            lead = self._find_lead(block)
             if lead is None:
                 return
             del self._held[0]
             self._waiting = bool(self._held)
             self._give(block, lead, received, turn, pieces, verdict)
 
-    def _lead(self, block: Block) -> int | None:
+    def _find_lead(self, block: Block) -> int | None:
         """What is missing before the lowest that is held: 0 for nothing, None while it has to wait."""
         if block.epoch == self.epoch and block.first <= self.expected:
             return 0
-        if self._waits(block):
+        if self._must_wait(block):
             return None
         if block.epoch == self.epoch:
             missing = block.first - self.expected
-            return missing if missing <= MOST_MISSING else ANEW
-        return self._between_epochs(block)
+            return missing if missing <= MOST_MISSING else UNKNOWN_GAP
+        return self._count_epoch_gap(block)
 
-    def _waits(self, block: Block) -> bool:
+    def _must_wait(self, block: Block) -> bool:
         """Whether lower numbers may still come: nothing that waits reaches further than the window behind its begin."""
         if not self.window:
             return False
@@ -207,36 +213,38 @@ class Order:
                 return False
         return True
 
-    def _between_epochs(self, block: Block) -> int:
+    def _count_epoch_gap(self, block: Block) -> int:
         ahead = block.time - self.clock.expected
         if self.epoch >= 0 and 0 <= ahead <= LONGEST_GAP:
             return max(1, round(ahead / self.dt))
-        return ANEW
+        return UNKNOWN_GAP
 
-    def _give(self, block: Block, lead: int, received: float, turn: int, pieces: list[Piece], verdict: Verdict) -> None:
+    def _give(
+        self, block: Block, lead: int, received: float, turn: int, pieces: list[SamplePiece], verdict: ItemReport
+    ) -> None:
         fresh, apart = self.epoch < 0, block.epoch != self.epoch
         if apart:
             self._begin(block, fresh, verdict)
         elif lead:
             self.gaps = [*self.gaps, (self.expected, block.first)][-GAPS:]
-            verdict.told.append({"event": "gap", "time": block.time, "missing": block.first - self.expected})
+            verdict.events.append({"event": "gap", "time": block.time, "missing": block.first - self.expected})
         known = min(max(0, self.expected - block.first), block.counts.size)
         if known:
-            self._old(block.first, block.first + known, verdict)
+            self._count_old(block.first, block.first + known, verdict)
         if known == block.counts.size:
             return
         if (told := self.clock.look(block.first, block.end, block.time)) and not apart:
-            verdict.told.append(told)
+            verdict.events.append(told)
         self.expected = block.end
         u, counts = (block.u[known:], block.counts[known:]) if known else (block.u, block.counts)
-        pieces.append(Piece(0 if fresh else lead, apart, u, counts, block.time, known, received, turn))
+        pieces.append(SamplePiece(0 if fresh else lead, apart, u, counts, block.time, known, received, turn))
 
-    def _begin(self, block: Block, fresh: bool, verdict: Verdict) -> None:
+    def _begin(self, block: Block, fresh: bool, verdict: ItemReport) -> None:
         """A higher epoch, or the first block of all."""
         if not fresh:
             ahead = block.time - self.clock.expected
             jump = ahead if math.isfinite(ahead) else None
-            verdict.told.append({"event": "epoch", "epoch": block.epoch, "time": block.time, "jump": jump})
+            verdict.events.append({"event": "epoch", "epoch": block.epoch, "time": block.time, "jump": jump})
         self.epoch, self.expected = block.epoch, block.first
         self.gaps = [(0, block.first)] if block.first else []
         self.clock.reset()

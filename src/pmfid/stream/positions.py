@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pmfid.monitor.arrays import RowArrays
 from pmfid.types import Flags, Floats
 
-__all__ = ["Column", "Place", "Positions"]
+__all__ = ["Column", "PositionRow", "Positions"]
 
 T = TypeVar("T", int, float, bool)
 
@@ -34,7 +34,7 @@ class Positions(RowArrays):
     number: NDArray[np.int64]
     start: Floats
     first: NDArray[np.int64]
-    told: Flags
+    wrong_rate: Flags
     wrong_period: Flags
     waits: Flags
     heard: Floats
@@ -69,7 +69,7 @@ class Positions(RowArrays):
         vars(self).update(vars(self.take_rows(left)))
 
 
-class Place:
+class PositionRow:
     """The row of an axis. It moves when others go."""
 
     __slots__ = ("index", "positions")
@@ -85,10 +85,10 @@ class Column(Generic[T]):
         self._name = name
 
     def __get__(self, one: object, kind: type | None = None) -> T:
-        place: Place = one.place  # type: ignore[attr-defined]
+        place: PositionRow = one.place  # type: ignore[attr-defined]
         found: T = getattr(place.positions, self._name).item(place.index)
         return found
 
     def __set__(self, one: object, value: T) -> None:
-        place: Place = one.place  # type: ignore[attr-defined]
+        place: PositionRow = one.place  # type: ignore[attr-defined]
         getattr(place.positions, self._name)[place.index] = value

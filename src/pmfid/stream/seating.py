@@ -41,12 +41,12 @@ class Tables:
         """Blocks in them."""
         return sum(len(table.axes) for table in self.tables)
 
-    def by_block(self) -> list[Delivery]:
+    def list_block_deliveries(self) -> list[Delivery]:
         """The delivery of each block."""
         pairs = zip(self.tables, self.deliveries, strict=True)
         return [delivery for table, delivery in pairs for _ in table.axes]
 
-    def one_by_one(self) -> Iterator[Tables]:
+    def split(self) -> Iterator[Tables]:
         """Each by itself."""
         for table, delivery in zip(self.tables, self.deliveries, strict=True):
             yield Tables([table], [delivery])
@@ -60,23 +60,23 @@ class Seatings:
     _known: dict[tuple[str, ...], Seating | None] = field(default_factory=dict, init=False)
     _names: int = field(default=0, init=False)
 
-    def of(self, tables: Sequence[tuple[str, ...]]) -> Seating | None:
+    def seat_tables(self, tables: Sequence[tuple[str, ...]]) -> Seating | None:
         """Of tables of these names, one behind the other; None where an axis comes twice."""
-        found = [self._of(names) for names in tables]
+        found = [self._get_seating(names) for names in tables]
         if len(found) == 1:
             return found[0]
         whole = [one for one in found if one is not None]
-        return None if len(whole) < len(found) else _joined(whole, [len(names) for names in tables])
+        return None if len(whole) < len(found) else _join_seatings(whole, [len(names) for names in tables])
 
-    def _of(self, names: tuple[str, ...]) -> Seating | None:
+    def _get_seating(self, names: tuple[str, ...]) -> Seating | None:
         if names not in self._known:
             if self._names > MOST_NAMES:
                 self._known, self._names = {}, 0
-            self._known[names] = self._found(names)
+            self._known[names] = self._find_seating(names)
             self._names += len(names)
         return self._known[names]
 
-    def _found(self, names: tuple[str, ...]) -> Seating | None:
+    def _find_seating(self, names: tuple[str, ...]) -> Seating | None:
         if len(set(names)) < len(names):
             return None
         found: dict[int, tuple[Group, NDArray[np.int64]]] = {}
@@ -88,7 +88,7 @@ class Seatings:
         return list(found.values())
 
 
-def _joined(parts: Sequence[Seating], sizes: Sequence[int]) -> Seating | None:
+def _join_seatings(parts: Sequence[Seating], sizes: Sequence[int]) -> Seating | None:
     """That of tables of such sizes; None where an axis comes twice."""
     found = Seating()
     for group in {id(group): group for part in parts for group, _ in part}.values():

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.stream.alarms import Standing
+from pmfid.stream.alarms import AlarmRecord
 from pmfid.stream.counters import Counters
 from pmfid.stream.groups import Group
 from pmfid.stream.notices import Notices
@@ -55,14 +55,14 @@ class Silence:
     sources: Sequence[str] = ()
     sinks: Sequence[Taker] = ()
     now: float = field(default=0.0, init=False)
-    _open: dict[int, Notice | Standing] = field(default_factory=dict, init=False)
+    _open: dict[int, Notice | AlarmRecord] = field(default_factory=dict, init=False)
     _alarms: dict[Key, int] = field(default_factory=dict, init=False)  # of sources and sinks
     _heard: dict[Key, float] = field(default_factory=dict, init=False)
     _ticked: float | None = field(default=None, init=False)
     _looked: float = field(default=-math.inf, init=False)
     _looked_at: float = field(default=-math.inf, init=False)  # by the clock of `tick`
 
-    def restore(self, alarms: Iterable[Standing]) -> None:
+    def restore(self, alarms: Iterable[AlarmRecord]) -> None:
         """Goes on with the alarms of a checkpoint; what they are of is silent until it is heard."""
         self._open = {one.number: one for one in alarms if "silent" in one.what and one.cleared is None}
         named = [(number, one.what) for number, one in self._open.items() if one.what["silent"] in ("source", "sink")]
@@ -75,7 +75,7 @@ class Silence:
             self.now += min(at - self._ticked, LONGEST_PAUSE)
         self._ticked = at
 
-    def heard(self, source: str) -> None:
+    def note_delivery(self, source: str) -> None:
         """A source has handed something over."""
         self._heard["source", source] = self.now
 
@@ -94,7 +94,7 @@ class Silence:
     # --- axes ---------------------------------------------------------------------------------------------------------
 
     def _look_at_axes(self, groups: Sequence[Group]) -> None:
-        found = [(group, self._fallen_silent(group)) for group in groups]
+        found = [(group, self._find_silent(group)) for group in groups]
         if sum(index.size for _, index in found) > MOST:
             self._raise_for_many(found)
             return
@@ -102,7 +102,7 @@ class Silence:
             for k in index.tolist():
                 group.positions.alarm[k] = self._raise("axis", group.kindred.axes[k])
 
-    def _fallen_silent(self, group: Group) -> NDArray[np.int64]:
+    def _find_silent(self, group: Group) -> NDArray[np.int64]:
         """Numbers of the axes that have no alarm yet; those that are back have none any more."""
         known = group.positions
         known.heard[np.isnan(known.heard)] = self.now
@@ -132,7 +132,7 @@ class Silence:
     def _raise(self, kind: str, name: str, **more: object) -> int:
         what = {"event": "alarm", "silent": kind, "name": name, "seconds": self.limit, **more}
         problem = _PROBLEMS[kind].format(name=name, limit=self.limit)
-        notice = self.notices.own(name if kind == "axis" else "", {**what, "problem": problem})
+        notice = self.notices.publish_own(name if kind == "axis" else "", {**what, "problem": problem})
         self._open[notice.number] = notice
         return notice.number
 
@@ -147,7 +147,7 @@ class Silence:
             alarm = self._open.pop(number)
             what = {key: alarm.what[key] for key in ("silent", "name")}
             seconds = round(max(self.notices.wall() - alarm.wall, 0.0) + alarm.what["seconds"], 1)
-            self.notices.own(alarm.axis, {"event": "cleared", "alarm": number, **what, "seconds": seconds})
+            self.notices.publish_own(alarm.axis, {"event": "cleared", "alarm": number, **what, "seconds": seconds})
 
     def _count(self, groups: Sequence[Group]) -> None:
         for group in groups:

@@ -12,16 +12,16 @@ from pmfid.monitor.events import Event
 from pmfid.monitor.rows import FleetRows
 from pmfid.session.monitored.run import event_object
 from pmfid.stream.groups import Group, Seat
-from pmfid.stream.order import Piece
+from pmfid.stream.order import SamplePiece
 from pmfid.stream.outcome import Rows
-from pmfid.stream.waiting import Batch, Waiting
+from pmfid.stream.waiting import Batch, GroupQueue
 from pmfid.types import Floats
 
-__all__ = ["Found", "Stepped", "step"]
+__all__ = ["FoundEvent", "Stepped", "step"]
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundEvent:
     """An event of an axis. turn: of the item that brought it; sample: number of the sample, by which it is ordered."""
 
     turn: int
@@ -35,12 +35,12 @@ class Stepped:
     """What a step of a group gave; lost: samples without an input, among all."""
 
     rows: list[Rows] = field(default_factory=list)
-    found: list[Found] = field(default_factory=list)
+    found: list[FoundEvent] = field(default_factory=list)
     samples: int = 0
     lost: int = 0
 
 
-def step(waiting: Waiting, followed: frozenset[str] = frozenset(), now: float = 0.0) -> Stepped:
+def step(waiting: GroupQueue, followed: frozenset[str] = frozenset(), now: float = 0.0) -> Stepped:
     """Steps all that waits for the axes of a group; followed: names of axes of which every row is wanted; now: time at
     which they are heard [s], by the clock of `Silence`."""
     done = Stepped()
@@ -52,7 +52,9 @@ def step(waiting: Waiting, followed: frozenset[str] = frozenset(), now: float = 
 
 def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) -> None:
     before = [
-        (row, _interrupted(group, int(batch.index[row]), piece)) for row, piece in enumerate(batch.pieces) if piece.lead
+        (row, _report_interruption(group, int(batch.index[row]), piece))
+        for row, piece in enumerate(batch.pieces)
+        if piece.lead
     ]
     index, n = batch.index, batch.counts.shape[1]
     start = group.numbers[index]
@@ -62,13 +64,13 @@ def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) ->
     done.lost += int(np.count_nonzero(~np.isfinite(batch.u)))
     events = [(row, 0, event) for row, events in before for event in events]
     for row, k, event in [*events, *rows.events]:
-        done.found.append(_found(group, batch, row, k, int(start[row]), event))
-    chosen = _chosen(group, index, start, n, followed)
+        done.found.append(_build_event(group, batch, row, k, int(start[row]), event))
+    chosen = _choose_samples(group, index, start, n, followed)
     if chosen[0].size:
-        done.rows.append(_rows(group, batch, start, rows, chosen))
+        done.rows.append(_build_rows(group, batch, start, rows, chosen))
 
 
-def _interrupted(group: Group, index: int, piece: Piece) -> list[Event]:
+def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[Event]:
     """Lets the monitor know that samples are missing, or that nobody knows how many, as `pmfid monitor` does."""
     missing = max(1, piece.lead)
     group.numbers[index] += missing
@@ -77,18 +79,18 @@ def _interrupted(group: Group, index: int, piece: Piece) -> list[Event]:
     return group.fleet.skip(index, missing)
 
 
-def _found(group: Group, batch: Batch, row: int, k: int, start: int, event: Event) -> Found:
+def _build_event(group: Group, batch: Batch, row: int, k: int, start: int, event: Event) -> FoundEvent:
     """start: samples before the piece."""
     number = np.array([start + k + 1])
-    shift = float(_times(group, batch, np.array([row]), np.array([k]), number)[0]) - (start + k) * group.dt
+    shift = float(_compute_times(group, batch, np.array([row]), np.array([k]), number)[0]) - (start + k) * group.dt
     seat = group.seats[int(batch.index[row])]
-    return Found(int(batch.turn[row]), start + k, seat, event_object(event, group.kindred.names, shift))
+    return FoundEvent(int(batch.turn[row]), start + k, seat, event_object(event, group.kindred.names, shift))
 
 
 Chosen = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
-def _chosen(
+def _choose_samples(
     group: Group, index: NDArray[np.int64], start: NDArray[np.int64], n: int, followed: frozenset[str]
 ) -> Chosen:
     """Rows and columns of the samples that are given out: those whose number is a multiple of the stride, and all of
@@ -104,14 +106,14 @@ def _chosen(
     return rows, columns
 
 
-def _rows(group: Group, batch: Batch, start: NDArray[np.int64], found: FleetRows, chosen: Chosen) -> Rows:
+def _build_rows(group: Group, batch: Batch, start: NDArray[np.int64], found: FleetRows, chosen: Chosen) -> Rows:
     rows, columns = chosen
     number = start[rows] + columns + 1
     return Rows(
         group.kindred,
         batch.index[rows],
         number,
-        _times(group, batch, rows, columns, number),
+        _compute_times(group, batch, rows, columns, number),
         batch.u[chosen],
         batch.counts[chosen],
         found.theta[chosen],
@@ -123,7 +125,7 @@ def _rows(group: Group, batch: Batch, start: NDArray[np.int64], found: FleetRows
     )
 
 
-def _times(
+def _compute_times(
     group: Group,
     batch: Batch,
     rows: NDArray[np.int64],

@@ -14,12 +14,12 @@ from pmfid.errors import UsageError
 from pmfid.session.monitored.period import Saved
 from pmfid.session.monitored.timeline import COMMENT, REPEATED, Found, Line, Metronome, Sample, Timeline
 from pmfid.stream.delivery import Lines
-from pmfid.stream.order import ANEW, Piece, Verdict
+from pmfid.stream.order import UNKNOWN_GAP, ItemReport, SamplePiece
 
 __all__ = ["Timed"]
 
 #: So many lines in a row behind the window are those of a clock that was set back.
-BEHIND = 5
+MOST_LATE = 5
 #: Samples that follow one another after lines came with another period, until they are believed again.
 PROBATION = 50
 #: Lines that wait at most, and lines that are known again when a source delivers them once more after a restart.
@@ -28,7 +28,7 @@ MOST, KNOWN = 100_000, 1000
 _LINE = struct.Struct("<ddq")
 
 
-def _when(line: Line) -> float:
+def _get_time(line: Line) -> float:
     return line.time
 
 
@@ -42,31 +42,31 @@ class Timed:
 
     def __init__(self, dt: float, window: float, timed: bool) -> None:
         self.dt, self.window, self.timed = dt, window, timed
-        self._grid = self._new()
+        self._grid = self._make_grid()
         self._held: list[Line] = []
-        self._newest, self._behind = -math.inf, 0
+        self._newest, self._late_in_row = -math.inf, 0
         self._recent: deque[str] = deque(maxlen=KNOWN)  # digests of lines
         self._latest = -math.inf
         self._before: frozenset[str] = frozenset()  # digests of before the restart
         self._until = -math.inf  # the latest time of these
         self._doubtful = 0  # samples that are still to follow one another before any is believed
 
-    def _new(self) -> Timeline | Metronome:
+    def _make_grid(self) -> Timeline | Metronome:
         return Timeline(self.dt) if self.timed else Metronome(self.dt)
 
-    def take(self, item: Lines, received: float, turn: int, pieces: list[Piece]) -> Verdict:
+    def take(self, item: Lines, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport:
         """Appends to `pieces` the samples that are known now."""
-        verdict, samples = Verdict(), list[Sample]()
+        verdict, samples = ItemReport(), list[Sample]()
         for given in item.lines:
-            if self.timed and self._again(given):
+            if self.timed and self._is_repeated(given):
                 verdict.lines[REPEATED] = verdict.lines.get(REPEATED, 0) + 1
                 continue
-            for line in self._sorted(given):
+            for line in self._sort_line(given):
                 samples += self._samples(line, verdict)
-        pieces += _joined(samples, received, turn, verdict)
+        pieces += _join_samples(samples, received, turn, verdict)
         return verdict
 
-    def _again(self, line: Line) -> bool:
+    def _is_repeated(self, line: Line) -> bool:
         """Whether a line came before the restart."""
         # 64 bits: with fewer, one line in some thousand restarts would be taken for another one, and lost
         digest = blake2b(_LINE.pack(line.time, line.u, line.counts), digest_size=8).hexdigest()
@@ -76,15 +76,15 @@ class Timed:
         self._latest = max(self._latest, line.time)
         return False
 
-    def _sorted(self, line: Line) -> list[Line]:
+    def _sort_line(self, line: Line) -> list[Line]:
         """The lines whose turn it is: the window behind the newest has passed."""
         if not self.window or math.isnan(line.time):
             return [line]
         if line.time < self._newest - self.window:
-            return self._late(line)
-        self._behind = 0
+            return self._take_late(line)
+        self._late_in_row = 0
         self._newest = max(self._newest, line.time)
-        insort(self._held, line, key=_when)
+        insort(self._held, line, key=_get_time)
         due = 0
         while due < len(self._held) and (
             self._held[due].time <= self._newest - self.window or len(self._held) - due > MOST
@@ -93,29 +93,29 @@ class Timed:
         found, self._held = self._held[:due], self._held[due:]
         return found
 
-    def _late(self, line: Line) -> list[Line]:
+    def _take_late(self, line: Line) -> list[Line]:
         """The timeline knows what it is; where more of them come, the clock was set back."""
-        self._behind += 1
-        if self._behind < BEHIND:
+        self._late_in_row += 1
+        if self._late_in_row < MOST_LATE:
             return [line]
         held, self._held = self._held, []
-        self._newest, self._behind = line.time, 0
+        self._newest, self._late_in_row = line.time, 0
         return [*held, line]
 
-    def _samples(self, line: Line, verdict: Verdict) -> list[Sample]:
+    def _samples(self, line: Line, verdict: ItemReport) -> list[Sample]:
         try:
             found = self._grid.take(line)
         except UsageError as error:
             if not self._doubtful:
-                verdict.told.append({"event": "period", "problem": str(error)})
-            self._grid, self._doubtful = self._new(), PROBATION
+                verdict.events.append({"event": "period", "problem": str(error)})
+            self._grid, self._doubtful = self._make_grid(), PROBATION
             verdict.refused += 1
             return []
         samples = [one for one in found if isinstance(one, Sample)]
-        self._skipped(found, verdict)
-        return self._believed(samples, verdict) if self._doubtful and samples else samples
+        self._count_skipped(found, verdict)
+        return self._check_probation(samples, verdict) if self._doubtful and samples else samples
 
-    def _believed(self, samples: list[Sample], verdict: Verdict) -> list[Sample]:
+    def _check_probation(self, samples: list[Sample], verdict: ItemReport) -> list[Sample]:
         """Lines came with another period: what follows is none of this axis until enough of it fits."""
         verdict.refused += len(samples)
         self._doubtful = max(0, self._doubtful - len(samples))
@@ -125,18 +125,18 @@ class Timed:
         verdict.refused -= 1
         return [Sample(last.time, last.u, last.counts, 0, math.inf)]
 
-    def _skipped(self, found: list[Found], verdict: Verdict) -> None:
+    def _count_skipped(self, found: list[Found], verdict: ItemReport) -> None:
         for one in found:
             if not isinstance(one, Sample) and one.kind != COMMENT:
                 verdict.lines[one.kind] = verdict.lines.get(one.kind, 0) + 1
-                verdict.told.append({"event": one.kind, "time": one.time, "problem": one.problem})
+                verdict.events.append({"event": one.kind, "time": one.time, "problem": one.problem})
 
-    def saved(self) -> Saved:
+    def save_state(self) -> Saved:
         """Where it is, for JSON that knows NaN and infinity."""
         return {
             "timed": self.timed,
             "newest": self._newest,
-            "behind": self._behind,
+            "behind": self._late_in_row,
             "doubtful": self._doubtful,
             "recent": list(self._recent),
             "latest": self._latest,
@@ -147,24 +147,24 @@ class Timed:
     def restore(self, saved: Saved) -> None:
         """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
         self.timed = bool(saved["timed"])
-        self._newest, self._behind = float(saved["newest"]), int(saved["behind"])
+        self._newest, self._late_in_row = float(saved["newest"]), int(saved["behind"])
         self._doubtful = int(saved["doubtful"])
         self._held = [Line(*entry) for entry in saved["held"]]
         self._recent = deque((str(digest) for digest in saved["recent"]), KNOWN)
         self._latest = self._until = float(saved["latest"])
         self._before = frozenset(self._recent)
-        self._grid = self._new()
+        self._grid = self._make_grid()
         self._grid.restore(saved["grid"])
 
 
-def _joined(samples: list[Sample], received: float, turn: int, verdict: Verdict) -> list[Piece]:
+def _join_samples(samples: list[Sample], received: float, turn: int, verdict: ItemReport) -> list[SamplePiece]:
     """Samples that follow one another as one piece."""
-    pieces, begun = list[Piece](), 0
+    pieces, begun = list[SamplePiece](), 0
     for k, sample in enumerate(samples):
         if sample.missing or sample.jump:
             pieces += _piece(samples[begun:k], received, turn)
             begun = k
-            verdict.told.append(_interruption(sample))
+            verdict.events.append(_interruption(sample))
     return pieces + _piece(samples[begun:], received, turn)
 
 
@@ -174,10 +174,10 @@ def _interruption(sample: Sample) -> dict[str, object]:
     return {"event": "clock", "time": sample.time, "jump": sample.jump if math.isfinite(sample.jump) else None}
 
 
-def _piece(samples: list[Sample], received: float, turn: int) -> list[Piece]:
+def _piece(samples: list[Sample], received: float, turn: int) -> list[SamplePiece]:
     if not samples:
         return []
-    lead = samples[0].missing or (ANEW if samples[0].jump else 0)
+    lead = samples[0].missing or (UNKNOWN_GAP if samples[0].jump else 0)
     u, counts = np.array([s.u for s in samples]), np.array([s.counts for s in samples], np.int64)
     times = np.array([s.time for s in samples])
-    return [Piece(lead, False, u, counts, math.nan, 0, received, turn, times)]
+    return [SamplePiece(lead, False, u, counts, math.nan, 0, received, turn, times)]

@@ -8,19 +8,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.stream.delivery import joined
+from pmfid.stream.delivery import join_arrays
 from pmfid.stream.groups import Group, Seat
-from pmfid.stream.order import Piece
+from pmfid.stream.order import SamplePiece
 from pmfid.types import Counts, Flags, Floats
 
-__all__ = ["Batch", "Waiting"]
+__all__ = ["Batch", "GroupQueue"]
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples of k axes to be stepped at once. index: (k,) numbers of the axes, each once; u, counts: (k, n); time,
-    offset, turn: (k,) as of `Piece`; received: (k,); pieces: (k,) where they came as pieces, else empty: then nothing
-    is missing before any, and none has times of its own."""
+    """Samples of k axes to be stepped at once.
+
+    index: (k,) numbers of the axes, each once; u, counts: (k, n); time, offset, turn: (k,) as in `SamplePiece`;
+    received: (k,); pieces: (k,) pieces, or empty for blocks of a table: no sample is missing before these blocks, and
+    their samples have no times of their own.
+    """
 
     index: NDArray[np.int64]
     u: Floats
@@ -29,10 +32,10 @@ class Batch:
     offset: NDArray[np.int64]
     turn: NDArray[np.int64]
     received: Floats
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[SamplePiece, ...] = ()
 
     @classmethod
-    def of(cls, pairs: Sequence[tuple[Seat, Piece]]) -> Batch:
+    def stack_pieces(cls, pairs: Sequence[tuple[Seat, SamplePiece]]) -> Batch:
         """Pieces of the same length."""
         pieces = tuple(piece for _, piece in pairs)
         return cls(
@@ -47,23 +50,23 @@ class Batch:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[Batch]) -> Batch:
+    def join(cls, parts: Sequence[Batch]) -> Batch:
         """Batches of other axes each, without pieces, as one."""
         if len(parts) == 1:
             return parts[0]
-        index, u, counts, time = joined(parts, "index", "u", "counts", "time")
-        offset, turn, received = joined(parts, "offset", "turn", "received")
+        index, u, counts, time = join_arrays(parts, "index", "u", "counts", "time")
+        offset, turn, received = join_arrays(parts, "offset", "turn", "received")
         return cls(index, u, counts, time, offset, turn, received)
 
 
 @dataclass
-class Waiting:
+class GroupQueue:
     """Of one group. Batches of tables are stepped first: none may be put that has an axis of which something waits
     already."""
 
     group: Group
     _tables: dict[int, list[Batch]] = field(default_factory=dict, init=False)
-    _queues: dict[Seat, list[Piece]] = field(default_factory=dict, init=False)
+    _queues: dict[Seat, list[SamplePiece]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self._busy: Flags = np.zeros(len(self.group.seats), np.bool_)
@@ -77,7 +80,7 @@ class Waiting:
         self._busy[batch.index] = True
         self._tables.setdefault(batch.counts.shape[1], []).append(batch)
 
-    def queue(self, seat: Seat, pieces: Sequence[Piece]) -> None:
+    def queue(self, seat: Seat, pieces: Sequence[SamplePiece]) -> None:
         """Pieces behind all that waits for this axis."""
         self._busy[seat.index] = True
         self._queues.setdefault(seat, []).extend(pieces)
@@ -85,12 +88,12 @@ class Waiting:
     def batches(self) -> Iterator[Batch]:
         """All of it, as few as there can be, those of each axis in its order."""
         for parts in self._tables.values():
-            yield Batch.joined(parts)
+            yield Batch.join(parts)
         depth, left = 0, list(self._queues.items())
         while left:
-            by_length: dict[int, list[tuple[Seat, Piece]]] = {}
+            by_length: dict[int, list[tuple[Seat, SamplePiece]]] = {}
             for seat, queue in left:
                 by_length.setdefault(queue[depth].counts.size, []).append((seat, queue[depth]))
-            yield from map(Batch.of, by_length.values())
+            yield from map(Batch.stack_pieces, by_length.values())
             depth += 1
             left = [one for one in left if len(one[1]) > depth]

@@ -72,8 +72,8 @@ class Shard:
         if len(own) != len(found.groups) or len(own) > 1:
             raise ValueError("the state is of another configuration")
         found.restore(self._engine)
-        self._group = own[0].restored(self.plan.prepared, self.plan.pace) if own else self._group
-        self._engine.arranged([self._group])
+        self._group = own[0].restore_group(self.plan.prepared, self.plan.pace) if own else self._group
+        self._engine.set_groups([self._group])
 
     def take(self, messages: Iterable[bytes]) -> None:
         """The blocks of a batch, each message one or several of them in binary; axes that come for the first time
@@ -104,7 +104,7 @@ class Shard:
         for k, seat in enumerate(self._group.seats[known:]):
             seat.number = last + k * shards
         self._engine.numbered = self._group.seats[-1].number
-        self._engine.arranged([self._group])
+        self._engine.set_groups([self._group])
 
     def saved(self) -> bytes:
         """The state: the body of a checkpoint of `pmfid serve`."""

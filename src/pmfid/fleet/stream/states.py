@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.fleet.stream.shard import Plan, shard_of
 from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
-from pmfid.stream.moved import body_from, body_of, joined
+from pmfid.stream.moved import body_from, body_of, join_groups
 from pmfid.stream.vault import Vault
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class States:
         """A monitor that goes on where an axis stands. Raises UsageError for one that is not there."""
         self.only([axis])
         group = next(group for group in self.groups if axis in group.axes)
-        return group.restored(prepared, pace).fleet.monitor(group.axes.index(axis))
+        return group.restore_group(prepared, pace).fleet.monitor(group.axes.index(axis))
 
     def bodies(self, plan: Plan) -> dict[int, bytes]:
         """The bodies of shards that go on with these axes."""
@@ -112,7 +112,7 @@ class States:
         alarms = [alarm for one in self.snapshots for alarm in one.alarms]
         numbered = max(one.numbered for one in self.snapshots)
         try:
-            whole = joined(self.groups, prepared)
+            whole = join_groups(self.groups, prepared)
             return body_of(whole, prepared, pace, names, alarms, numbered)
         except ValueError as error:
             raise UsageError(f"the states cannot be used: {error}; give the AXIS.toml that made them") from None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.service.board.panel import Overview, Panel, Records, row_bytes
-from pmfid.stream.alarms import Alarms, Standing
+from pmfid.stream.alarms import AlarmRecord, Alarms
 from pmfid.stream.counters import Counters
 from pmfid.stream.outcome import Kindred, Notice, Rows
 
@@ -30,7 +30,7 @@ class News:
     layout: int
     groups: list[Overview]
     notices: list[Notice]
-    alarms: list[Standing]
+    alarms: list[AlarmRecord]
 
 
 class Board:
@@ -119,7 +119,7 @@ class Board:
             panel.refer(panel.place[axis], [normal[name] for name in panel.group.names])
             self._layout += 1
 
-    def followed(self) -> frozenset[str]:
+    def list_followed(self) -> frozenset[str]:
         """Names of the axes of which someone wants every row."""
         return self._followed
 
@@ -146,12 +146,12 @@ class Board:
                 alarms = [alarm for number in numbers if (alarm := self._alarms.get(number))]
             return News(self._version, self._layout, overviews, notices, alarms)
 
-    def referred(self) -> list[dict[int, list[float]]]:
+    def list_referred(self) -> list[dict[int, list[float]]]:
         """For each group the axes whose normal values are their own, by number, and these."""
         with self._lock:
-            return [panel.referred() for panel in self._panels]
+            return [panel.list_referred() for panel in self._panels]
 
-    def alarm(self, number: int) -> Standing | None:
+    def alarm(self, number: int) -> AlarmRecord | None:
         """The alarm that was told as the notice of this number."""
         with self._lock:
             return self._alarms.get(number)

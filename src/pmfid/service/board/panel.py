@@ -99,7 +99,7 @@ class Panel:
         for name in referred.keys() & self.place.keys():
             self.refer(self.place[name], referred[name])
 
-    def referred(self) -> dict[int, list[float]]:
+    def list_referred(self) -> dict[int, list[float]]:
         """Axes whose normal values are not those of the group, and these."""
         own = np.flatnonzero((self.nominal != self.group.nominal).any(axis=1))
         return {int(axis): self.nominal[axis].tolist() for axis in own}

@@ -17,14 +17,14 @@ from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.service.sinks.waiting import URGENT
 from pmfid.stream.outcome import Notice, Rows
 
-__all__ = ["MqttSection", "MqttSink"]
+__all__ = ["MqttSink", "MqttSinkSection"]
 
 ONLINE, OFFLINE = b"online", b"offline"
 #: Rows of one message where many axes share it.
 BATCH = 500
 
 
-class MqttSection(SinkSection, BrokerSection):
+class MqttSinkSection(SinkSection, BrokerSection):
     """[sinks.NAME] with kind = "mqtt"."""
 
     kind: Literal["mqtt"] = Field("mqtt", description='"mqtt"')
@@ -65,7 +65,7 @@ class MqttSink:
     Messages may come twice after an error or a restart; numbers tell.
     """
 
-    def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSection) -> None:
+    def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSinkSection) -> None:
         self.name = name
         self._base, self._link, self._section = base, link, section
         self._standing: dict[str, tuple[int, bytes]] = {}  # topic -> what is retained there: number, message

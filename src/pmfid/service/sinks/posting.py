@@ -13,7 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.service.secrets import is_here
 from pmfid.service.sinks import RefusedError
 
-__all__ = ["Poster", "checked_address"]
+__all__ = ["Poster", "check_address"]
 
 #: Answers that are about what was sent, and will be the same next time.
 ABOUT_CONTENT = (400, 413, 414, 415, 422, 431)
@@ -21,7 +21,7 @@ ABOUT_CONTENT = (400, 413, 414, 415, 422, 431)
 MOST_ANSWER = 1 << 16
 
 
-def checked_address(url: str, secret: str | None, label: str) -> SplitResult:
+def check_address(url: str, secret: str | None, label: str) -> SplitResult:
     """The parts of an address. Raises UsageError for what is none, for a user or password in it, and for a secret that
     would go unencrypted to another machine; label: of the section, for messages. The address itself is not told: it may
     be a secret."""
@@ -73,7 +73,7 @@ class Poster:
                 self.close()
         except (OSError, http.client.HTTPException) as error:
             self.close()
-            raise _as_os_error(error, bool(late), self._timeout) from None
+            raise _build_os_error(error, bool(late), self._timeout) from None
         finally:
             watch.cancel()
         _judge(answer.status)
@@ -102,7 +102,7 @@ def _cut(connection: http.client.HTTPConnection, late: list[bool]) -> None:
             return
 
 
-def _as_os_error(error: OSError | http.client.HTTPException, late: bool, timeout: float) -> OSError:
+def _build_os_error(error: OSError | http.client.HTTPException, late: bool, timeout: float) -> OSError:
     if late or isinstance(error, TimeoutError):
         return OSError(f"no whole answer within {timeout:g} s")
     if isinstance(error, OSError) and error.strerror:

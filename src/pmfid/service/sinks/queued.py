@@ -9,7 +9,7 @@ from typing import Any
 
 from pmfid.errors import PmfidError, printable
 from pmfid.service.sinks import Sink
-from pmfid.service.sinks.waiting import MOST_ENTRIES, Entry, Limits, Lost, Waiting, is_urgent
+from pmfid.service.sinks.waiting import MOST_ENTRIES, Entry, Lost, OutcomeQueue, QueueLimits, is_urgent
 from pmfid.stream.counters import Counters
 from pmfid.stream.outcome import Notice, Rows
 
@@ -54,15 +54,15 @@ class Queued:
         sink: Sink,
         counters: Counters,
         tell: Tell,
-        limits: Limits | None = None,
+        limits: QueueLimits | None = None,
         rows_wanted: bool = True,
         events: frozenset[str] | None = None,
     ) -> None:
         self.name = sink.name
         self._sink, self._counters, self._tell = sink, counters, tell
-        self._limits = limits or Limits()
+        self._limits = limits or QueueLimits()
         self._rows_wanted, self._events = rows_wanted, events
-        self._waiting = Waiting(self._limits)
+        self._waiting = OutcomeQueue(self._limits)
         self._changed, self._closing = Condition(), Event()
         self._deadline = float("inf")  # of `close`
         self._open = self._failing = False
@@ -115,7 +115,7 @@ class Queued:
             return self._proved or None
         return None if trying > since else False
 
-    def _had(self, batch: Sequence[Entry]) -> None:
+    def _forget_written(self, batch: Sequence[Entry]) -> None:
         """The sink has these, or they are not for it."""
         with self._changed:
             for entry in batch:
@@ -138,7 +138,7 @@ class Queued:
         ended = not self._thread.is_alive()
         with self._changed:
             lost = Lost(self._waiting.rows, self._waiting.notices)
-            self._waiting = Waiting(self._limits)
+            self._waiting = OutcomeQueue(self._limits)
         self._count_lost(lost)
         return ended
 
@@ -170,16 +170,16 @@ class Queued:
         """What is to be written now, which is nothing now and then; waits for it; None at the end."""
         with self._changed:
             while not (self._closing.is_set() or self._due()):
-                self._changed.wait(self._until_due())
+                self._changed.wait(self._compute_wait())
             self._taken_at = time.monotonic()
             if self._taken_at >= self._deadline or (self._closing.is_set() and not self._waiting):
                 return None
             return self._waiting.take(1 if self._alone else MOST_ENTRIES)
 
     def _due(self) -> bool:
-        return self._waiting.crowded or self._until_due() == 0
+        return self._waiting.crowded or self._compute_wait() == 0
 
-    def _until_due(self) -> float:
+    def _compute_wait(self) -> float:
         """Seconds until there is something to write, or until the sink is to be looked after."""
         return 0.0 if self._alone or self._waiting else max(self._taken_at + IDLE - time.monotonic(), 0.0)
 
@@ -191,22 +191,22 @@ class Queued:
                 self._sink.open()
                 self._open = True
         except Exception as error:
-            self._trouble(error, batch)
+            self._note_failure(error, batch)
             return
         try:
             self._sink.put([entry.outcome for entry in batch])
         except OSError as error:
-            self._trouble(error, batch)
+            self._note_failure(error, batch)
         except Exception as error:
             if batch:
-                self._refused(error, batch)
+                self._drop_refused(error, batch)
             else:
-                self._trouble(error, batch)
+                self._note_failure(error, batch)
         else:
-            self._worked(batch)
+            self._note_success(batch)
 
-    def _worked(self, batch: Sequence[Entry]) -> None:
-        self._had(batch)
+    def _note_success(self, batch: Sequence[Entry]) -> None:
+        self._forget_written(batch)
         if batch or self._failing:
             self._trying, self._proved = None, True
         self._alone = max(self._alone - 1, 0)
@@ -219,7 +219,7 @@ class Queued:
             told = {"event": "sink", "sink": self.name, "works": True}
             self._tell({**told, "lost_rows": lost.rows, "lost_notices": lost.notices})
 
-    def _trouble(self, error: Exception, batch: Sequence[Entry]) -> None:
+    def _note_failure(self, error: Exception, batch: Sequence[Entry]) -> None:
         """What may pass: told once; the outcomes wait in front of all others."""
         steady = not self._failing and time.monotonic() - self._working_since > STEADY
         self._pause = FIRST_PAUSE if steady or not self._pause else min(2 * self._pause, LONGEST_PAUSE)
@@ -237,13 +237,13 @@ class Queued:
             lost = self._waiting.give_back(batch)
         self._count_lost(lost)
 
-    def _refused(self, error: Exception, batch: Sequence[Entry]) -> None:
+    def _drop_refused(self, error: Exception, batch: Sequence[Entry]) -> None:
         """What trying again does not help: each outcome is tried alone, and is dropped where it is the one."""
         if len(batch) > 1:
             self._alone = len(batch)
             self._give_back(batch)
             return
-        self._had(batch)
+        self._forget_written(batch)
         self._alone = max(self._alone - 1, 0)
         self._counters.add("pmfid_refused_total", max(batch[0].rows, 1), sink=self.name)
         problem = problem_of(error)

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from pmfid.service.sinks import Sink
 from pmfid.service.sinks.queued import Queued, Tell
-from pmfid.service.sinks.waiting import Limits
+from pmfid.service.sinks.waiting import QueueLimits
 from pmfid.session.toml_file import FileSection
 from pmfid.stream.counters import Counters
 
@@ -59,6 +59,6 @@ class SinkSection(FileSection):
 
     def outlet(self, name: str, context: Host) -> Queued:
         """The sink behind its queue, not yet started. Raises UsageError, as `make`."""
-        limits = Limits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices)
+        limits = QueueLimits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices)
         sink = self.make(name, context)
         return Queued(sink, context.counters, context.tell, limits, self.wants_rows(), self.wants_events())

@@ -107,7 +107,7 @@ class SqliteSection(SinkSection):
 
 
 @contextmanager
-def _as_os_errors(path: Path) -> Iterator[None]:
+def _raise_os_errors(path: Path) -> Iterator[None]:
     """What SQLite cannot do may pass: a disk that is full, a file that someone else holds or that is damaged."""
     try:
         yield
@@ -131,7 +131,7 @@ class SqliteSink:
         """Raises OSError where the file cannot be used, or is not one of this kind."""
         self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        with _as_os_errors(self._path):
+        with _raise_os_errors(self._path):
             database = sqlite3.connect(self._path, timeout=BUSY, isolation_level=None)
             try:
                 _prepare(database, self._path)
@@ -144,7 +144,7 @@ class SqliteSink:
         """Raises OSError where they cannot be written."""
         if self._database is None:
             raise OSError(f"{self._path.name} is not open")
-        with _as_os_errors(self._path), closing(self._database.cursor()) as cursor, _transaction(self._database):
+        with _raise_os_errors(self._path), closing(self._database.cursor()) as cursor, _transaction(self._database):
             for one in outcomes:
                 if isinstance(one, Notice):
                     _insert(cursor, one)
@@ -153,7 +153,7 @@ class SqliteSink:
         """What was put is on the disk already."""
         database, self._database = self._database, None
         if database is not None:
-            with _as_os_errors(self._path):
+            with _raise_os_errors(self._path):
                 database.close()
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pmfid.stream.outcome import Notice, Rows
 
-__all__ = ["MOST_ENTRIES", "URGENT", "Entry", "Limits", "Lost", "Waiting", "is_urgent"]
+__all__ = ["MOST_ENTRIES", "URGENT", "Entry", "Lost", "OutcomeQueue", "QueueLimits", "is_urgent"]
 
 #: Events that a person waits for; all others are dropped before them.
 URGENT = frozenset({"alarm", "acknowledged", "settled", "cleared"})
@@ -18,7 +18,7 @@ MOST_ENTRIES = 1024
 
 
 @dataclass(frozen=True)
-class Limits:
+class QueueLimits:
     """How much may wait for one sink: rows, bytes of rows, notices, each at least 1; take: rows that are handed to the
     sink at once."""
 
@@ -60,13 +60,13 @@ def size_of(rows: Rows) -> int:
 
 
 @dataclass
-class Waiting:
+class OutcomeQueue:
     """Rows, urgent notices and other ones, each in a line of its own, and taken in the order in which they came.
 
     What is newest always stays: a single block of rows beyond the limits is kept until the next one comes.
     """
 
-    limits: Limits
+    limits: QueueLimits
     rows: int = field(default=0, init=False)
     size: int = field(default=0, init=False)
     _serial: int = field(default=0, init=False)
@@ -92,10 +92,10 @@ class Waiting:
         """Puts it behind all others; what had to go for it."""
         self._serial += 1
         if isinstance(outcome, Rows):
-            self._come(Entry(self._serial, outcome, outcome.axis.size, size_of(outcome)))
+            self._add_rows(Entry(self._serial, outcome, outcome.axis.size, size_of(outcome)))
         else:
             self._line_of(outcome).append(Entry(self._serial, outcome))
-        return self._bounded()
+        return self._drop_excess()
 
     def take(self, most: int = MOST_ENTRIES) -> list[Entry]:
         """The oldest, in order, as many as the limits let a sink have at once, and no more than `most`."""
@@ -116,15 +116,15 @@ class Waiting:
         """Puts what was taken last in front again; what had to go since."""
         for entry in reversed(taken):
             if isinstance(entry.outcome, Rows):
-                self._come(entry, front=True)
+                self._add_rows(entry, front=True)
             else:
                 self._line_of(entry.outcome).appendleft(entry)
-        return self._bounded()
+        return self._drop_excess()
 
     def _line_of(self, notice: Notice) -> Line:
         return self._urgent if is_urgent(notice) else self._other
 
-    def _come(self, entry: Entry, front: bool = False) -> None:
+    def _add_rows(self, entry: Entry, front: bool = False) -> None:
         self.rows += entry.rows
         self.size += entry.size
         if front:
@@ -132,7 +132,7 @@ class Waiting:
         else:
             self._rows.append(entry)
 
-    def _bounded(self) -> Lost:
+    def _drop_excess(self) -> Lost:
         rows = notices = 0
         urgent: list[int] = []
         while len(self._rows) > 1 and (self.rows > self.limits.rows or self.size > self.limits.size):

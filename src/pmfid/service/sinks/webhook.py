@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.secrets import secret
 from pmfid.service.sinks.plain import as_json, notice_object
-from pmfid.service.sinks.posting import Poster, checked_address
+from pmfid.service.sinks.posting import Poster, check_address
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name, Positive
 from pmfid.stream.outcome import Notice, Rows
@@ -41,7 +41,7 @@ EVENTS = (
 REMEMBERED = 2048
 
 
-def _known(events: tuple[str, ...]) -> tuple[str, ...]:
+def _check_events(events: tuple[str, ...]) -> tuple[str, ...]:
     for event in events:
         if event not in EVENTS:
             raise ValueError(f"there is no event {event!r}; there are {', '.join(EVENTS)}{did_you_mean(event, EVENTS)}")
@@ -56,7 +56,7 @@ class WebhookSection(SinkSection):
     url_env: Name | None = Field(None, description="the environment variable with the address, where that is a secret")
     url_file: Name | None = Field(None, description="the file with the address, where that is a secret")
     # not strict, because TOML has lists and a frozen object wants a tuple
-    events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1), AfterValidator(_known)] = Field(
+    events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1), AfterValidator(_check_events)] = Field(
         ("alarm", "cleared"), description='the events that are sent, as ["alarm", "settled", "acknowledged"]'
     )
     secret_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,100}$")] = Field(
@@ -90,7 +90,7 @@ class WebhookSection(SinkSection):
         if url is None:
             raise UsageError(f"{label} url is missing; give the address")
         value = secret(self.secret_env, self.secret_file, folder)
-        address = checked_address(url.strip(), value, label)
+        address = check_address(url.strip(), value, label)
         headers = {"User-Agent": "pmfid"} | ({} if value is None else {self.secret_header: value})
         ca = None if self.ca is None else folder / Path(self.ca)
         return WebhookSink(name, context.name, Poster(address, headers, self.timeout_s, ca))

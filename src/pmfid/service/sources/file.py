@@ -244,7 +244,7 @@ class Follower:
         while not self._stop.is_set():
             chunk = file.read(CHUNK)
             if not chunk:
-                if self._replaced(number, offset):
+                if self._is_replaced(number, offset):
                     return True
                 self._stop.wait(LOOK)
                 continue
@@ -259,7 +259,7 @@ class Follower:
                 return False
         return False
 
-    def _replaced(self, number: int, offset: int) -> bool:
+    def _is_replaced(self, number: int, offset: int) -> bool:
         try:
             status = os.stat(self.path)
         except OSError:

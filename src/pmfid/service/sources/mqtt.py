@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from paho.mqtt.properties import Properties
     from paho.mqtt.reasoncodes import ReasonCode
 
-__all__ = ["MqttSection", "MqttSource"]
+__all__ = ["MqttSource", "MqttSourceSection"]
 
 #: A level of a topic that names the axis.
 AXIS_LEVEL = "{axis}"
@@ -39,10 +39,15 @@ AXIS_LEVEL = "{axis}"
 _TAKEN_OVER, _BRIEF = 3, 1.0
 
 
-def _topics(texts: tuple[str, ...]) -> tuple[str, ...]:
+def _check_topics(texts: tuple[str, ...]) -> tuple[str, ...]:
     for text in texts:
         levels = text.split("/")
-        if levels.count(AXIS_LEVEL) != ("{" in text) or "#" in levels[:-1] or any(map(_mixed, levels)) or not text:
+        if (
+            levels.count(AXIS_LEVEL) != ("{" in text)
+            or "#" in levels[:-1]
+            or any(map(_mixes_signs, levels))
+            or not text
+        ):
             example = f"hall/{AXIS_LEVEL}/#"
             raise ValueError(
                 f"{text!r} is no topic: + and {AXIS_LEVEL} are whole levels, # is the last, as {example!r}"
@@ -50,15 +55,15 @@ def _topics(texts: tuple[str, ...]) -> tuple[str, ...]:
     return texts
 
 
-def _mixed(level: str) -> bool:
+def _mixes_signs(level: str) -> bool:
     return len(level) > 1 and level != AXIS_LEVEL and any(sign in level for sign in "+#{}\0")
 
 
-class MqttSection(BrokerSection, SourceSection):
+class MqttSourceSection(BrokerSection, SourceSection):
     """[sources.NAME] of kind "mqtt"."""
 
     kind: Literal["mqtt"] = Field(description='"mqtt"')
-    topics: Annotated[tuple[str, ...], AfterValidator(_topics)] = Field(
+    topics: Annotated[tuple[str, ...], AfterValidator(_check_topics)] = Field(
         strict=False, min_length=1, description='the topics, for example ["hall/+/blocks"] or ["hall/{axis}/json"]'
     )
     format: Form = Field("auto", description='what messages are: "block", "json", "line", or "auto": each says it')
@@ -84,7 +89,7 @@ class MqttSource:
     now."""
 
     name: str
-    section: MqttSection
+    section: MqttSourceSection
     axes: Axes
     tell: Callable[[dict[str, Any]], None]
     folder: Path = Path()
@@ -109,7 +114,7 @@ class MqttSource:
         waiting, brief = pauses(), 0
         while not self._stopped.is_set():
             self._since = math.inf
-            self._connected(take)
+            self._hold_connection(take)
             if self._failure is not None:
                 raise self._failure
             if self._stopped.is_set():
@@ -126,7 +131,7 @@ class MqttSource:
         self._stopped.set()
         self._over.set()
 
-    def _connected(self, take: Take) -> None:
+    def _hold_connection(self, take: Take) -> None:
         """One connection, from its beginning to its end."""
         section, self._problem = self.section, ""
         self._over.clear()

@@ -55,7 +55,7 @@ class SerialSection(SourceSection):
         return SerialSource(name, self, context.axes, context.tell)
 
 
-class _Reader(Protocol):
+class _ItemReader(Protocol):
     """Makes items of bytes as they come. `begin`: the port has been opened, maybe in the middle of something."""
 
     def begin(self) -> None: ...
@@ -124,7 +124,7 @@ class SerialSource:
         reader, waiting = self._reader(), pauses()
         while not self._stopped.is_set():
             try:
-                with self._opened() as port:
+                with self._open_port() as port:
                     self._say("")
                     waiting = pauses()
                     reader.begin()
@@ -139,7 +139,7 @@ class SerialSource:
         """Ends `run` after what it is reading."""
         self._stopped.set()
 
-    def _reader(self) -> _Reader:
+    def _reader(self) -> _ItemReader:
         section = self.section
         if section.axis is None:
             return _Blocks()
@@ -148,14 +148,14 @@ class SerialSource:
             raise UsageError(f"[sources.{self.name}] axis = {section.axis!r}: there is no such axis; correct the name")
         return _Csv(section.axis, axis, section.header)
 
-    def _opened(self) -> Serial:
+    def _open_port(self) -> Serial:
         try:
             from serial import Serial
         except ImportError:
             raise UsageError("a serial port needs pyserial: pip install 'pmfid[serve]'") from None
         return Serial(self.section.port, self.section.baud, timeout=_SILENCE)
 
-    def _read(self, port: Serial, reader: _Reader, take: Take) -> None:
+    def _read(self, port: Serial, reader: _ItemReader, take: Take) -> None:
         while not self._stopped.is_set():
             data = port.read(min(CHUNK, max(1, port.in_waiting)))
             items = reader.feed(data) if data else ()

@@ -19,6 +19,6 @@ class Acts(Protocol):
         """What the axis is now is normal: deviations count from there."""
         ...
 
-    def begin_anew(self, axis: str) -> bool:
+    def restart_numbers(self, axis: str) -> bool:
         """The next samples of the axis are taken whatever their numbers."""
         ...

@@ -20,7 +20,7 @@ from pmfid.monitor.events import STATES
 from pmfid.service.board import Board
 from pmfid.service.web.acts import Acts
 from pmfid.service.web.hub import Hub
-from pmfid.service.web.packed import json_line, packed, packed_rows
+from pmfid.service.web.packed import json_line, pack_array, pack_rows
 from pmfid.service.web.security import json_body
 from pmfid.session.records import Record
 from pmfid.status import ADVICE, Status
@@ -58,7 +58,7 @@ class Api:
             Route("/api/axis/{axis:path}/history", self.history),
             Route("/api/axis/{axis:path}/reference.csv", self.reference_csv),
             Route("/api/axis/{axis:path}/reference", self.refer, methods=["POST"]),
-            Route("/api/axis/{axis:path}/anew", self.begin_anew, methods=["POST"]),
+            Route("/api/axis/{axis:path}/anew", self.restart_numbers, methods=["POST"]),
             Route("/api/alarms/{number:int}/acknowledge", self.acknowledge, methods=["POST"]),
             Route("/metrics", self.prometheus),
             Route("/healthz", self.health),
@@ -74,20 +74,20 @@ class Api:
             "states": list(STATES),
             "status": [{"bit": int(bit), "name": str(bit.name).lower(), "advice": ADVICE[bit]} for bit in Status],
             "groups": [_group(group) for group in self.board.groups],
-            "referred": self.board.referred(),
+            "referred": self.board.list_referred(),
         }
         return Response(json_line(content), media_type="application/json")
 
     async def stream(self, request: Request) -> Response:
         axis = request.query_params.get("axis")
         if axis is not None:
-            self._known(axis)
+            self._find_group(axis)
         if request.method == "HEAD":
-            return Response(media_type=Lines.media_type)
+            return Response(media_type=LineResponse.media_type)
         if self.hub.streams >= self.streams:
             self.counters.add("pmfid_page_refused_total", reason="streams")
             raise HTTPException(503, "as many browsers look already as [page] browsers allows")
-        return Lines(self.hub, self.hub.overview() if axis is None else self.hub.axis(axis))
+        return LineResponse(self.hub, self.hub.overview() if axis is None else self.hub.axis(axis))
 
     async def trends(self, request: Request) -> Response:
         """`?group=0&axes=3,17`: their trends, in this order."""
@@ -99,10 +99,10 @@ class Api:
             interval, trends = self.board.trends(group, np.array(axes, np.int64))
         except (ValueError, IndexError, OverflowError):
             raise HTTPException(404, "there is no such axis") from None
-        content = {"interval": interval, "points": trends.shape[1], "trends": packed(trends, "f4")}
+        content = {"interval": interval, "points": trends.shape[1], "trends": pack_array(trends, "f4")}
         return Response(json_line(content), media_type="application/json")
 
-    def _known(self, axis: str) -> Kindred:
+    def _find_group(self, axis: str) -> Kindred:
         group = self.board.group_of(axis)
         if group is None:
             raise HTTPException(404, "there is no axis of that name; PLANT.toml may have changed")
@@ -112,12 +112,12 @@ class Api:
         rows = self.board.history(request.path_params["axis"])
         if rows is None:
             raise HTTPException(404, "there is no axis of that name; PLANT.toml may have changed")
-        line = await run_in_threadpool(lambda: json_line({"kind": "history", **packed_rows(rows)}))
+        line = await run_in_threadpool(lambda: json_line({"kind": "history", **pack_rows(rows)}))
         return Response(line, media_type="application/json")
 
     async def reference_csv(self, request: Request) -> Response:
         axis = request.path_params["axis"]
-        self._known(axis)
+        self._find_group(axis)
         try:
             record = await run_in_threadpool(self.reference, axis)
         except (UsageError, OSError):  # the sentence names files of the machine
@@ -130,13 +130,13 @@ class Api:
 
     async def refer(self, request: Request) -> Response:
         axis = request.path_params["axis"]
-        self._known(axis)
-        return _taken(self.acts.refer(axis))
+        self._find_group(axis)
+        return _answer_command(self.acts.refer(axis))
 
-    async def begin_anew(self, request: Request) -> Response:
+    async def restart_numbers(self, request: Request) -> Response:
         axis = request.path_params["axis"]
-        self._known(axis)
-        return _taken(self.acts.begin_anew(axis))
+        self._find_group(axis)
+        return _answer_command(self.acts.restart_numbers(axis))
 
     async def acknowledge(self, request: Request) -> Response:
         note = (await json_body(request)).get("note", "")
@@ -145,7 +145,7 @@ class Api:
         number = request.path_params["number"]
         if self.board.alarm(number) is None:
             raise HTTPException(404, "there is no alarm of that number")
-        return _taken(self.acts.acknowledge(number, note.strip()))
+        return _answer_command(self.acts.acknowledge(number, note.strip()))
 
     async def prometheus(self, request: Request) -> Response:
         if self.metrics is None:
@@ -172,13 +172,13 @@ def _group(group: Kindred) -> dict[str, object]:
     }
 
 
-def _taken(taken: bool) -> Response:
+def _answer_command(taken: bool) -> Response:
     if not taken:
         raise HTTPException(503, "the service has too much to do at the moment; try again")
     return JSONResponse({"taken": True}, 202)
 
 
-class Lines(Response):
+class LineResponse(Response):
     """A response of NDJSON that ends when the browser goes, which only `receive` tells."""
 
     media_type = "application/x-ndjson"
@@ -190,7 +190,7 @@ class Lines(Response):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         self._hub.streams += 1
         writing = asyncio.create_task(self._write(send))
-        leaving = asyncio.create_task(_gone(receive))
+        leaving = asyncio.create_task(_wait_for_leave(receive))
         try:
             done, _ = await asyncio.wait({writing, leaving}, return_when=asyncio.FIRST_COMPLETED)
             if writing in done:
@@ -209,7 +209,7 @@ class Lines(Response):
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
-async def _gone(receive: Receive) -> None:
+async def _wait_for_leave(receive: Receive) -> None:
     while (await receive())["type"] != "http.disconnect":
         pass
 

@@ -45,7 +45,7 @@ class PageConfig(FileSection):
             return self.address == "localhost"
 
     @model_validator(mode="after")
-    def _guarded(self) -> Self:
+    def _check_access(self) -> Self:
         for scope in ("", "read_"):
             if getattr(self, f"{scope}token_env") and getattr(self, f"{scope}token_file"):
                 raise UsageError(f"[page] {scope}token_env and {scope}token_file are both given; drop one of them")

@@ -11,14 +11,14 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pmfid.stream.counters import Counters
 
-__all__ = ["Guarded", "Limits", "guarded"]
+__all__ = ["ConnectionLimits", "Guarded", "build_protocol"]
 
 #: States of a request that is whole.
 WHOLE = (h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR)
 
 
 @dataclass(frozen=True)
-class Limits:
+class ConnectionLimits:
     """request: time for a whole request [s]; stuck: time without a byte read by a browser that something waits for
     [s]."""
 
@@ -29,7 +29,7 @@ class Limits:
 class Guarded(H11Protocol):
     """uvicorn's protocol within limits; what they end is counted. gone: set at the end of the connection."""
 
-    limits: ClassVar[Limits]
+    limits: ClassVar[ConnectionLimits]
     counters: ClassVar[Counters]
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -114,6 +114,6 @@ class Guarded(H11Protocol):
         self.gone.set()
 
 
-def guarded(limits: Limits, counters: Counters) -> type[Guarded]:
+def build_protocol(limits: ConnectionLimits, counters: Counters) -> type[Guarded]:
     """The protocol as uvicorn is given it: a class, of which it makes an object for each connection."""
     return type("Guarded", (Guarded,), {"limits": limits, "counters": counters})

@@ -61,7 +61,7 @@ class Entrance:
             guest = make()
             self._guests[line] = guest, asyncio.create_task(self._host(line, guest, tls))
         else:
-            self._refused()
+            self._count_refusal()
             line.close()
 
     async def _host(self, line: socket.socket, guest: Guarded, tls: ssl.SSLContext | None) -> None:
@@ -83,7 +83,7 @@ class Entrance:
         if line is None:
             return False
         guest, _ = self._guests.pop(line)
-        self._refused()
+        self._count_refusal()
         if guest.transport is not None:
             guest.transport.abort()
         else:
@@ -91,5 +91,5 @@ class Entrance:
                 line.shutdown(socket.SHUT_RDWR)
         return True
 
-    def _refused(self) -> None:
+    def _count_refusal(self) -> None:
         self._counters.add("pmfid_page_refused_total", reason="connections")

@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
 from pmfid.service.board import Board, News, Subscription
-from pmfid.service.web.packed import json_line, packed_overview, packed_rows
+from pmfid.service.web.packed import json_line, pack_overview, pack_rows
 from pmfid.stream.counters import Counters
 
 __all__ = ["Hub"]
@@ -45,11 +45,11 @@ class Feed:
         rows, dropped = self.subscription.take()
         self.dropped += dropped
         if rows is not None:
-            line = json_line({"kind": "rows", "dropped": self.dropped, **packed_rows(rows)})
+            line = json_line({"kind": "rows", "dropped": self.dropped, **pack_rows(rows)})
             self.pieces.append((self.rows, line))
             self.rows += rows.size
 
-    def after(self, seen: int) -> tuple[int, list[bytes]]:
+    def get_lines_after(self, seen: int) -> tuple[int, list[bytes]]:
         """(rows that are gone, lines of the others) since so many were seen."""
         waiting = [(before, line) for before, line in self.pieces if before >= seen]
         missed = waiting[0][0] - seen if waiting else 0
@@ -110,7 +110,7 @@ class Hub:
             "first": first,
             "layout": news.layout,
             "now": round(10 * (time.monotonic() - self.start)),
-            "groups": [packed_overview(i, group, self.start) for i, group in changed],
+            "groups": [pack_overview(i, group, self.start) for i, group in changed],
             "notices": [
                 {"axis": n.axis, "number": n.number, "wall": n.wall, **n.what} for n in news.notices[-NOTICES:]
             ],
@@ -137,7 +137,7 @@ class Hub:
                 if turn % OVERVIEW == 0:
                     version, line = self._changes(version, False)
                     yield line
-                (missed, lines), seen = feed.after(seen), feed.rows
+                (missed, lines), seen = feed.get_lines_after(seen), feed.rows
                 if missed:
                     self._counters.add("pmfid_page_rows_missed_total", missed)
                     yield json_line({"kind": "missed", "rows": missed})

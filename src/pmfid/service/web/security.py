@@ -119,7 +119,7 @@ class Guard:
             self._check(scope)
         except Refusal as refusal:
             self.counters.add("pmfid_page_refused_total", reason=refusal.reason)
-            await _refused(refusal)(scope, receive, answer)
+            await _build_answer(refusal)(scope, receive, answer)
             return
         await self.app(scope, receive, answer)
 
@@ -162,7 +162,7 @@ def _check_size(headers: Headers) -> None:
         raise Refusal("size", 413, f"a request may have {LARGEST_BODY} bytes")
 
 
-def _refused(refusal: Refusal) -> JSONResponse:
+def _build_answer(refusal: Refusal) -> JSONResponse:
     """The connection ends with it: what else comes on it is not read."""
     headers = {"connection": "close"}
     if refusal.status == 401:

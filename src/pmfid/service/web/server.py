@@ -135,13 +135,13 @@ def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder:
     """Without a log of requests, and with limits of its own on slow and stuck connections."""
     from uvicorn import Config
 
-    from pmfid.service.web.connection import Limits, guarded
+    from pmfid.service.web.connection import ConnectionLimits, build_protocol
 
     certificate, key = ((folder / str(path)) if path else None for path in (config.certificate, config.key))
     try:
         made = Config(
             app,  # type: ignore[arg-type]
-            http=guarded(Limits(), counters),
+            http=build_protocol(ConnectionLimits(), counters),
             loop="asyncio",
             ws="none",
             lifespan="on",

@@ -46,8 +46,8 @@ def _equal(a: str, b: str) -> bool:
 
 def load_tokens(config: PageConfig, folder: Path) -> Tokens:
     """Those that [page] names, or a new one; folder: that names of files count from. Raises UsageError."""
-    write = _configured("token", config.token_env, config.token_file, folder)
-    read = _configured("read_token", config.read_token_env, config.read_token_file, folder)
+    write = _read_token("token", config.token_env, config.token_file, folder)
+    read = _read_token("read_token", config.read_token_env, config.read_token_file, folder)
     if read and read == write:
         raise UsageError("[page] the token that reads is also the one that writes; choose two")
     return Tokens(write or secrets.token_urlsafe(32), read, made=not write)
@@ -70,7 +70,7 @@ def keep_token(token: str, folder: Path | None) -> str:
     return f"open the page with #token=... after the address; the token of this start is in {path}"
 
 
-def _configured(name: str, variable: str | None, file: str | None, folder: Path) -> str | None:
+def _read_token(name: str, variable: str | None, file: str | None, folder: Path) -> str | None:
     if variable is None and file is None:
         return None
     where = f"[page] {name}_env = {variable!r}" if variable else f"[page] {name}_file = {file!r}"

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 
-from pmfid.service.wire.points import MOST_POINTS, Columns, Point
+from pmfid.service.wire.points import MOST_POINTS, Point, PointColumns
 from pmfid.stream.delivery import Unusable
 
 __all__ = ["AXIS_KEY", "decode"]
@@ -15,14 +15,14 @@ __all__ = ["AXIS_KEY", "decode"]
 AXIS_KEY = "axis"
 
 
-def decode(data: bytes, axis: str = "") -> list[Point | Columns | Unusable]:
+def decode(data: bytes, axis: str = "") -> list[Point | PointColumns | Unusable]:
     """The samples of a message. axis: whose they are; "": the objects say so by AXIS_KEY."""
-    found: list[Point | Columns | Unusable] = []
+    found: list[Point | PointColumns | Unusable] = []
     left = MOST_POINTS
     for item in _points(data, axis):
-        rows = item.rows if isinstance(item, Columns) else 1
+        rows = item.rows if isinstance(item, PointColumns) else 1
         if rows > left:
-            if isinstance(item, Columns) and left:
+            if isinstance(item, PointColumns) and left:
                 found.append(replace(item, rows=left))
             found.append(
                 Unusable("json", f"more than {MOST_POINTS} samples in one message: the others are not looked at")
@@ -33,9 +33,9 @@ def decode(data: bytes, axis: str = "") -> list[Point | Columns | Unusable]:
     return found
 
 
-def _points(data: bytes, axis: str) -> Iterator[Point | Columns | Unusable]:
+def _points(data: bytes, axis: str) -> Iterator[Point | PointColumns | Unusable]:
     try:
-        yield from _of_value(json.loads(data), axis)
+        yield from _read_value(json.loads(data), axis)
         return
     except (ValueError, RecursionError) as error:
         texts = data.split(b"\n", MOST_POINTS + 1)
@@ -46,7 +46,7 @@ def _points(data: bytes, axis: str) -> Iterator[Point | Columns | Unusable]:
         if not text.strip():
             continue
         try:
-            yield from _of_value(json.loads(text), axis)
+            yield from _read_value(json.loads(text), axis)
         except (ValueError, RecursionError) as error:
             yield _unreadable(error)
 
@@ -55,15 +55,15 @@ def _unreadable(error: Exception) -> Unusable:
     return Unusable("json", f"this is no JSON: {str(error)[:200]}")
 
 
-def _of_value(value: object, axis: str) -> Iterator[Point | Columns | Unusable]:
+def _read_value(value: object, axis: str) -> Iterator[Point | PointColumns | Unusable]:
     for one in value if isinstance(value, list) else [value]:
         if isinstance(one, dict):
-            yield from _of_object(one, axis)
+            yield from _read_object(one, axis)
         else:
             yield Unusable("json", "a sample must be an object with the fields of [record]")
 
 
-def _of_object(fields: dict[str, object], axis: str) -> Iterator[Point | Columns | Unusable]:
+def _read_object(fields: dict[str, object], axis: str) -> Iterator[Point | PointColumns | Unusable]:
     named = axis or fields.get(AXIS_KEY)
     if not (isinstance(named, str) and named):
         yield Unusable("axis", f'an object without its axis: give "{AXIS_KEY}"')
@@ -74,4 +74,4 @@ def _of_object(fields: dict[str, object], axis: str) -> Iterator[Point | Columns
     elif len(sizes) > 1:
         yield Unusable("json", "columns of different lengths", named)
     elif rows := sizes.pop():
-        yield Columns(named, fields, rows)
+        yield PointColumns(named, fields, rows)

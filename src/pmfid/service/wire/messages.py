@@ -10,7 +10,7 @@ from pmfid.service.wire import json_lines, line_protocol
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.points import Readers
 from pmfid.stream import blocks
-from pmfid.stream.delivery import Block, Item, Lines, Unusable, one_by_one
+from pmfid.stream.delivery import Block, Item, Lines, Unusable, split_tables
 from pmfid.stream.layout import MAGIC
 
 __all__ = ["LARGEST", "Form", "Messages"]
@@ -45,7 +45,7 @@ class Messages:
         form = self._form(data) if self.form == "auto" else self.form
         if form == "block":
             found = blocks.items(data)
-            return [_of(item, axis) for item in one_by_one(found)] if axis else found
+            return [_check_axis(item, axis) for item in split_tables(found)] if axis else found
         if form == "json":
             return self.readers.items(json_lines.decode(data, axis))
         return self.readers.items(line_protocol.decode(data, axis, self.tag, self.precision))
@@ -56,7 +56,7 @@ class Messages:
         return "json" if data.lstrip()[:1] in (b"{", b"[") else "line"
 
 
-def _of(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Unusable:
+def _check_axis(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Unusable:
     """A block by the topic of one axis must not be another's: who may write to the first might not to the second."""
     if isinstance(item, Block) and item.axis != axis:
         return Unusable("name", f"a block of {item.axis!r} that came as one of {axis[:64]!r}", axis[:64])

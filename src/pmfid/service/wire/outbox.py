@@ -69,7 +69,7 @@ class Outbox:
             self._next += 1
         return self._next > before
 
-    def acknowledged(self, number: int) -> None:
+    def note_acknowledged(self, number: int) -> None:
         """The broker has a message."""
         message = self._sent.pop(number, None)
         if message is not None:

@@ -14,7 +14,7 @@ from pmfid.session.monitored.reading import FieldReader
 from pmfid.session.monitored.timeline import Line
 from pmfid.stream.delivery import Lines, Unusable
 
-__all__ = ["MOST_POINTS", "Columns", "Point", "Readers"]
+__all__ = ["MOST_POINTS", "Point", "PointColumns", "Readers"]
 
 #: Of one message; what is beyond is not looked at.
 MOST_POINTS = 20_000
@@ -30,7 +30,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Columns:
+class PointColumns:
     """Samples of one axis as columns. fields: lists of at least `rows` values; any other value holds for all rows."""
 
     axis: str
@@ -48,7 +48,7 @@ class Readers:
     axes: Axes
     _made: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
 
-    def items(self, points: Iterable[Point | Columns | Unusable]) -> list[Lines | Unusable]:
+    def items(self, points: Iterable[Point | PointColumns | Unusable]) -> list[Lines | Unusable]:
         """Lines of each axis, those that follow one another together."""
         found: list[Lines | Unusable] = []
         for axis, group in groupby(points, lambda point: None if isinstance(point, Unusable) else point.axis):
@@ -58,7 +58,7 @@ class Readers:
             found.append(self._lines(axis, [point for point in group if not isinstance(point, Unusable)]))
         return found
 
-    def _lines(self, axis: str, points: list[Point | Columns]) -> Lines | Unusable:
+    def _lines(self, axis: str, points: list[Point | PointColumns]) -> Lines | Unusable:
         config = self.axes.get(axis)
         if config is None:
             return Unusable("axis", f"there is no axis {axis[:64]!r}", axis[:64])
@@ -68,7 +68,7 @@ class Readers:
             return Unusable("axis", str(error), axis)
         lines: list[Line] = []
         for point in points:
-            if isinstance(point, Columns):
+            if isinstance(point, PointColumns):
                 lines += reader.rows(point.fields, point.rows)
             else:
                 lines.append(reader(point.fields, point.time))

@@ -194,25 +194,25 @@ class Sender:
             self._events.put(lambda: self._begin(client, min(room, _UNDER_WAY)))
 
     def _on_publish(self, client: Client, _: object, mid: int, reason: ReasonCode, properties: Properties) -> None:
-        self._events.put(lambda: self._acknowledged(client, mid, reason))
+        self._events.put(lambda: self._note_acknowledged(client, mid, reason))
 
     def _on_lost(
         self, client: Client, _: object, flags: DisconnectFlags, reason: ReasonCode, properties: Properties | None
     ) -> None:
-        self._events.put(lambda: self._lost(client, f"the connection ended: {reason}"))
+        self._events.put(lambda: self._note_lost(client, f"the connection ended: {reason}"))
 
     def _begin(self, client: Client, room: int) -> None:
         if client is self._client:
             self._outbox.begin(room)
             self.problem = ""
 
-    def _acknowledged(self, client: Client, mid: int, reason: ReasonCode) -> None:
+    def _note_acknowledged(self, client: Client, mid: int, reason: ReasonCode) -> None:
         if client is not self._client:
             return
         if reason.is_failure or reason.value == _NOBODY:
-            self._lost(client, f"the broker does not take messages: {reason}")
+            self._note_lost(client, f"the broker does not take messages: {reason}")
             return
-        self._outbox.acknowledged(mid)
+        self._outbox.note_acknowledged(mid)
         self._settle()
 
     def _settle(self) -> None:
@@ -220,7 +220,7 @@ class Sender:
         if self._outbox.settled:
             self._idle.set()
 
-    def _lost(self, client: Client, problem: str) -> None:
+    def _note_lost(self, client: Client, problem: str) -> None:
         if client is self._client:
             self._client, self.problem = None, problem
             self._outbox.end()
