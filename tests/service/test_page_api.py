@@ -233,11 +233,11 @@ def test_who_reads_slowly_misses_rows_and_is_told_how_many() -> None:
     for _ in range(100):
         plant.run(1.0)
         feed.take()
-    missed, lines = feed.after(0)
+    missed, lines = feed.get_lines_after(0)
     assert len(lines) == 60
     assert missed == 40 * round(1 / DT)
-    assert feed.after(feed.rows) == (0, [])
-    nearly = feed.after(feed.rows - round(1 / DT))
+    assert feed.get_lines_after(feed.rows) == (0, [])
+    nearly = feed.get_lines_after(feed.rows - round(1 / DT))
     assert (nearly[0], len(nearly[1])) == (0, 1)
 
 

@@ -314,7 +314,7 @@ def test_every_answer_has_its_guards(page: Served, path: str, token: str | None)
 def test_what_fails_inside_says_nothing_of_the_inside_but_to_the_log(
     page: Served, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(page.plant.board, "referred", lambda: 1 / 0)
+    monkeypatch.setattr(page.plant.board, "list_referred", lambda: 1 / 0)
     status, _, body = page.ask("/api/plant")
     assert status == 500
     assert b"ZeroDivision" not in body

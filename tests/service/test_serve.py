@@ -362,7 +362,7 @@ def test_a_counter_that_wraps_changes_nothing(folder: Path, tmp_path: Path, unwr
 def test_what_costs_nothing_is_looked_at_before_the_calibration(
     folder: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[str], str], said: str
 ) -> None:
-    monkeypatch.setattr(Configurations, "of", lambda *_: pytest.fail("calibrated first"))
+    monkeypatch.setattr(Configurations, "load_all", lambda *_: pytest.fail("calibrated first"))
     plant = folder / "early.toml"
     plant.write_text(change(PLANT))
     assert re.search(said, called("serve", str(plant), "--until-end", code=2))

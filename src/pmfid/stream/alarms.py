@@ -1,4 +1,4 @@
-"""Alarms as people deal with them: told, acknowledged with a note, settled at a new value."""
+"""Alarms and what people do with them: raised, acknowledged with a note, settled at a new value."""
 
 from __future__ import annotations
 
@@ -15,9 +15,12 @@ MOST = 2000
 
 @dataclass(frozen=True)
 class AlarmRecord:
-    """An alarm and what became of it. number: of its notice; wall: seconds since 1970; what: as `pmfid monitor --json`
-    tells it; note, acknowledged: what someone wrote, and when, None while nobody did; settled: the new values once
-    they are known, as in "settled"; cleared: when what had been silent was back, None while it is not."""
+    """An alarm and its later course.
+
+    number: of its notice; wall: seconds since 1970; what: the object that `pmfid monitor --json` prints; note,
+    acknowledged: the text of the acknowledgement and its time, None before; settled: the new values once they are
+    known, as in "settled"; cleared: time at which a silent axis, source or sink was back, None before.
+    """
 
     axis: str
     number: int
@@ -43,7 +46,7 @@ class AlarmRecord:
 
 @dataclass
 class Alarms:
-    """By number, in the order in which they were told."""
+    """All alarms by number, in the order of their notices."""
 
     _all: dict[int, AlarmRecord] = field(default_factory=dict, init=False)
 
@@ -78,12 +81,12 @@ class Alarms:
         return [self._all[alarm.number]]
 
     def _settle(self, notice: Notice) -> list[AlarmRecord]:
-        """The alarms of the axis that no value is known of yet."""
-        told = {"time": notice.what.get("time"), "parameters": notice.what.get("parameters", {})}
+        """Settles the alarms of the axis that have no new values yet."""
+        new_values = {"time": notice.what.get("time"), "parameters": notice.what.get("parameters", {})}
         of_axis = [alarm for alarm in self._all.values() if alarm.axis == notice.axis]
         open_ones = [alarm for alarm in of_axis if alarm.settled is None and "silent" not in alarm.what]
         for alarm in open_ones:
-            self._all[alarm.number] = replace(alarm, settled=told)
+            self._all[alarm.number] = replace(alarm, settled=new_values)
         return [self._all[alarm.number] for alarm in open_ones]
 
     def all(self) -> list[AlarmRecord]:

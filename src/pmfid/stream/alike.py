@@ -1,6 +1,6 @@
-"""Messages of many blocks that are all alike, as gateways send them: read at once, in less than half of the time.
+"""Messages of many blocks of the same form, as gateways send them: one pass reads all blocks, in half of the time.
 
-What is not perfectly in order is left to `blocks`, which says why.
+A message with any irregularity is left to `blocks`, which reports the reason.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from pmfid.types import Flags
 
 __all__ = ["read_alike_blocks"]
 
-#: So many blocks are worth the trouble.
+#: Fewest blocks for which one pass is faster.
 FEWEST = 4
-#: Names are the same in each message of a gateway: so many lists of at most so many names are remembered.
+#: Names are the same in each message of a gateway: number of lists that are cached, and most names of one list.
 LISTS, NAMES = 1024, 256
 #: Bytes of the header that blocks have in common: magic, version, flags, samples; and the name's length.
 _COMMON, _LETTERS = slice(0, 8), 12
 
 
 def read_alike_blocks(data: bytes) -> Table | None:
-    """The blocks of a message where all have the same form and nothing is wrong with any; None otherwise."""
+    """The blocks of a message if all have the same form and all are valid; None otherwise."""
     if len(data) < HEADER.size or not data.startswith(MAGIC):
         return None
     _, version, flags, samples, _, letters, *_ = HEADER.unpack_from(data)
@@ -52,7 +52,7 @@ def _sums_fit(data: bytes, rows: np.ndarray) -> bool:
 
 
 def _are_in_range(rows: np.ndarray, samples: int) -> bool:
-    """Whether all numbers are what they may be."""
+    """Whether all numbers are within their ranges."""
     time, dt, counts = rows["time"], rows["dt"], rows["counts"]
     with np.errstate(invalid="ignore"):
         fine: Flags = (dt > 0) & (dt < math.inf) & (np.isnan(time) | (np.abs(time) < MOST_TIME))
@@ -64,7 +64,7 @@ def _are_in_range(rows: np.ndarray, samples: int) -> bool:
 
 @lru_cache(LISTS)
 def _read_names(text: bytes, letters: int) -> tuple[str, ...] | None:
-    """Names of so many bytes each, which stand behind one another; None where one is none."""
+    """Consecutive names of `letters` bytes each; None if one of them is not a valid name."""
     try:
         names = tuple(text[k : k + letters].rstrip(b"\0").decode() for k in range(0, len(text), letters))
     except UnicodeDecodeError:

@@ -1,7 +1,7 @@
-"""Blocks of numbered samples in binary, one or several behind one another: docs/wire.md says where each byte is.
+"""Consecutive binary blocks of numbered samples: docs/wire.md documents each byte.
 
-Sizes are checked before anything is read by them, the checksum before anything is believed. A block that cannot be used
-costs its neighbours nothing: the next one begins where it ends, or else at the next MAGIC.
+Sizes are checked before they are used, the checksum before the content is. A block that cannot be used costs its
+neighbours nothing: the next block begins at its end, or else at the next MAGIC.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ def encode(block: Block) -> bytes:
 
 
 def items(data: bytes) -> list[Table] | list[Block | Unusable]:
-    """What a message says: its blocks in order, and in place of each that cannot be used the reason; one table where
-    all are alike."""
+    """The blocks of a message in order, with the reason in place of each unusable block; one table if all blocks have
+    the same form."""
     found = read_alike_blocks(data)
     return [found] if found is not None else _blocks(data, whole=True)[0]
 
 
 def decode(data: bytes) -> list[Block | Unusable]:
-    """The same without tables."""
+    """The blocks of a message in order, with the reason in place of each unusable block, never as a table."""
     found = read_alike_blocks(data)
     return [*found.blocks()] if found is not None else _blocks(data, whole=True)[0]
 
@@ -88,7 +88,7 @@ class BlockStream:
         return len(self._rest)
 
     def feed(self, data: bytes) -> list[Block | Unusable]:
-        """What is known after some more bytes; a block that has only begun waits for the others."""
+        """The blocks that are complete after these bytes; an incomplete block waits for the next bytes."""
         taken = self._rest + data
         found, used = _blocks(taken, whole=False)
         self._rest = taken[used:]
@@ -96,7 +96,7 @@ class BlockStream:
 
 
 def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
-    """The blocks of a message (whole), or of what has come of a stream, and how many of its bytes are done with."""
+    """The blocks of a message (whole) or of the received part of a stream, and the number of bytes consumed."""
     view, found, place, searches = memoryview(data), list[Block | Unusable](), 0, 0
     while place < len(data):
         end, item = _block(data, view, place)
@@ -115,12 +115,12 @@ def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
 
 
 def _begins(data: bytes, end: int) -> bool:
-    """Whether a block may begin where another one says that it ends: then its length is believed."""
+    """Whether a block may begin at the end of another one: then the length of that other block is trusted."""
     return end > 0 and (end == len(data) or data.startswith(MAGIC, end))
 
 
 def _next(data: bytes, start: int, whole: bool) -> int:
-    """Where the next block may begin: at a MAGIC, or in a stream at what may become one."""
+    """Start of the next possible block: at a MAGIC, or in a stream at the beginning of one."""
     place = data.find(MAGIC, start)
     if place >= 0 or whole:
         return place if place >= 0 else len(data)
@@ -129,7 +129,7 @@ def _next(data: bytes, start: int, whole: bool) -> int:
 
 
 def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unusable | None]:
-    """Where the block that begins at `place` ends, 0 where that is not known, and what it says; None: it is cut off."""
+    """End of the block that begins at `place`, 0 if unknown, and its content; None if the block is incomplete."""
     if not data.startswith(MAGIC[: len(data) - place], place):
         return 0, Unusable("magic", "bytes that are no block: none begins there")
     if place + HEADER.size > len(data):
@@ -161,7 +161,7 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
 
 
 def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Unusable | None:
-    """Why a block of (n,) u and (n,) counts cannot be used, whatever its form; wide: counts may have any size."""
+    """Reason for which a block of (n,) u and (n,) counts cannot be used, or None; wide: counts may have any size."""
     name, n = block.axis, u.size
     if not (name.isprintable() and 0 < len(name.encode("utf-8", "replace")) <= LONGEST_NAME):
         return Unusable(

@@ -1,7 +1,7 @@
-"""What of the engine survives a restart, as bytes: no pickle, fixed layouts, every number checked by who reads it.
+"""The part of the engine that survives a restart, as bytes: no pickle, fixed layouts, every number checked on load.
 
-Body: the length of an object of JSON (8 bytes), the object, then what it names `parts` in their order. JSON holds what
-is small or rare, as marks, alarms, and axes with lines or gaps; arrays hold what every axis has.
+Body: the length of a JSON object (8 bytes), the object, then its `parts` in order. JSON holds small or rare data, such
+as marks, alarms, and axes with lines or gaps; arrays hold the data of every axis.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["Draft", "Snapshot", "StateBuffer", "draft", "read_snapshot", "snapshot", "state_size"]
 
 _LENGTH = struct.Struct("<Q")
-#: Of every axis: where its numbers and its clock stand.
+#: State of the numbers and the clock of each axis.
 SEAT = np.dtype(
     [
         ("epoch", "<i8"),
@@ -44,32 +44,31 @@ SEAT = np.dtype(
         ("wrong_period", "u1"),
     ]
 )
-#: Those of them that are columns of `Positions`.
+#: Fields of SEAT that are columns of `Positions`.
 _COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "notices"))
-#: Of every block that waits for those before it; its samples follow, u as float64, counts as int64.
+#: Head of each block that waits for earlier blocks; its samples follow, u as float64, counts as int64.
 HELD = np.dtype(
     [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
 )
 
 
 class StateBuffer:
-    """Where states are copied to, again and again: memory that is new at each checkpoint would cost more than the
-    copy."""
+    """Memory for the copies of states, reused by all checkpoints: new memory would cost more time than the copy."""
 
     def __init__(self) -> None:
         self._bytes = np.empty(0, np.uint8)
 
     @property
     def size(self) -> int:
-        """Bytes that there are."""
+        """Size of the buffer [bytes]."""
         return self._bytes.size
 
     def grow(self, size: int) -> None:
-        """New memory of so many bytes, each touched; by any thread, while nothing is copied."""
+        """Replaces the buffer by `size` bytes, each touched; by any thread, while no copy is made."""
         self._bytes = np.full(size, 1, np.uint8)
 
     def copy_states(self, states: Sequence[Sequence[memoryview]]) -> list[list[memoryview]]:
-        """The same there, until the next call."""
+        """Copies of the states in the buffer, valid until the next call."""
         size = sum(len(part) for state in states for part in state)
         if self._bytes.size < size:
             self._bytes = np.empty(size, np.uint8)
@@ -86,15 +85,15 @@ class StateBuffer:
 
 @dataclass(frozen=True)
 class Draft:
-    """A checkpoint without the checksums of its states, which take longer than their copy. text: the object of JSON;
-    states, others: of each group, what it has for `parts`, its state in several pieces."""
+    """A checkpoint without the checksums of its states, which take longer than their copy. text: the JSON object;
+    states, others: the `parts` of each group, its state in several pieces."""
 
     text: bytes
     states: list[list[memoryview]]
     others: list[list[bytes]]
 
     def chunks(self) -> list[bytes | memoryview]:
-        """The whole: by any thread, as long as the states stay where they were copied to."""
+        """The whole checkpoint; by any thread, as long as the buffer keeps the states."""
         found: list[bytes | memoryview] = [_LENGTH.pack(len(self.text)), self.text]
         for state, own in zip(self.states, self.others, strict=True):
             found += [*seal_parts(state), *own]
@@ -102,17 +101,17 @@ class Draft:
 
 
 def snapshot(engine: Engine) -> list[bytes | memoryview]:
-    """The engine between two ticks."""
+    """The checkpoint of the engine between two ticks."""
     return draft(engine, StateBuffer()).chunks()
 
 
 def state_size(engine: Engine) -> int:
-    """Bytes of room that a draft takes."""
+    """Bytes of the buffer that a draft needs."""
     return sum(len(part) for group in engine.groups for part in group.fleet.unsealed_state())
 
 
 def draft(engine: Engine, room: StateBuffer) -> Draft:
-    """The same, to be finished by another thread; the engine can go on."""
+    """The checkpoint of the engine between two ticks, to be completed by another thread while the engine goes on."""
     states = room.copy_states([group.fleet.unsealed_state() for group in engine.groups])
     others, groups = (
         [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups],
@@ -153,7 +152,7 @@ def _pack_seats(group: Group) -> NDArray[np.void]:
 
 
 def _collect_rare(seat: Seat) -> dict[str, Any]:
-    """What only some axes have."""
+    """Data that only some axes have."""
     found: dict[str, Any] = {}
     if seat.order.gaps:
         found["gaps"] = seat.order.gaps
@@ -167,7 +166,7 @@ def _collect_rare(seat: Seat) -> dict[str, Any]:
 
 
 def _pack_held(group: Group) -> bytes:
-    """Blocks that wait."""
+    """The blocks that wait, as bytes."""
     waiting = np.flatnonzero(group.positions.waits).tolist()
     pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
     if not pairs:
@@ -180,8 +179,8 @@ def _pack_held(group: Group) -> bytes:
 
 @dataclass(frozen=True)
 class Saved:
-    """A group in a checkpoint. axes: their names; state: of their fleet; seats, held: as above; rare: number -> what
-    only some axes have."""
+    """A group in a checkpoint. axes: their names; state: of their fleet; seats: of SEAT; held: blocks that wait; rare:
+    number of the axis -> data that only some axes have."""
 
     digest: str
     axes: tuple[str, ...]
@@ -191,7 +190,7 @@ class Saved:
     rare: Mapping[str, Any]
 
     def restore_group(self, prepared: Prepared, pace: Pace) -> Group:
-        """The group as it was. Raises ValueError for what no group has saved."""
+        """The group from its saved state. Raises ValueError for a state that no group has saved."""
         group = Group(prepared, pace)
         try:
             group.restore(self.axes, self.state)
@@ -223,19 +222,19 @@ class Snapshot:
     groups: list[Saved]
 
     def restore(self, engine: Engine) -> None:
-        """What of the engine does not stand in its groups."""
+        """Restores the part of the engine outside its groups."""
         engine.marks.update(self.marks)
         engine.history, engine.numbered = self.history, self.numbered
         engine.notices.restore(self.alarms)
         engine.silence.restore(self.alarms)
 
     def axes(self) -> Iterable[str]:
-        """Names of all axes in it."""
+        """Names of all axes in the checkpoint."""
         return (name for group in self.groups for name in group.axes)
 
 
 def read_snapshot(body: bytes) -> Snapshot:
-    """What `snapshot` made. Raises ValueError for anything else."""
+    """The checkpoint in the bytes of `snapshot`. Raises ValueError for other bytes."""
     try:
         (length,) = _LENGTH.unpack_from(body)
         place = _LENGTH.size + length

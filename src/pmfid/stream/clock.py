@@ -1,4 +1,4 @@
-"""The clocks of senders against the numbers of their samples: set, at another rate, or quiet."""
+"""The clocks of senders compared with the numbers of their samples: set, at another rate, or regular."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ __all__ = ["Clock", "clock_runs", "period_fits", "rate_fits", "rate_is_due"]
 
 #: A clock that is off by more was set [s]: stamps may be those of whole seconds.
 SET = 1.5
-#: Rate of the sender's clock against its numbers: over so many samples and so much time [s], by how much it may differ.
+#: Rate of the sender's clock compared with its numbers: fewest samples and shortest time [s] of a measurement, and the
+#: tolerance of the rate.
 RATE_SAMPLES, RATE_TIME, RATE = 500, 60.0, 0.005
-#: The sender's sample period may differ from that of the configuration by such a part.
+#: Tolerance of the sender's sample period, relative to the period of the configuration.
 PERIOD = 1e-3
 
-#: What is asked of one block is asked of those of many axes in the same words: a number, or one for each.
+#: The tests apply to one block, or to the blocks of many axes: a number, or one number for each.
 Real = float | Floats
 Whole = int | NDArray[np.int64]
 Answer = bool | Flags
@@ -31,23 +32,26 @@ def period_fits(period: Real, dt: float) -> Answer:
 
 
 def clock_runs(off: Real) -> Answer:
-    """Whether a clock that is off by so much [s] was not set; False for one of which nothing is known."""
+    """Whether a clock with this deviation [s] was not set; False for an unknown deviation."""
     return (off <= SET) & (-off <= SET)
 
 
 def rate_is_due(samples: Whole, time: Real) -> Answer:
-    """Whether after so many samples and so much time [s] the rate of a clock is looked at."""
+    """Whether the rate of a clock is tested after `samples` samples and `time` seconds."""
     return (samples >= RATE_SAMPLES) & (time >= RATE_TIME)
 
 
 def rate_fits(rate: Real) -> Answer:
-    """Whether a clock goes at such a rate as it should."""
+    """Whether the rate of a clock is within its tolerance."""
     return (rate - 1 <= RATE) & (1 - rate <= RATE)
 
 
 class Clock:
-    """The sender's clock against its numbers, dt: between two [s]. expected: time of sample `number` [s], NaN while
-    unknown; start, first: a time and its number from where the rate is measured; told: that it is another one."""
+    """The sender's clock compared with its numbers.
+
+    dt: sample period [s]; expected: time of sample `number` [s], NaN while unknown; start, first: time and number at
+    which the measurement of the rate began; wrong_rate: the last measured rate was outside its tolerance.
+    """
 
     __slots__ = ("dt", "place")
     expected, number = Column[float]("time"), Column[int]("number")
@@ -58,11 +62,11 @@ class Clock:
         self.dt, self.place = dt, place
 
     def reset(self) -> None:
-        """Nothing is known of it any more."""
+        """Forgets all measurements of the clock."""
         self.expected, self.number, self.start, self.first, self.wrong_rate = math.nan, 0, math.nan, 0, False
 
     def look(self, first: int, end: int, time: float) -> dict[str, object] | None:
-        """At a block in its place. What there is to tell: the clock was set, or goes at another rate."""
+        """Tests the clock at the next block. Returns a notice object if the clock was set or its rate is wrong."""
         if math.isnan(time):
             return None
         off = time - self.expected - (first - self.number) * self.dt

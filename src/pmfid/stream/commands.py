@@ -1,4 +1,4 @@
-"""What people ask of the engine while it runs."""
+"""Commands of people to the running engine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST, LONGEST_NOTE = 1000, 2000
 
 @dataclass(frozen=True)
 class Acknowledge:
-    """The alarm that was told as the notice of this number is known to people."""
+    """Someone has acknowledged the alarm with this notice number."""
 
     number: int
     note: str
@@ -22,14 +22,14 @@ class Acknowledge:
 
 @dataclass(frozen=True)
 class Refer:
-    """What the axis is now is normal: deviations count from there."""
+    """The present parameters of the axis become its reference."""
 
     axis: str
 
 
 @dataclass(frozen=True)
 class RestartNumbers:
-    """The sender of the axis began anew without an epoch that says so: its next samples are taken as they are."""
+    """The sender of the axis restarted without a higher epoch: its next samples are taken whatever their numbers."""
 
     axis: str
 
@@ -38,22 +38,22 @@ Command = Acknowledge | Refer | RestartNumbers
 
 
 class Commands:
-    """Commands on their way to the engine, from any thread. What became of one comes back as a `Notice`."""
+    """Commands on their way to the engine, from any thread. A `Notice` reports the result of each."""
 
     def __init__(self) -> None:
         self._waiting: deque[Command] = deque()
         self._lock = Lock()
 
     def acknowledge(self, number: int, note: str) -> bool:
-        """False where the engine has no room for more at the moment."""
+        """False if the queue of commands is full."""
         return self._put(Acknowledge(number, note[:LONGEST_NOTE]))
 
     def refer(self, axis: str) -> bool:
-        """False where the engine has no room for more at the moment."""
+        """False if the queue of commands is full."""
         return self._put(Refer(axis))
 
     def restart_numbers(self, axis: str) -> bool:
-        """False where the engine has no room for more at the moment."""
+        """False if the queue of commands is full."""
         return self._put(RestartNumbers(axis))
 
     def _put(self, command: Command) -> bool:
@@ -64,7 +64,7 @@ class Commands:
             return True
 
     def take_all(self) -> list[Command]:
-        """All that wait, in their order; for the engine."""
+        """Removes and returns all waiting commands, in order; for the engine."""
         with self._lock:
-            found, self._waiting = list(self._waiting), deque()
-        return found
+            commands, self._waiting = list(self._waiting), deque()
+        return commands

@@ -1,4 +1,4 @@
-"""What is counted, for the page, `/metrics` and the log: by name and labels, from any thread."""
+"""Counters for the page, `/metrics` and the log: by name and labels, from any thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What comes in: blocks of numbered samples, lines with a time, and what could not be used."""
+"""Deliveries of sources: blocks of numbered samples, lines with a time, and unusable input."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pmfid.types import Counts, Floats
 
 __all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "join_arrays", "split_tables"]
 
-#: JSON of a source by which it goes on after a restart, as the place in a file.
+#: JSON from which a source resumes after a restart, such as the position in a file.
 Mark = dict[str, int | float | str]
 
 
@@ -23,8 +23,8 @@ Mark = dict[str, int | float | str]
 class Block:
     """Samples of one axis that follow one another, numbered by the sender.
 
-    axis: its name; epoch: what the sender raises when its numbers begin anew, as after a restart of the drive; first:
-    number of the first sample, 0 or more; time: of the first sample by the sender's clock [s], NaN where it has none;
+    axis: its name; epoch: raised by the sender when its numbers restart, as after a restart of the drive; first:
+    number of the first sample, 0 or more; time: of the first sample by the sender's clock [s], NaN without a clock;
     dt: the sender's sample period [s]; u: (n,) input in the unit of the model, NaN where a sample is lost; counts:
     (n,).
     """
@@ -39,12 +39,12 @@ class Block:
 
     @property
     def end(self) -> int:
-        """Number of the sample behind the last."""
+        """Number of the sample after the last one."""
         return self.first + self.counts.size
 
 
 def join_arrays(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
-    """The arrays of these names of each part, one behind the other."""
+    """For each name the concatenation of the parts' arrays of that name."""
     return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
 
 
@@ -65,7 +65,7 @@ class Table:
 
     @classmethod
     def join(cls, tables: Sequence[Table]) -> Table:
-        """Tables of blocks of the same length, one behind the other, as one."""
+        """One table of all rows; the blocks of all tables have the same length."""
         if len(tables) == 1:
             return tables[0]
         return cls(
@@ -74,12 +74,12 @@ class Table:
         )
 
     def block(self, row: int) -> Block:
-        """One of them."""
+        """The block of a row."""
         numbers = int(self.epoch[row]), int(self.first[row]), float(self.time[row]), float(self.dt[row])
         return Block(self.axes[row], *numbers, self.u[row], self.counts[row])
 
     def blocks(self) -> list[Block]:
-        """All of them."""
+        """The blocks of all rows."""
         return [self.block(row) for row in range(len(self.axes))]
 
 
@@ -93,8 +93,8 @@ class Lines:
 
 @dataclass(frozen=True)
 class Unusable:
-    """Something that came and is no sample. reason: a short fixed word, as "crc", for counters; problem: a sentence;
-    axis: its name where that is known, else ""."""
+    """Input without a usable sample. reason: a short fixed word, as "crc", for counters; problem: a sentence; axis: its
+    name if known, else ""."""
 
     reason: str
     problem: str
@@ -105,21 +105,21 @@ Item = Block | Table | Lines | Unusable
 
 
 def split_tables(items: Sequence[Item]) -> list[Block | Lines | Unusable]:
-    """The same with single blocks in place of tables."""
-    found = list[Block | Lines | Unusable]()
+    """The items with single blocks in place of tables."""
+    single = list[Block | Lines | Unusable]()
     for item in items:
-        found += item.blocks() if isinstance(item, Table) else [item]
-    return found
+        single += item.blocks() if isinstance(item, Table) else [item]
+    return single
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """What a source hands over at once.
+    """Items that a source hands over at once.
 
-    source: its name in PLANT.toml; items: in the order in which they came; done: called, from any thread and at most
-    once, when all of it is in a checkpoint that a restart would find, or at once where no checkpoints are kept; a
-    source that can acknowledge does it then; mark: where the source stands behind this delivery, kept in that
-    checkpoint; received: `time.monotonic()` when it came.
+    source: its name in PLANT.toml; items: in the order of their arrival; done: called, from any thread and at most
+    once, when all items are in a durable checkpoint, or at once without checkpoints; a source that can acknowledge
+    does so then; mark: position of the source after this delivery, kept in the checkpoint; received:
+    `time.monotonic()` at the arrival.
     """
 
     source: str
@@ -130,5 +130,5 @@ class Delivery:
 
     @property
     def size(self) -> int:
-        """Its items, the blocks of a table one by one."""
+        """Number of items, with each block of a table as one."""
         return sum(len(item.axes) if isinstance(item, Table) else 1 for item in self.items)

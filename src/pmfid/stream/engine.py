@@ -1,4 +1,4 @@
-"""The engine: one thread that owns all that is estimated."""
+"""The engine: one thread that owns all estimators."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from pmfid.stream.stepping import FoundEvent, step
 
 __all__ = ["Engine", "Keeper"]
 
-#: The engine looks at its commands so often where nothing comes in [s].
+#: Time between two looks at the commands while no delivery arrives [s].
 IDLE = 0.1
-#: Deliveries are counted whose estimates took longer than these [s].
+#: Limits of latency for which slower deliveries are counted [s].
 SLOW = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 class Keeper(Protocol):
-    """Keeps what must survive."""
+    """Writes checkpoints."""
 
     def offer(self, engine: Engine, last: bool = False) -> None:
-        """Between two ticks: makes a checkpoint if it is time for one; last: at once, and waits until it is written."""
+        """Between two ticks: makes a checkpoint if one is due; last: at once, and waits until it is written."""
         ...
 
     def call_when_kept(self, done: Callable[[], None]) -> None:
-        """To be called once all that was stepped so far is in a checkpoint that a restart would find."""
+        """Has `done` called once all samples stepped so far are in a durable checkpoint."""
         ...
 
 
 class _Forgetful:
-    """Nothing is kept: what was stepped is done with."""
+    """A `Keeper` without checkpoints: deliveries are done when they are stepped."""
 
     def offer(self, engine: Engine, last: bool = False) -> None:
         """Nothing."""
@@ -60,12 +60,14 @@ def _nobody() -> frozenset[str]:
 
 @dataclass
 class Engine:
-    """outlets: get rows and notices; followed: names of the axes of which every row is wanted; groups: all axes;
+    """Steps the axes of all groups as deliveries arrive.
+
+    outlets: receive rows and notices; followed: names of the axes whose rows are all given out; groups: all axes;
     unwritten: alarms that sinks do not have yet, by the name of the sink.
 
-    marks: where the sources stand behind what was stepped; history: what configurations there were since when;
-    numbered: the last number that an axis got; beat: `time.monotonic()` of the last tick; changes: grows with all that
-    a checkpoint holds; urgent: the next one is wanted soon, for people asked for what no source brings again.
+    marks: positions of the sources after the last stepped delivery; history: configurations and the times at which
+    they began; numbered: the last number given to an axis; beat: `time.monotonic()` of the last tick; changes: count
+    of changes to the content of a checkpoint; urgent: a checkpoint is due soon, because no source repeats a command.
     """
 
     counters: Counters
@@ -93,20 +95,19 @@ class Engine:
     # --- from any thread ----------------------------------------------------------------------------------------------
 
     def tell(self, what: dict[str, Any], axis: str = "") -> None:
-        """What the service has to say of itself, as a notice of the next tick. What a source says of itself is a level,
-        too, for a notice is soon past."""
+        """Makes a notice of the service at the next tick. The state of a source is a gauge, too."""
         if what.get("event") == "source":
             self.counters.put("pmfid_source_working", float(not what.get("problem")), source=what["source"])
         self._said.append((axis, what))
 
     def ask(self, change: Callable[[], None]) -> None:
-        """Has something done by the engine's thread, between two ticks."""
+        """Has `change` called by the engine's thread, between two ticks."""
         self._asked.append(change)
 
     # --- the engine's thread ------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Until the inbox is closed and empty; then with a last checkpoint."""
+        """Ticks until the inbox is closed and empty, then makes a last checkpoint."""
         while self.tick(IDLE):
             pass
         self._speak()
@@ -114,7 +115,7 @@ class Engine:
         self._speak()
 
     def tick(self, timeout: float) -> bool:
-        """Takes what came and steps it; False once nothing will come any more."""
+        """Steps the waiting deliveries; False once the inbox is closed and empty."""
         batch = self.inbox.take_deliveries(timeout)
         self.beat = monotonic()
         self.silence.tick(self.beat)
@@ -129,7 +130,7 @@ class Engine:
         return bool(batch) or not self.inbox.closed
 
     def set_groups(self, groups: Iterable[Group]) -> None:
-        """These are all the groups from now on."""
+        """Replaces the groups."""
         self.groups = [group for group in groups if group.seats]
         self._intake.set_seats(seat for group in self.groups for seat in group.seats)
         for seat in self._intake.seats.values():
@@ -140,11 +141,11 @@ class Engine:
             self.counters.put("pmfid_axes", len(group.seats), group=group.kindred.config)
 
     def seat(self, axis: str) -> Seat | None:
-        """Of an axis by its name."""
+        """The seat of an axis by its name, or None."""
         return self._intake.seats.get(axis)
 
     def process(self, batch: Sequence[Delivery]) -> None:
-        """Puts deliveries in order, steps what can be stepped, and gives out what that says."""
+        """Orders deliveries, steps their samples, and gives out rows and notices."""
         begun = monotonic()
         self.changes += 1
         ordered = self._intake.take(batch)
@@ -175,7 +176,7 @@ class Engine:
         crash_point("engine.reported")
 
     def _admit_event(self, one: FoundEvent) -> bool:
-        """Counts an event; what lasts is not told again and again."""
+        """Counts an event. Returns whether it becomes a notice: repeated outliers are only counted."""
         event = str(one.what["event"])
         self.counters.add("pmfid_events_total", event=event, group=one.seat.group.kindred.config)
         return event != "outlier" or one.seat.may_tell(event)
@@ -222,8 +223,8 @@ class Engine:
             self.tell({"event": "acknowledged", "alarm": None, "problem": f"there is no alarm {command.number}"})
             return
         what = {key: alarm.what[key] for key in ("silent", "name") if "silent" in alarm.what}
-        told = {"event": "acknowledged", "alarm": command.number, "note": command.note, **what}
-        self.notices.publish_own(alarm.axis, told)
+        notice = {"event": "acknowledged", "alarm": command.number, "note": command.note, **what}
+        self.notices.publish_own(alarm.axis, notice)
 
     def _refer(self, command: Refer) -> None:
         seat = self.seat(command.axis)
@@ -235,17 +236,17 @@ class Engine:
         except UsageError as error:
             self.notices.publish_own(seat.name, {"event": "reference", "problem": str(error)})
             return
-        told = [event_object(event, group.kindred.names) for event in events]
-        normal = {name: value["value"] for name, value in told[0]["parameters"].items()}
+        objects = [event_object(event, group.kindred.names) for event in events]
+        normal = {name: value["value"] for name, value in objects[0]["parameters"].items()}
         seat.referred = tuple(normal.values())
         self.notices.publish_own(
             seat.name, {"event": "reference", "samples": int(group.numbers[index]), "nominal": normal}
         )
-        for what in told:
+        for what in objects:
             self.notices.publish_event(seat, what)
 
     def _speak(self) -> None:
-        """What other threads had to say."""
+        """Publishes the notices of other threads."""
         while self._said:
             axis, what = self._said.popleft()
             self.notices.publish_own(axis, what)

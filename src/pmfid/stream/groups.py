@@ -22,13 +22,14 @@ from pmfid.stream.timed import Timed
 
 __all__ = ["Group", "Pace", "Prepared", "Seat", "prepare"]
 
-#: Notices of a kind that an axis gets one by one, as those of bad lines and gaps; then each twice as late as the last.
+#: Number of notices of a kind, such as bad lines and gaps, that an axis gets one by one. Later notices come after
+#: twice as many events each.
 EACH_NOTICE = 10
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A configuration that is calibrated. path: of AXIS.toml; digest: of all that decides what its monitors find."""
+    """A calibrated configuration. path: of AXIS.toml; digest: of all settings that its monitors depend on."""
 
     path: Path
     axis: Axis
@@ -43,8 +44,8 @@ class Prepared:
 def prepare(
     path: Path, record: Record | None = None, progress: Callable[[float], None] | None = None, given: Axis | None = None
 ) -> Prepared:
-    """Reads and calibrates a configuration; record: that its only axis is to be watched on; given: what AXIS.toml says
-    where it was read already. Raises UsageError or NotIdentifiableError as `set_up` does."""
+    """Reads and calibrates a configuration; record: on which its only axis is watched; given: the content of AXIS.toml
+    if already read. Raises UsageError or NotIdentifiableError as `set_up` does."""
     axis = load_axis(path) if given is None else given
     setup = set_up(axis, path.parent, record, progress)
     digest = sha256(f"{axis.model_dump_json(warnings=False)} {setup.path.name} {setup.nominal.tolist()}".encode())
@@ -53,16 +54,19 @@ def prepare(
 
 @dataclass(frozen=True)
 class Pace:
-    """window: how long what comes too early waits [s]; every: time between rows that are given out [s], 0: all."""
+    """window: time for which early blocks wait for earlier ones [s]; every: time between two rows [s], 0: all rows."""
 
     window: float = 0.5
     every: float = 1.0
 
 
 class Seat:
-    """One axis in its group. order, timed: of its blocks and its lines; number: its own in the service, 0 while it has
-    none; notices: how many there were of it; told: how many there were of a kind that is not always told; referred:
-    (q,) what someone made normal for it by hand, None: what its configuration says."""
+    """One axis in its group.
+
+    order, timed: of its blocks and its lines; number: its own in the service, 0 before it has one; notices: number of
+    its notices; notice_counts: number of events of each kind that `may_tell` limits; referred: (q,) reference set by
+    hand, None: the reference of its configuration.
+    """
 
     __slots__ = ("_place", "group", "name", "notice_counts", "notices", "number", "order", "referred", "timed")
 
@@ -76,22 +80,22 @@ class Seat:
 
     @property
     def index(self) -> int:
-        """Its place in the group."""
+        """Number of the axis in the group."""
         return self._place.index
 
     def move(self, index: int) -> None:
-        """Others are gone, and it is another one now."""
+        """Changes the number after the removal of other axes."""
         self._place.index = index
 
     def lines(self, timed: bool) -> Timed:
-        """What makes samples of its lines; timed: the first of them has a time."""
+        """The converter of its lines to samples; timed: the first lines have a time."""
         if self.timed is None:
             self.timed = Timed(self.group.dt, self.group.pace.window, timed)
         return self.timed
 
     def restart_numbers(self) -> tuple[int, list[Event]]:
-        """Whatever numbers come next are the first, and nothing is known between them and those before. How many
-        samples waited and are dropped, and what the monitor has to tell."""
+        """Accepts any next number as the first one, after a gap of unknown length. Returns the number of dropped samples
+        that waited, and the events of the monitor."""
         dropped = sum(block.counts.size for block in self.order.held)
         self._place.positions.forget(self.index)
         self.order = Order(self.group.dt, self.order.window, self._place)
@@ -101,8 +105,8 @@ class Seat:
         return dropped, self.group.fleet.skip(self.index, 1)
 
     def may_tell(self, kind: str) -> bool:
-        """Whether another notice of a kind is to be told, or only counted; by their number alone, so that it is the
-        same after a restart."""
+        """Counts an event of a kind. Returns whether it becomes a notice; the count alone decides, so a restart changes
+        nothing."""
         times = self.notice_counts[kind] = self.notice_counts.get(kind, 0) + 1
         rounds, rest = divmod(times, EACH_NOTICE)
         return times <= EACH_NOTICE or (rest == 0 and rounds.bit_count() == 1)
@@ -110,8 +114,8 @@ class Seat:
 
 @dataclass
 class Group:
-    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far; positions: where the
-    numbers and clocks of their senders stand."""
+    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far; positions: state of the
+    numbers and clocks of their senders."""
 
     prepared: Prepared
     pace: Pace
@@ -126,7 +130,7 @@ class Group:
         self.kindred = self._build_kindred()
 
     def add(self, names: Iterable[str]) -> None:
-        """Axes that start anew."""
+        """Adds axes without a history."""
         fresh = list(names)
         if not fresh:
             return
@@ -138,7 +142,7 @@ class Group:
         self.kindred = self._build_kindred()
 
     def remove(self, gone: Sequence[int]) -> None:
-        """Without these axes; the others go on."""
+        """Removes these axes; the others go on."""
         if not len(gone):
             return
         self.fleet.remove(np.array(gone, np.int64))

@@ -12,12 +12,12 @@ from pmfid.stream.delivery import Delivery
 
 __all__ = ["Inbox"]
 
-#: Deliveries that wait at most, and items in them: a source waits while there are as many.
+#: Most deliveries that wait, and most items in them: beyond, the sources wait.
 MOST, MOST_ITEMS = 8192, 8192
-#: Items that the engine takes at once, but for those of the last delivery: what is stepped stays in the processor's
-#: cache; more would be stepped more slowly, and a delay never made up for.
+#: Items that the engine takes at once, apart from those of the last delivery. They fit into the processor's cache; more
+#: items would be stepped more slowly, and a backlog would remain.
 AT_ONCE = 1024
-#: The engine takes what came in so much time at once [s]: arrays are filled, and nobody sees the delay.
+#: Time over which deliveries are collected [s]: it fills the arrays, and the delay does not show.
 TICK = 0.025
 
 
@@ -32,7 +32,7 @@ class Inbox:
         self._last = 0.0
 
     def put(self, delivery: Delivery) -> bool:
-        """Hands over; waits while the inbox is full. False once it is closed: then nothing was taken."""
+        """Hands over a delivery; waits while the inbox is full. False once the inbox is closed: the delivery is refused."""
         with self._changed:
             while self._open and self._full:
                 self._changed.wait()
@@ -54,21 +54,21 @@ class Inbox:
         return self._items >= AT_ONCE or self._full
 
     def take_deliveries(self, timeout: float) -> list[Delivery]:
-        """What came first, at the earliest TICK after the last call returned some, or as soon as there is enough;
-        nothing after `timeout` [s]."""
+        """The oldest deliveries, at the earliest TICK after the last ones, or as soon as AT_ONCE items wait; none after
+        `timeout` [s]."""
         with self._changed:
             if not self._waiting and self._open:
                 self._changed.wait_for(lambda: self._waiting or not self._open, timeout)
             if self._waiting and self._open and not self._enough:
                 rest = self._last + TICK - monotonic()
                 self._changed.wait_for(lambda: self._enough or not self._open, max(0.0, rest))
-            found = list(self._first())
+            deliveries = list(self._pop_first())
             self._changed.notify_all()
-        if found:
+        if deliveries:
             self._last = monotonic()
-        return found
+        return deliveries
 
-    def _first(self) -> Iterator[Delivery]:
+    def _pop_first(self) -> Iterator[Delivery]:
         items = 0
         while self._waiting and items < AT_ONCE:
             delivery = self._waiting.popleft()
@@ -81,11 +81,11 @@ class Inbox:
 
     @property
     def closed(self) -> bool:
-        """Whether it takes no more and is empty."""
+        """Whether the inbox is closed and empty."""
         return not self._open and not self._waiting
 
     def close(self) -> None:
-        """Takes no more; what waits can still be taken."""
+        """Refuses further deliveries; the waiting ones can still be taken."""
         with self._changed:
             self._open = False
             self._changed.notify_all()

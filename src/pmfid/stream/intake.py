@@ -1,4 +1,4 @@
-"""What came, put in order: each sample to its axis, what cannot be used counted and told."""
+"""Deliveries in order: each sample goes to its axis; unusable items are counted and reported."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ __all__ = ["Intake", "Ordered", "take_expected"]
 
 @dataclass
 class Ordered:
-    """What became of some deliveries. rounds: to be stepped one after the other; found: what there is to tell."""
+    """The outcome of some deliveries. rounds: to be stepped one after the other; found: events for notices."""
 
     rounds: list[GroupQueue] = field(default_factory=list)
     found: list[FoundEvent] = field(default_factory=list)
     _last: dict[int, GroupQueue] = field(default_factory=dict)
 
     def put(self, group: Group, batch: Batch) -> None:
-        """Blocks of a table, each of another axis."""
+        """Appends blocks of a table, each of another axis."""
         waiting = self._get_waiting(group)
         if not waiting.may_put(batch.index):
             del self._last[id(group)]
@@ -40,7 +40,7 @@ class Ordered:
         waiting.put(batch)
 
     def queue(self, seat: Seat, pieces: list[SamplePiece]) -> None:
-        """Pieces of an axis."""
+        """Appends pieces of an axis."""
         self._get_waiting(seat.group).queue(seat, pieces)
 
     def _get_waiting(self, group: Group) -> GroupQueue:
@@ -52,7 +52,7 @@ class Ordered:
 
 @dataclass
 class Intake:
-    """tell: takes what there is to say of a source, or of an axis."""
+    """Assigns items to axes. tell: receives notices on a source or an axis."""
 
     counters: Counters
     tell: Callable[[dict[str, Any], str], None]
@@ -62,12 +62,12 @@ class Intake:
     _turn: int = field(default=0, init=False)
 
     def set_seats(self, seats: Iterable[Seat]) -> None:
-        """These are all the axes from now on."""
+        """Replaces the axes."""
         self.seats = {seat.name: seat for seat in seats}
         self._seatings = Seatings(self.seats)
 
     def take(self, deliveries: Iterable[Delivery]) -> Ordered:
-        """Puts them in order."""
+        """Orders the items of deliveries."""
         ordered, tables = Ordered(), Tables()
         for delivery in deliveries:
             for item in delivery.items:
@@ -87,7 +87,7 @@ class Intake:
     # --- tables -------------------------------------------------------------------------------------------------------
 
     def _settle(self, tables: Tables, ordered: Ordered) -> None:
-        """Tables that follow one another, all at once where no axis comes twice."""
+        """Orders consecutive tables, all at once if no axis occurs twice."""
         if not tables.tables:
             return
         seating = self._seatings.seat_tables([table.axes for table in tables.tables])
@@ -98,7 +98,7 @@ class Intake:
             self._settle(one, ordered)
 
     def _table(self, tables: Tables, seating: Seating, ordered: Ordered) -> None:
-        """What was expected at once, the rest block by block; each block counts as an item."""
+        """Takes the expected blocks at once, the others one by one; each block counts as an item."""
         table, size = Table.join(tables.tables), tables.size
         turns = np.arange(self._turn + 1, self._turn + 1 + size)
         received = np.repeat([one.received for one in tables.deliveries], [len(one.axes) for one in tables.tables])
@@ -135,7 +135,7 @@ class Intake:
         pieces = list[SamplePiece]()
         try:
             verdict = _order_item(seat, item, delivery.received, turn, pieces)
-        finally:  # what an order has given out it does not give again
+        finally:  # an order gives out each piece once
             if pieces:
                 ordered.queue(seat, pieces)
         if verdict is not None:
@@ -149,7 +149,7 @@ class Intake:
         self.tell({"event": "unusable", "source": source, "reason": item.reason, "problem": item.problem}, "")
 
     def _judge(self, seat: Seat, verdict: ItemReport, turn: int, found: list[FoundEvent]) -> None:
-        """Counts what came to nothing, and keeps what there is to tell for its turn."""
+        """Counts dropped samples and lines, and keeps events for their turn."""
         group = seat.group.kindred.config
         for reason in ("duplicate", "late", "refused"):
             if number := getattr(verdict, reason):
@@ -157,9 +157,7 @@ class Intake:
         for kind, number in verdict.lines.items():
             self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
         if verdict.again or (verdict.late and seat.may_tell("late")):
-            problem = verdict.stale or (
-                f"{verdict.late} samples came too late, when the samples behind them had been taken"
-            )
+            problem = verdict.stale or (f"{verdict.late} samples came too late, after later samples had been taken")
             self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
         for what in verdict.events:
             self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)
@@ -187,13 +185,14 @@ def _batch(table: Table, taken: Flags, index: NDArray[np.int64], turns: NDArray[
     return Batch(at, table.u[rows], table.counts[rows], table.time[rows], offset, turns[rows], received[rows])
 
 
-# --- blocks of many axes that are all what was expected: taken at once ------------------------------------------------
+# --- expected blocks of many axes: taken at once ----------------------------------------------------------------------
 
 
 def take_expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
-    """Takes of a table those blocks that are what was expected next, and of which there is nothing to tell: what
-    `Order.take` does with each of these, for all at once. index: (k,) their axes, each once, -1 where there is none.
-    Returns (k,) which they are."""
+    """Takes the blocks of a table that are expected next and cause no notice: `Order.take` for all of them at once.
+
+    index: (k,) their axes, each once, -1 for none. Returns (k,) whether each block was taken.
+    """
     n, known = table.counts.shape[1], positions
     samples, time = table.first - known.first[index], table.time - known.start[index]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -209,10 +208,10 @@ def take_expected(positions: Positions, dt: float, index: NDArray[np.int64], tab
 
 
 def _find_expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
-    """But for the rate of their clocks."""
+    """(k,) whether each block is expected next, apart from the rate of its clock."""
     known, first, time = positions, table.first, table.time
     off = time - known.time[index] - (first - known.number[index]) * dt
     quiet = np.logical_or(np.isnan(time), clock_runs(off))
     next_one = (table.epoch == known.epoch[index]) & (first == known.expected[index]) & ~known.waits[index]
-    found: Flags = np.logical_and((index >= 0) & next_one & quiet, period_fits(table.dt, dt))
-    return found
+    expected: Flags = np.logical_and((index >= 0) & next_one & quiet, period_fits(table.dt, dt))
+    return expected

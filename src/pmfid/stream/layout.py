@@ -1,4 +1,4 @@
-"""Where each byte of a block is, once for all who read or write blocks; docs/wire.md is the same for people."""
+"""Layout of a block, the only copy for readers and writers of blocks; docs/wire.md documents it."""
 
 from __future__ import annotations
 

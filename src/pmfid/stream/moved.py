@@ -1,4 +1,4 @@
-"""Axes of checkpoints put together and taken apart, so that they go on in another process."""
+"""Joins and splits the axes of checkpoints, which then go on in another process."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _LENGTH = struct.Struct("<Q")
 
 
 def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
-    """Groups of one configuration as one, in their order. Raises ValueError for states of another one, or an axis that
-    comes twice."""
+    """One group of the axes of several groups, in order. Raises ValueError for states of another configuration, or for
+    an axis that occurs twice."""
     axes = tuple(name for group in groups for name in group.axes)
     if len(set(axes)) < len(axes):
         raise ValueError("an axis comes twice")
@@ -41,7 +41,7 @@ def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
 
 
 def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
-    """Blocks that wait, with the numbers that their axes have now."""
+    """The waiting blocks of all groups, with the new numbers of their axes."""
     parts: list[tuple[bytes, bytes, bytes]] = []
     number = 0
     for group, start in zip(groups, starts, strict=False):
@@ -58,7 +58,7 @@ def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
 
 
 def keep_axes(group: Group, names: Collection[str]) -> Group:
-    """The same group without all others."""
+    """Removes all other axes from the group, and returns the group."""
     group.remove([seat.index for seat in group.seats if seat.name not in names])
     return group
 
@@ -66,8 +66,8 @@ def keep_axes(group: Group, names: Collection[str]) -> Group:
 def body_of(
     saved: Saved, prepared: Prepared, pace: Pace, names: Collection[str], alarms: Sequence[AlarmRecord], numbered: int
 ) -> bytes:
-    """The body of a checkpoint of some axes of a group, and of their alarms. Raises ValueError for what no group has
-    saved."""
+    """The body of a checkpoint of some axes of a group, and of their alarms. Raises ValueError for a state that no group
+    has saved."""
     engine = Engine(Counters())
     here = [alarm for alarm in alarms if alarm.axis in names]
     Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
@@ -76,8 +76,8 @@ def body_of(
 
 
 def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> bytes:
-    """The body of a checkpoint in which axes go on with these monitors; whatever number comes first of each is the one
-    behind. Raises ValueError for monitors of another configuration."""
+    """The body of a checkpoint in which axes go on with these monitors. Of each axis the first number to arrive, whatever
+    it is, follows the last sample. Raises ValueError for monitors of another configuration."""
     fleet, group = MonitorFleet(prepared.setup.monitor, 0), Group(prepared, pace)
     try:
         for monitor in monitors.values():

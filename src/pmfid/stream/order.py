@@ -1,9 +1,8 @@
-"""Blocks of one axis in the order of their numbers: what comes twice is dropped, what comes too early waits.
+"""Blocks of one axis in the order of their numbers: repeated blocks are dropped, early blocks wait.
 
-What is decided depends on the numbers alone, never on when something came: however the blocks of an axis change places
-within the window, the samples that result are the same. A hole is believed once what waits reaches further than the
-window behind its own begin, for until then a lower number may still come; then it is a gap of known length, and what
-comes for it is late. A higher epoch, and the first block of all, wait as long.
+The numbers alone decide, never the time of arrival: any order of the blocks within the window gives the same samples.
+A hole becomes a gap of known length once the waiting blocks span more than the window; until then a lower number may
+still come. Blocks for a gap are late. A higher epoch, and the first block of all, wait as long.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from pmfid.types import Counts, Floats
 
 __all__ = ["UNKNOWN_GAP", "ItemReport", "Order", "SamplePiece"]
 
-#: In place of a number of missing samples: the sender began anew, nobody knows what lies between.
+#: In place of a number of missing samples: the sender restarted, and the number is unknown.
 UNKNOWN_GAP = -1
-#: Between two epochs more is not a gap [s], and between two numbers no drive has more [samples].
+#: Longest gap between two epochs [s], and most missing samples between two numbers.
 LONGEST_GAP, MOST_MISSING = 3600.0, 2**40
-#: Gaps that are remembered, to tell what is late from what came twice.
+#: Gaps that are remembered, to distinguish late samples from repeated ones.
 GAPS = 32
-#: A sender that for so long has nothing new [s] is told: no broker has as much to send again.
+#: Time without a new sample after which a sender is reported [s]: no broker repeats more.
 NOTHING_NEW = 120.0
-#: What helps a sender whose numbers began anew where nobody could know it.
+#: Remedy for a sender that restarted its numbers without a higher epoch.
 REMEDY = (
-    "Old ones that come again do no harm. If the sender began anew, let it send a higher epoch, as the time of day in "
+    "Repeated samples do no harm. If the sender restarted, let it send a higher epoch, as the time of day in "
     'whole seconds; or use "Begin anew" on the page of the axis (POST /api/axis/NAME/anew): then its next samples are '
     "taken, whatever their epoch"
 )
@@ -74,11 +73,11 @@ class ItemReport:
 
 
 class Order:
-    """Blocks of one axis. dt: sample period [s]; window: samples that what comes too early waits for; place: where its
-    numbers are kept, left out: on its own.
+    """Blocks of one axis. dt: sample period [s]; window: samples for which an early block waits; place: row of its
+    numbers, left out: a row of its own.
 
     epoch, expected: of the next sample, epoch -1 before the first; held: blocks that wait, by epoch and number;
-    idle: samples in a row of which none was new, and what was expected meanwhile.
+    idle: number of consecutive repeated samples, and the number that was expected meanwhile.
     """
 
     __slots__ = ("_held", "clock", "dt", "gaps", "idle", "place", "window")
@@ -98,12 +97,12 @@ class Order:
         return tuple(self._held)
 
     def hold(self, at: int, block: Block) -> None:
-        """Has a block wait as number `at` of those that do."""
+        """Inserts a block at position `at` of the waiting blocks."""
         self._held.insert(at, block)
         self._waiting = True
 
     def take(self, block: Block, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport | None:
-        """Appends to `pieces` what can be stepped; None for the block that was expected."""
+        """Appends the samples that can be stepped to `pieces`; returns None for the expected block without a notice."""
         n = block.counts.size
         if (
             n
@@ -114,8 +113,8 @@ class Order:
         ):
             self.expected = block.first + n
             pieces.append(SamplePiece(0, False, block.u, block.counts, block.time, 0, received, turn))
-            told = self.clock.look(block.first, self.expected, block.time)
-            return None if told is None else ItemReport(events=[told])
+            event = self.clock.look(block.first, self.expected, block.time)
+            return None if event is None else ItemReport(events=[event])
         return self._sort_block(block, received, turn, pieces)
 
     def _sort_block(self, block: Block, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport:
@@ -149,13 +148,13 @@ class Order:
         return verdict
 
     def _count_old(self, first: int, end: int, verdict: ItemReport) -> None:
-        """Counts samples that are of no use any more: those of a gap are late, the others came twice."""
+        """Counts old samples: samples of a gap are late, the others are repeated."""
         late = sum(max(0, min(end, b) - max(first, a)) for a, b in self.gaps)
         verdict.late += late
         verdict.duplicate += end - first - late
 
     def _note_repetition(self, block: Block, verdict: ItemReport) -> None:
-        """A sender that sends known numbers for long is told that, then and each time that is doubled."""
+        """Reports a sender that repeats samples for NOTHING_NEW seconds, and again at each doubling of that time."""
         before = self.idle[0] if self.idle[1] == self.expected else 0
         now, most = before + block.counts.size, NOTHING_NEW / self.dt
         self.idle = now, self.expected
@@ -167,7 +166,7 @@ class Order:
             )
 
     def _hold(self, block: Block, verdict: ItemReport) -> bool:
-        """Puts a block among those that wait, by epoch and number; False for one that waits there already."""
+        """Inserts a block into the waiting blocks, by epoch and number; False for a block that waits already."""
         key = (block.epoch, block.first)
         at = len(self._held)
         while at and (self._held[at - 1].epoch, self._held[at - 1].first) > key:
@@ -190,7 +189,7 @@ class Order:
             self._give(block, lead, received, turn, pieces, verdict)
 
     def _find_lead(self, block: Block) -> int | None:
-        """What is missing before the lowest that is held: 0 for nothing, None while it has to wait."""
+        """Samples missing before the first waiting block: 0 for none, None while the block has to wait."""
         if block.epoch == self.epoch and block.first <= self.expected:
             return 0
         if self._must_wait(block):
@@ -201,7 +200,7 @@ class Order:
         return self._count_epoch_gap(block)
 
     def _must_wait(self, block: Block) -> bool:
-        """Whether lower numbers may still come: nothing that waits reaches further than the window behind its begin."""
+        """Whether lower numbers may still come: the waiting blocks of no epoch span more than the window."""
         if not self.window:
             return False
         start, end, epoch = block.first, block.end, block.epoch
@@ -233,14 +232,14 @@ class Order:
             self._count_old(block.first, block.first + known, verdict)
         if known == block.counts.size:
             return
-        if (told := self.clock.look(block.first, block.end, block.time)) and not apart:
-            verdict.events.append(told)
+        if (event := self.clock.look(block.first, block.end, block.time)) and not apart:
+            verdict.events.append(event)
         self.expected = block.end
         u, counts = (block.u[known:], block.counts[known:]) if known else (block.u, block.counts)
         pieces.append(SamplePiece(0 if fresh else lead, apart, u, counts, block.time, known, received, turn))
 
     def _begin(self, block: Block, fresh: bool, verdict: ItemReport) -> None:
-        """A higher epoch, or the first block of all."""
+        """Begins a higher epoch, or the first one."""
         if not fresh:
             ahead = block.time - self.clock.expected
             jump = ahead if math.isfinite(ahead) else None

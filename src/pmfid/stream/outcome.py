@@ -1,4 +1,4 @@
-"""What goes out: rows of estimates of many axes, and notices of single events."""
+"""Outcomes of the engine: rows of estimates of many axes, and notices of single events."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Kindred", "Notice", "Outlet", "Rows"]
 class Kindred:
     """Axes of the same configuration, which are stepped together.
 
-    config: name of their AXIS.toml; names, units: of the q parameters that are told; dt: sample period [s]; nominal:
+    config: name of their AXIS.toml; names, units: of the q parameters in rows; dt: sample period [s]; nominal:
     (q,) normal values; axes: their names in PLANT.toml, by their number within the group; input_unit: of u;
     resolution: of one count [position_unit].
     """
@@ -59,11 +59,11 @@ class Rows:
 
 @dataclass(frozen=True)
 class Notice:
-    """An event of one axis, or of the service where axis is "".
+    """An event of one axis, or of the service if axis is "".
 
-    number: its own, in JSON a number like any other; of an axis those of later notices are higher. What data that come
-    again after a restart say has the number that it had before: who gets a notice twice knows it by that;
-    wall: seconds since 1970 when it was found; what: the object that `pmfid monitor --json` prints for an event
+    number: its own, in JSON a number like any other; later notices of an axis have higher numbers. A notice on data
+    that come again after a restart has its former number, which identifies a repeated notice;
+    wall: seconds since 1970 at the event; what: the object that `pmfid monitor --json` prints for an event
     ("event": alarm, state, settled, outlier, gap, clock, ...), or one of the service's own of the same form (late,
     duplicate, unusable, dropped, checkpoint, acknowledged, reference, source, sink).
     """
@@ -75,7 +75,7 @@ class Notice:
 
 
 class Outlet(Protocol):
-    """Where outcomes go. Called by the engine's thread: neither method may wait for anything."""
+    """A receiver of outcomes. The engine's thread calls it: neither method may wait for anything."""
 
     def rows(self, rows: Rows) -> None: ...
 

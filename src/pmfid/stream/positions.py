@@ -1,6 +1,6 @@
-"""Where the numbers and the clocks of many axes stand: a column for each, so that many are looked at at once.
+"""State of the numbers and the clocks of many axes: a column for each quantity, so that many axes are tested at once.
 
-There is one copy of it: `Order` and `Clock` of an axis read and write the row of that axis.
+There is one copy: `Order` and `Clock` of an axis read and write the row of that axis.
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ T = TypeVar("T", int, float, bool)
 
 @dataclass
 class Positions(RowArrays):
-    """Columns (axes,). epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the
-    sender's clock [s], NaN while unknown; start, first: a time and its number from where the rate of that clock is
-    measured; told: that it has another one; wrong_period: what came with another period was told; waits: some blocks
-    came too early; heard: when samples of it were used last [s], by the clock of `Silence`, NaN: not yet; alarm: number
-    of the alarm that it is silent, 0 for none."""
+    """Columns (axes,).
+
+    epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the sender's clock [s],
+    NaN while unknown; start, first: time and number at which the measurement of that clock's rate began; wrong_rate:
+    the last measured rate was outside its tolerance; wrong_period: a notice has reported samples of another period;
+    waits: some blocks are early; heard: time of its last used samples by the clock of `Silence` [s], NaN before;
+    alarm: number of the alarm on its silence, 0 for none.
+    """
 
     epoch: NDArray[np.int64]
     expected: NDArray[np.int64]
@@ -42,35 +45,35 @@ class Positions(RowArrays):
 
     @classmethod
     def fresh(cls, axes: int) -> Positions:
-        """Of axes of which nothing came yet."""
+        """Rows of axes without any data."""
         zeros, unknown, no = np.zeros(axes, np.int64), np.full(axes, np.nan), np.zeros(axes, np.bool_)
         clock = unknown, zeros.copy(), unknown.copy(), zeros.copy()
         flags = no, no.copy(), no.copy()
         return cls(zeros - 1, zeros, *clock, *flags, unknown.copy(), zeros.copy())
 
     def add(self, axes: int) -> None:
-        """So many more."""
+        """Adds rows of axes without any data."""
         vars(self).update(vars(self.join_rows(Positions.fresh(axes))))
 
     def forget(self, index: int) -> None:
-        """Of this one nothing came yet; how long it has been silent stays."""
+        """Resets the row of an axis; the duration of its silence stays."""
         here, fresh = slice(index, index + 1), Positions.fresh(1)
         fresh.heard, fresh.alarm = self.heard[here], self.alarm[here]
         self.put(here, fresh)
 
     def fall_silent(self, index: int, alarm: int) -> None:
-        """It was silent before a restart, and is until it is heard; alarm: number of that, 0: it was not."""
+        """Marks an axis that was silent before a restart as silent until new data; alarm: its number, 0: not silent."""
         if alarm:
             self.heard[index], self.alarm[index] = -np.inf, alarm
 
     def remove(self, index: Sequence[int]) -> None:
-        """Without these; the others move up in their order."""
+        """Removes rows; the others move up in order."""
         left = np.delete(np.arange(self.epoch.size), list(index))
         vars(self).update(vars(self.take_rows(left)))
 
 
 class PositionRow:
-    """The row of an axis. It moves when others go."""
+    """The row of an axis, which moves up when other axes are removed."""
 
     __slots__ = ("index", "positions")
 

@@ -1,4 +1,4 @@
-"""Tables of blocks that came one behind the other, and whose blocks they are."""
+"""Consecutive tables of blocks, and the axes of these blocks."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pmfid.stream.groups import Group, Seat
 
 __all__ = ["Seating", "Seatings", "Tables"]
 
-#: Names in tables of which it is remembered whose they are.
+#: Most names of tables whose seating is cached.
 MOST_NAMES = 2**17
 
-#: The groups that blocks of a table are of, and the numbers (k,) of their axes there, -1 for those of others.
+#: The groups of the blocks of a table, and the numbers (k,) of their axes in the group, -1 for axes of other groups.
 Seating = list[tuple[Group, NDArray[np.int64]]]
 
 
@@ -28,17 +28,17 @@ class Tables:
     deliveries: list[Delivery] = field(default_factory=list)
 
     def may_put(self, table: Table) -> bool:
-        """Whether it has the same form."""
+        """Whether the blocks of the table have the same length."""
         return not self.tables or self.tables[0].counts.shape[1] == table.counts.shape[1]
 
     def put(self, table: Table, delivery: Delivery) -> None:
-        """One more."""
+        """Appends a table."""
         self.tables.append(table)
         self.deliveries.append(delivery)
 
     @property
     def size(self) -> int:
-        """Blocks in them."""
+        """Number of blocks."""
         return sum(len(table.axes) for table in self.tables)
 
     def list_block_deliveries(self) -> list[Delivery]:
@@ -47,7 +47,7 @@ class Tables:
         return [delivery for table, delivery in pairs for _ in table.axes]
 
     def split(self) -> Iterator[Tables]:
-        """Each by itself."""
+        """Each table by itself."""
         for table, delivery in zip(self.tables, self.deliveries, strict=True):
             yield Tables([table], [delivery])
 
@@ -61,12 +61,12 @@ class Seatings:
     _names: int = field(default=0, init=False)
 
     def seat_tables(self, tables: Sequence[tuple[str, ...]]) -> Seating | None:
-        """Of tables of these names, one behind the other; None where an axis comes twice."""
-        found = [self._get_seating(names) for names in tables]
-        if len(found) == 1:
-            return found[0]
-        whole = [one for one in found if one is not None]
-        return None if len(whole) < len(found) else _join_seatings(whole, [len(names) for names in tables])
+        """The seating of consecutive tables with these names; None if an axis occurs twice."""
+        seatings = [self._get_seating(names) for names in tables]
+        if len(seatings) == 1:
+            return seatings[0]
+        whole = [one for one in seatings if one is not None]
+        return None if len(whole) < len(seatings) else _join_seatings(whole, [len(names) for names in tables])
 
     def _get_seating(self, names: tuple[str, ...]) -> Seating | None:
         if names not in self._known:
@@ -89,7 +89,7 @@ class Seatings:
 
 
 def _join_seatings(parts: Sequence[Seating], sizes: Sequence[int]) -> Seating | None:
-    """That of tables of such sizes; None where an axis comes twice."""
+    """One seating of tables of these sizes; None if an axis occurs twice."""
     found = Seating()
     for group in {id(group): group for part in parts for group, _ in part}.values():
         own = [next((index for one, index in part if one is group), None) for part in parts]

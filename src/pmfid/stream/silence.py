@@ -1,4 +1,4 @@
-"""Silence: an axis or a source that nothing comes from, and a sink that takes nothing, as alarms like any other."""
+"""Silence: alarms on an axis or a source without data, and on a sink that takes no outcome."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from pmfid.stream.outcome import Notice
 
 __all__ = ["Silence", "Taker"]
 
-#: Time between two looks [s]; the most that a pause of the engine counts [s], because nothing could
-#: come while the process was stopped.
+#: Time between two tests [s]; longest counted pause of the engine [s], because no data could come while the process was
+#: stopped.
 LOOK, LONGEST_PAUSE = 1.0, 5.0
 #: Sample periods for which an axis may be quiet, however short the limit is.
 PERIODS = 5.0
-#: Axes that fall silent between two looks and have an alarm each; more have one for all of them. Names that it lists.
+#: Most axes that get an alarm each if they fall silent between two tests; more axes share one alarm. Names in that alarm.
 MOST, MOST_NAMES = 100, 100
 
 Key = tuple[str, str]
@@ -35,18 +35,18 @@ class Taker(Protocol):
     name: str
 
     def works(self, since: float) -> bool | None:
-        """Whether it takes what it is given; None while that is not known, as of a failure that began after `since`
+        """Whether the sink takes its outcomes; None while unknown, as for a failure that began after `since`
         (`time.monotonic()`)."""
         ...
 
 
 @dataclass
 class Silence:
-    """limit: time until silence is an alarm [s], 0: never; sources: names of those that are expected to send; sinks:
-    those that are to be written.
+    """Raises and clears alarms on silence.
 
-    Its clock is fed by `tick`, and `now` is its time [s]. An alarm lasts until the last axis, or the source, or the
-    sink, that it was raised for is back; it is known again after a restart by the alarms of the checkpoint.
+    limit: time until silence is an alarm [s], 0: never; sources: names of the expected sources; sinks: the watched
+    sinks. `tick` feeds its clock, whose time is `now` [s]. An alarm lasts until its source, its sink or the last of its
+    axes is back. After a restart the alarms of the checkpoint restore it.
     """
 
     notices: Notices
@@ -63,24 +63,24 @@ class Silence:
     _looked_at: float = field(default=-math.inf, init=False)  # by the clock of `tick`
 
     def restore(self, alarms: Iterable[AlarmRecord]) -> None:
-        """Goes on with the alarms of a checkpoint; what they are of is silent until it is heard."""
+        """Restores the alarms of a checkpoint; their axes, sources and sinks are silent until new data."""
         self._open = {one.number: one for one in alarms if "silent" in one.what and one.cleared is None}
         named = [(number, one.what) for number, one in self._open.items() if one.what["silent"] in ("source", "sink")]
         self._alarms = {(str(what["silent"]), str(what["name"])): number for number, what in named}
         self._heard = dict.fromkeys(self._alarms, -math.inf)
 
     def tick(self, at: float) -> None:
-        """It is `at` [s] by a monotonic clock."""
+        """Advances the clock to `at` [s] of a monotonic clock."""
         if self._ticked is not None:
             self.now += min(at - self._ticked, LONGEST_PAUSE)
         self._ticked = at
 
     def note_delivery(self, source: str) -> None:
-        """A source has handed something over."""
+        """Notes that a source has handed over a delivery."""
         self._heard["source", source] = self.now
 
     def look(self, groups: Sequence[Group]) -> bool:
-        """Raises and clears alarms where it is time to look; whether there were any."""
+        """Raises and clears alarms if a test is due. Returns whether there were any."""
         if self.now - self._looked < LOOK:
             return False
         before = self.notices.last
@@ -103,7 +103,7 @@ class Silence:
                 group.positions.alarm[k] = self._raise("axis", group.kindred.axes[k])
 
     def _find_silent(self, group: Group) -> NDArray[np.int64]:
-        """Numbers of the axes that have no alarm yet; those that are back have none any more."""
+        """Numbers of the silent axes without an alarm; clears the alarm of axes that are back."""
         known = group.positions
         known.heard[np.isnan(known.heard)] = self.now
         silent = self.now - known.heard > max(self.limit or math.inf, PERIODS * group.dt)
@@ -137,7 +137,7 @@ class Silence:
         return notice.number
 
     def _clear(self, groups: Sequence[Group]) -> None:
-        """The alarms that none is left of whom they were raised for."""
+        """Clears the alarms whose axes, source or sink are back."""
         if not self._open:
             return
         left = set(self._alarms.values())

@@ -1,4 +1,4 @@
-"""What waits for the axes of a group, stepped, and what is given out of it."""
+"""Steps the waiting samples of the axes of a group, and chooses the rows that are given out."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FoundEvent:
 
 @dataclass
 class Stepped:
-    """What a step of a group gave; lost: samples without an input, among all."""
+    """The outcome of a step of a group; lost: samples without an input, among all."""
 
     rows: list[Rows] = field(default_factory=list)
     found: list[FoundEvent] = field(default_factory=list)
@@ -41,8 +41,8 @@ class Stepped:
 
 
 def step(waiting: GroupQueue, followed: frozenset[str] = frozenset(), now: float = 0.0) -> Stepped:
-    """Steps all that waits for the axes of a group; followed: names of axes of which every row is wanted; now: time at
-    which they are heard [s], by the clock of `Silence`."""
+    """Steps all waiting samples of a group; followed: names of axes whose rows are all given out; now: time of the step by
+    the clock of `Silence` [s]."""
     done = Stepped()
     for batch in waiting.batches():
         waiting.group.positions.heard[batch.index] = now
@@ -71,7 +71,7 @@ def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) ->
 
 
 def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[Event]:
-    """Lets the monitor know that samples are missing, or that nobody knows how many, as `pmfid monitor` does."""
+    """Reports missing samples to the monitor, also if their number is unknown, as `pmfid monitor` does."""
     missing = max(1, piece.lead)
     group.numbers[index] += missing
     if 0 < piece.lead <= group.fleet.longest and not piece.apart:
@@ -80,7 +80,7 @@ def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[E
 
 
 def _build_event(group: Group, batch: Batch, row: int, k: int, start: int, event: Event) -> FoundEvent:
-    """start: samples before the piece."""
+    """The event with its time; start: samples before the piece."""
     number = np.array([start + k + 1])
     shift = float(_compute_times(group, batch, np.array([row]), np.array([k]), number)[0]) - (start + k) * group.dt
     seat = group.seats[int(batch.index[row])]
@@ -93,8 +93,8 @@ Chosen = tuple[NDArray[np.int64], NDArray[np.int64]]
 def _choose_samples(
     group: Group, index: NDArray[np.int64], start: NDArray[np.int64], n: int, followed: frozenset[str]
 ) -> Chosen:
-    """Rows and columns of the samples that are given out: those whose number is a multiple of the stride, and all of
-    the axes that someone follows."""
+    """Rows and columns of the samples that are given out: each sample whose number is a multiple of the stride, and all
+    samples of followed axes."""
     first = (-start - 1) % group.stride
     own = [row for row, k in enumerate(index.tolist()) if group.seats[k].name in followed] if followed else []
     if n <= group.stride and not own:
@@ -132,7 +132,7 @@ def _compute_times(
     columns: NDArray[np.int64],
     number: NDArray[np.int64],
 ) -> Floats:
-    """(m,) times of samples by their rows and columns: their own, or by that of their block, or by their number."""
+    """(m,) times of samples by their rows and columns: their own, or from the time of their block, or their number."""
     begun = batch.time[rows]
     times = np.where(np.isnan(begun), (number - 1) * group.dt, begun + (batch.offset[rows] + columns) * group.dt)
     for k, row in enumerate(rows.tolist() if batch.pieces else ()):

@@ -1,4 +1,4 @@
-"""Lines of one axis, which have a time in place of a number: sorted within the window, then samples on a grid."""
+"""Lines of one axis, with a time in place of a number: sorted within the window, then samples on a grid."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pmfid.stream.order import UNKNOWN_GAP, ItemReport, SamplePiece
 
 __all__ = ["Timed"]
 
-#: So many lines in a row behind the window are those of a clock that was set back.
+#: Number of consecutive lines before the window that show a clock set back.
 MOST_LATE = 5
-#: Samples that follow one another after lines came with another period, until they are believed again.
+#: Number of consecutive samples after lines of another period until samples are used again.
 PROBATION = 50
-#: Lines that wait at most, and lines that are known again when a source delivers them once more after a restart.
+#: Most lines that wait, and number of last lines that are recognised if a source repeats them after a restart.
 MOST, KNOWN = 100_000, 1000
 
 _LINE = struct.Struct("<ddq")
@@ -33,11 +33,11 @@ def _get_time(line: Line) -> float:
 
 
 class Timed:
-    """dt: sample period [s]; window: how long lines wait for older ones [s], 0: not at all; timed: they have a time.
+    """Converts lines to samples. dt: sample period [s]; window: time for which lines wait for older ones [s], 0: none;
+    timed: the lines have a time.
 
-    A line has no number: that it came before shows only in what it says. So the last of them are remembered over a
-    restart, for a source that delivers again what it does not know to be kept: without that, old lines in a row would
-    be those of a clock that was set back.
+    A line has no number, so only its content shows a repetition. Digests of the last lines survive a restart, for a
+    source that repeats lines after it. Without the digests, old lines in a row would show a clock that was set back.
     """
 
     def __init__(self, dt: float, window: float, timed: bool) -> None:
@@ -49,13 +49,13 @@ class Timed:
         self._latest = -math.inf
         self._before: frozenset[str] = frozenset()  # digests of before the restart
         self._until = -math.inf  # the latest time of these
-        self._doubtful = 0  # samples that are still to follow one another before any is believed
+        self._doubtful = 0  # consecutive samples still needed before samples are used
 
     def _make_grid(self) -> Timeline | Metronome:
         return Timeline(self.dt) if self.timed else Metronome(self.dt)
 
     def take(self, item: Lines, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport:
-        """Appends to `pieces` the samples that are known now."""
+        """Appends the samples that are known now to `pieces`."""
         verdict, samples = ItemReport(), list[Sample]()
         for given in item.lines:
             if self.timed and self._is_repeated(given):
@@ -68,7 +68,7 @@ class Timed:
 
     def _is_repeated(self, line: Line) -> bool:
         """Whether a line came before the restart."""
-        # 64 bits: with fewer, one line in some thousand restarts would be taken for another one, and lost
+        # 64 bits: with fewer, one line in some thousand restarts would be mistaken for another one, and lost
         digest = blake2b(_LINE.pack(line.time, line.u, line.counts), digest_size=8).hexdigest()
         if self._before and not line.time > self._until and digest in self._before:
             return True
@@ -77,7 +77,7 @@ class Timed:
         return False
 
     def _sort_line(self, line: Line) -> list[Line]:
-        """The lines whose turn it is: the window behind the newest has passed."""
+        """The lines that are older than the newest one by the window."""
         if not self.window or math.isnan(line.time):
             return [line]
         if line.time < self._newest - self.window:
@@ -90,11 +90,11 @@ class Timed:
             self._held[due].time <= self._newest - self.window or len(self._held) - due > MOST
         ):
             due += 1
-        found, self._held = self._held[:due], self._held[due:]
-        return found
+        ready, self._held = self._held[:due], self._held[due:]
+        return ready
 
     def _take_late(self, line: Line) -> list[Line]:
-        """The timeline knows what it is; where more of them come, the clock was set back."""
+        """Passes a late line to the timeline, which classifies it; MOST_LATE of them show a clock set back."""
         self._late_in_row += 1
         if self._late_in_row < MOST_LATE:
             return [line]
@@ -116,7 +116,7 @@ class Timed:
         return self._check_probation(samples, verdict) if self._doubtful and samples else samples
 
     def _check_probation(self, samples: list[Sample], verdict: ItemReport) -> list[Sample]:
-        """Lines came with another period: what follows is none of this axis until enough of it fits."""
+        """Refuses samples after lines of another period, until PROBATION samples fit."""
         verdict.refused += len(samples)
         self._doubtful = max(0, self._doubtful - len(samples))
         if self._doubtful:
@@ -132,7 +132,7 @@ class Timed:
                 verdict.events.append({"event": one.kind, "time": one.time, "problem": one.problem})
 
     def save_state(self) -> Saved:
-        """Where it is, for JSON that knows NaN and infinity."""
+        """The state, for JSON with NaN and infinity."""
         return {
             "timed": self.timed,
             "newest": self._newest,
@@ -145,7 +145,7 @@ class Timed:
         }
 
     def restore(self, saved: Saved) -> None:
-        """Goes on from where another one was. Raises KeyError, TypeError or ValueError for what none has saved."""
+        """Restores a saved state. Raises KeyError, TypeError or ValueError for anything else."""
         self.timed = bool(saved["timed"])
         self._newest, self._late_in_row = float(saved["newest"]), int(saved["behind"])
         self._doubtful = int(saved["doubtful"])
@@ -158,7 +158,7 @@ class Timed:
 
 
 def _join_samples(samples: list[Sample], received: float, turn: int, verdict: ItemReport) -> list[SamplePiece]:
-    """Samples that follow one another as one piece."""
+    """Pieces of consecutive samples."""
     pieces, begun = list[SamplePiece](), 0
     for k, sample in enumerate(samples):
         if sample.missing or sample.jump:

@@ -1,4 +1,4 @@
-"""Where the service keeps its checkpoints."""
+"""The folder of the service's checkpoints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was put in order and waits to be stepped: a table's blocks as they came, and pieces of single axes."""
+"""Ordered samples that wait to be stepped: blocks of tables, and pieces of single axes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Batch:
 
     @classmethod
     def stack_pieces(cls, pairs: Sequence[tuple[Seat, SamplePiece]]) -> Batch:
-        """Pieces of the same length."""
+        """One batch of pieces of the same length."""
         pieces = tuple(piece for _, piece in pairs)
         return cls(
             np.array([seat.index for seat, _ in pairs], np.int64),
@@ -51,7 +51,7 @@ class Batch:
 
     @classmethod
     def join(cls, parts: Sequence[Batch]) -> Batch:
-        """Batches of other axes each, without pieces, as one."""
+        """One batch of batches without pieces, each of other axes."""
         if len(parts) == 1:
             return parts[0]
         index, u, counts, time = join_arrays(parts, "index", "u", "counts", "time")
@@ -61,8 +61,8 @@ class Batch:
 
 @dataclass
 class GroupQueue:
-    """Of one group. Batches of tables are stepped first: none may be put that has an axis of which something waits
-    already."""
+    """The waiting samples of one group. Batches of tables are stepped first, so none may have an axis with waiting
+    samples."""
 
     group: Group
     _tables: dict[int, list[Batch]] = field(default_factory=dict, init=False)
@@ -72,21 +72,21 @@ class GroupQueue:
         self._busy: Flags = np.zeros(len(self.group.seats), np.bool_)
 
     def may_put(self, index: NDArray[np.int64]) -> bool:
-        """Whether nothing waits for any of these axes (k,)."""
+        """Whether no samples wait for any of these axes (k,)."""
         return not self._busy[index].any()
 
     def put(self, batch: Batch) -> None:
-        """Blocks of a table."""
+        """Appends blocks of a table."""
         self._busy[batch.index] = True
         self._tables.setdefault(batch.counts.shape[1], []).append(batch)
 
     def queue(self, seat: Seat, pieces: Sequence[SamplePiece]) -> None:
-        """Pieces behind all that waits for this axis."""
+        """Appends pieces after all waiting samples of this axis."""
         self._busy[seat.index] = True
         self._queues.setdefault(seat, []).extend(pieces)
 
     def batches(self) -> Iterator[Batch]:
-        """All of it, as few as there can be, those of each axis in its order."""
+        """All waiting samples in the fewest batches; the samples of each axis are in order."""
         for parts in self._tables.values():
             yield Batch.join(parts)
         depth, left = 0, list(self._queues.items())
