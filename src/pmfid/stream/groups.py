@@ -94,8 +94,8 @@ class Seat:
         return self.timed
 
     def restart_numbers(self) -> tuple[int, list[Event]]:
-        """Accepts any next number as the first one, after a gap of unknown length. Returns the number of dropped samples
-        that waited, and the events of the monitor."""
+        """Accepts any next number as the first one, after a gap of unknown length. Returns the number of waiting
+        samples, which are dropped, and the events of the monitor."""
         dropped = sum(block.counts.size for block in self.order.held)
         self._place.positions.forget(self.index)
         self.order = Order(self.group.dt, self.order.window, self._place)

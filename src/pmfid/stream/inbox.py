@@ -32,7 +32,7 @@ class Inbox:
         self._last = 0.0
 
     def put(self, delivery: Delivery) -> bool:
-        """Hands over a delivery; waits while the inbox is full. False once the inbox is closed: the delivery is refused."""
+        """Hands over a delivery; waits while the inbox is full. False, without the delivery, once it is closed."""
         with self._changed:
             while self._open and self._full:
                 self._changed.wait()

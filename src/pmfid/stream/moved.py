@@ -66,8 +66,8 @@ def keep_axes(group: Group, names: Collection[str]) -> Group:
 def body_of(
     saved: Saved, prepared: Prepared, pace: Pace, names: Collection[str], alarms: Sequence[AlarmRecord], numbered: int
 ) -> bytes:
-    """The body of a checkpoint of some axes of a group, and of their alarms. Raises ValueError for a state that no group
-    has saved."""
+    """The body of a checkpoint of some axes of a group, and of their alarms. Raises ValueError for a state that no
+    group has saved."""
     engine = Engine(Counters())
     here = [alarm for alarm in alarms if alarm.axis in names]
     Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
@@ -76,8 +76,8 @@ def body_of(
 
 
 def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> bytes:
-    """The body of a checkpoint in which axes go on with these monitors. Of each axis the first number to arrive, whatever
-    it is, follows the last sample. Raises ValueError for monitors of another configuration."""
+    """The body of a checkpoint in which axes go on with these monitors. The first number to arrive for an axis,
+    whatever it is, follows its last sample. Raises ValueError for monitors of another configuration."""
     fleet, group = MonitorFleet(prepared.setup.monitor, 0), Group(prepared, pace)
     try:
         for monitor in monitors.values():

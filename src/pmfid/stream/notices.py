@@ -13,8 +13,8 @@ from pmfid.stream.outcome import Notice, Outlet
 
 __all__ = ["Notices"]
 
-#: Smallest number of a notice of the service: microseconds since 1970, beyond the numbers of all axes; and the number of
-#: notices reserved for each axis.
+#: Smallest number of a notice of the service: microseconds since 1970, beyond the numbers of all axes; and the
+#: number of notices reserved for each axis.
 OWN, OF_AXIS = 10**15, 10**9
 
 

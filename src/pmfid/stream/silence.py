@@ -23,7 +23,8 @@ __all__ = ["Silence", "Taker"]
 LOOK, LONGEST_PAUSE = 1.0, 5.0
 #: Sample periods for which an axis may be quiet, however short the limit is.
 PERIODS = 5.0
-#: Most axes that get an alarm each if they fall silent between two tests; more axes share one alarm. Names in that alarm.
+#: Most axes that get an alarm each if they fall silent between two tests, beyond which they share one alarm; names in
+#: that alarm.
 MOST, MOST_NAMES = 100, 100
 
 Key = tuple[str, str]

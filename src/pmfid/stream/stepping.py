@@ -41,8 +41,8 @@ class Stepped:
 
 
 def step(waiting: GroupQueue, followed: frozenset[str] = frozenset(), now: float = 0.0) -> Stepped:
-    """Steps all waiting samples of a group; followed: names of axes whose rows are all given out; now: time of the step by
-    the clock of `Silence` [s]."""
+    """Steps all waiting samples of a group; followed: names of axes whose rows are all given out; now: time of the step
+    by the clock of `Silence` [s]."""
     done = Stepped()
     for batch in waiting.batches():
         waiting.group.positions.heard[batch.index] = now
