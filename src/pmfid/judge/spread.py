@@ -87,7 +87,7 @@ def _views(
     """Mean squares (p,), one for each way to look at it."""
     follows = isinstance(estimator, Following)
     squares = _own_moves(found, twin, columns, follows)[: theta.size] ** 2 * believed_squares(found)
-    yield np.sum([np.max(squares[:, own], axis=1) for own in _kinds_of_force(found)], axis=0)
+    yield sum((np.max(squares[:, own], axis=1) for own in _kinds_of_force(found)), start=np.zeros(theta.size))
     yield np.maximum((theta - best) ** 2 - std**2, 0.0)
     if found.adequate or (follows and found.follows):
         return
