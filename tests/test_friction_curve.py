@@ -193,7 +193,7 @@ def test_the_command(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "out")])
     assert shown.exit_code == 0, shown.output
     assert "friction [N]" in shown.output
-    told = json.loads(CliRunner().invoke(main, [*command, "--json"]).output)
+    told = json.loads(CliRunner().invoke(main, [*command, "--json"]).stdout)
     assert told["mass"]["value"] == pytest.approx(0.3, rel=0.01)
     assert told == json.loads((tmp_path / "out" / "friction.json").read_text())
     page = (tmp_path / "out" / "friction.html").read_text()
@@ -220,6 +220,6 @@ def test_a_wrong_count_is_left_out(tmp_path: Path) -> None:
         f"[encoder]\nresolution = {record.resolution!r}\n[model]\ninput_gain = 2.0\n"
     )
     command = ["friction", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml"), "--json"]
-    told = json.loads(CliRunner().invoke(main, command).output)
+    told = json.loads(CliRunner().invoke(main, command).stdout)
     assert told["mass"]["value"] == pytest.approx(0.3, rel=0.01)
     assert any("701" in note for note in told["notes"])

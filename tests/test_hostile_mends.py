@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
-from pmfid.design.search.ascent import _above
+from pmfid.design.search.ascent import _subtract_least
 from pmfid.design.trial.appraisal import _stds
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -142,7 +142,7 @@ def test_the_noise_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_the_worst_of_cases_that_tell_nothing_tells_nothing() -> None:
     values = np.array([[-math.inf, -math.inf, 1.0], [-math.inf, 2.0, 1.0]])
-    np.testing.assert_array_equal(_above(values), [[0.0, 0.0, 0.0], [0.0, math.inf, 0.0]])
+    np.testing.assert_array_equal(_subtract_least(values), [[0.0, 0.0, 0.0], [0.0, math.inf, 0.0]])
 
 
 def test_a_design_from_rest_for_the_worst_case_ends_in_numbers(tmp_path: Path) -> None:

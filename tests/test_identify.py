@@ -39,7 +39,7 @@ def by_command(folder: Path, run: Run, *options: str) -> dict[str, object]:
     np.savetxt(folder / "run.csv", np.column_stack([run.u, run.counts]), "%.17g", ",", header="u,y", comments="")
     (folder / "axis.toml").write_text(TOML.format(dt=CART_DT, resolution=run.encoder.resolution))
     command = ["identify", str(folder / "run.csv"), "--config", str(folder / "axis.toml"), "--json", *options]
-    found: dict[str, object] = json.loads(CliRunner().invoke(main, command, catch_exceptions=False).output)
+    found: dict[str, object] = json.loads(CliRunner().invoke(main, command, catch_exceptions=False).stdout)
     return found
 
 

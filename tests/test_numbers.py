@@ -74,8 +74,8 @@ def test_sensitivities_that_are_not_finite_are_refused() -> None:
         def __call__(self, q: np.ndarray) -> np.ndarray:
             return np.array([q[0] - 1, q[1] - 2, q[0] * q[1]])
 
-        def jacobian(self, q: np.ndarray) -> np.ndarray:
-            return np.full((3, 2), np.nan)
+        def forward_jacobian(self, q: np.ndarray, e: np.ndarray) -> np.ndarray:
+            return np.full((e.size, q.size), np.nan)
 
     with pytest.raises(NotIdentifiableError, match="leaves the range of numbers"):
         least(Runaway(), np.ones(2))  # type: ignore[arg-type]

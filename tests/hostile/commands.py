@@ -350,5 +350,5 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "fleet": (_fleet, 0.002),
     "order": (_order, 0.002),
     "explain": (_explain, 0.008),
-    "none": (_none, 0.028),
+    "none": (_none, 0.048),
 }
