@@ -33,7 +33,7 @@ TOTALS = ("samples_total", "samples_dropped_total", "samples_missing_total", "dr
 @dataclass(frozen=True)
 class Look:
     """A moment of a run. time [s]; memory: of the service [MB]; files: that it has open; totals: by name; slower:
-    deliveries so far that took longer than so many seconds; deliveries: so far."""
+    deliveries so far that took longer than each limit [s]; deliveries: so far."""
 
     time: float
     memory: float

@@ -12,7 +12,7 @@ from pmfid.monitor.fleet import MonitorFleet
 from pmfid.session.monitored.run import watch
 from pmfid.session.monitored.timeline import Sample
 from pmfid.stream.groups import Prepared
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 #: theta, std, innovation, status, state: bit by bit.
 Bits = tuple[Any, ...]
@@ -26,7 +26,7 @@ class Collected:
     notices: dict[int, tuple[str, dict[str, Any]]] = field(default_factory=dict)
     twice: int = 0
 
-    def rows(self, rows: Rows) -> None:
+    def rows(self, rows: EstimateRows) -> None:
         for k in range(rows.axis.size):
             key = rows.group.axes[rows.axis[k]], int(rows.number[k])
             bits = (

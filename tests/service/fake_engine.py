@@ -20,7 +20,7 @@ from pmfid.service.web.server import serve
 from pmfid.session.records import Record
 from pmfid.status import Status
 from pmfid.stream.counters import Counters
-from pmfid.stream.outcome import Kindred, Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 
 DT = 0.01
 WATCHING, CANNOT_TELL, SUSPICIOUS, STARTING = (
@@ -96,7 +96,7 @@ class FakePlant:
         if rest.size:
             self.board.rows(self._made(group, rest, np.full(rest.size, samples[-1]), received))
 
-    def _made(self, group: Kindred, axis: np.ndarray, samples: np.ndarray, received: float) -> Rows:
+    def _made(self, group: Kindred, axis: np.ndarray, samples: np.ndarray, received: float) -> EstimateRows:
         t = (samples + 1) * DT
         q = len(group.names)
         phase = axis[:, None] * 0.7 + np.arange(q)
@@ -111,7 +111,7 @@ class FakePlant:
         u = 3 * np.sign(np.sin(2 * np.pi * t / 1.3 + axis)) + 0.4 * np.sin(9 * t)
         place = 0.12 * np.sin(2 * np.pi * t / 1.3 + axis - 1.2) * (wrong != "poor")
         counts = np.round(place / group.resolution)
-        return Rows(
+        return EstimateRows(
             group, axis, samples + 1, t, u, counts.astype(np.int64), drift * group.nominal, std,
             0.02 * self._rng.standard_normal(t.size), status.astype(np.uint32), state.astype(np.uint8), received,
         )  # fmt: skip

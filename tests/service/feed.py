@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pmfid.stream.counters import Counters
-from pmfid.stream.outcome import Kindred, Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 
 ALARM = {
     "event": "alarm",
@@ -35,13 +35,13 @@ def kindred(axes: int = 3, config: str = "cart.toml", names: tuple[str, ...] = (
     return Kindred(config, names, ("kg",) * len(names), 0.01, np.ones(len(names)), named)
 
 
-def block(group: Kindred, first: int = 1, samples: int = 1) -> Rows:
+def block(group: Kindred, first: int = 1, samples: int = 1) -> EstimateRows:
     """So many rows of every axis, in the order of time; numbers that tell rows apart."""
     k, q = len(group.axes), len(group.names)
     axis = np.tile(np.arange(k), samples)
     number = first + np.repeat(np.arange(samples), k)
     theta = number[:, None] + 0.25 * np.arange(q) + 0.001 * axis[:, None]
-    return Rows(
+    return EstimateRows(
         group,
         axis,
         number,
@@ -67,7 +67,7 @@ def notice(number: int, event: str, axis: str = "x1", **what: object) -> Notice:
     return Notice(axis, number, 1.7e9 + number, {"event": event, **what})
 
 
-def numbers(outcomes: list[Rows | Notice]) -> list[int]:
+def numbers(outcomes: list[EstimateRows | Notice]) -> list[int]:
     """Of notices, and of the first row of each block."""
     return [one.number if isinstance(one, Notice) else int(one.number[0]) for one in outcomes]
 
@@ -102,7 +102,7 @@ class Faulty:
     open_error: Exception | None = None
     poison: int | None = None
     hold: threading.Event | None = None
-    got: list[Rows | Notice] = field(default_factory=list)
+    got: list[EstimateRows | Notice] = field(default_factory=list)
     opened: int = 0
     closed: int = 0
     puts: int = 0
@@ -112,7 +112,7 @@ class Faulty:
         if self.open_error:
             raise self.open_error
 
-    def put(self, outcomes: list[Rows | Notice]) -> None:
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         self.puts += bool(outcomes)
         if self.hold is not None and outcomes:
             self.hold.wait(20)

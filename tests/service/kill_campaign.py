@@ -42,7 +42,7 @@ from pmfid.stream import crash
 from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
 from pmfid.stream.delivery import Delivery, Item, Lines, Mark
 from pmfid.stream.groups import prepare
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.vault import Vault
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
@@ -153,7 +153,7 @@ class _RowFile:
     def __post_init__(self) -> None:
         self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
-    def rows(self, rows: Rows) -> None:
+    def rows(self, rows: EstimateRows) -> None:
         numbers = [int(name[1:]) for name in rows.group.axes]
         packed = [
             _ROW.pack(

@@ -11,7 +11,7 @@ import pytest
 from pmfid.service.board import Board
 from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel, row_bytes
 from pmfid.stream.counters import Counters
-from pmfid.stream.outcome import Kindred, Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 from tests.service.fake_engine import FakePlant
 
 
@@ -21,11 +21,11 @@ def kindred(*axes: str, names: tuple[str, ...] = ("mass", "friction")) -> Kindre
 
 def rows_of(
     group: Kindred, axis: list[int], number: list[int], *, time: list[float] | None = None, received: float = 100.0
-) -> Rows:
+) -> EstimateRows:
     """Rows whose mass is 2 + number / 100."""
     m = len(axis)
     theta = np.column_stack([2 + np.array(number) / 100, np.full(m, 5.0)])
-    return Rows(
+    return EstimateRows(
         group, np.array(axis), np.array(number), np.array(time or number, float), np.arange(m, dtype=float),
         np.arange(m), theta, np.full((m, 2), 0.1), np.zeros(m), np.arange(m, dtype=np.uint32),
         np.ones(m, np.uint8), received,

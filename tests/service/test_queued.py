@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pmfid.service.sinks import queued
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.sinks.waiting import OutcomeQueue, QueueLimits, size_of
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
 
 GROUP = kindred(10)
@@ -122,8 +122,8 @@ def test_a_slow_sink_is_told_once_and_what_is_dropped_is_counted(host: Host) -> 
     class Slow(Faulty):
         """1 MB/s."""
 
-        def put(self, outcomes: list[Rows | Notice]) -> None:
-            time.sleep(sum(size_of(one) for one in outcomes if isinstance(one, Rows)) / 1e6)
+        def put(self, outcomes: list[EstimateRows | Notice]) -> None:
+            time.sleep(sum(size_of(one) for one in outcomes if isinstance(one, EstimateRows)) / 1e6)
             super().put(outcomes)
 
     sink = Slow()

@@ -17,7 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.service.sinks import sqlite
 from pmfid.service.sinks.sqlite import SqliteSection, SqliteSink
 from pmfid.session.toml_file import FileSection, validate_sections
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.kills import killed_after
 
@@ -27,7 +27,7 @@ def of(path: Path, query: str) -> list[tuple[Any, ...]]:
         return database.execute(query).fetchall()
 
 
-def written(path: Path, *outcomes: Rows | Notice) -> None:
+def written(path: Path, *outcomes: EstimateRows | Notice) -> None:
     sink = SqliteSink("a", path)
     sink.open()
     sink.put(list(outcomes))

@@ -25,7 +25,7 @@ from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import Engine
 from pmfid.stream.groups import Pace, Prepared
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.vault import Vault
 
 Told = list[dict[str, Any]]
@@ -160,7 +160,7 @@ class Broken:
         if not self.works:
             raise OSError(errno.ECONNREFUSED, "nobody is there")
 
-    def put(self, outcomes: list[Rows | Notice]) -> None:
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Takes them."""
 
     def close(self) -> None:

@@ -1,10 +1,10 @@
-"""The monitor as a service: many axes, their data as they come, what is known of them kept and given out.
+"""The monitor as a service: it watches many axes as their data arrive, keeps its state and gives out estimates.
 
     sources --> deliveries --> order --> fleets of monitors --> rows and notices --> sinks, board --> page
                                             |
                                             +--> checkpoints --> deliveries are acknowledged
 
-One thread, the engine's, owns everything that is estimated. Sources hand it deliveries through a bounded inbox and wait
-where it is full. What it finds it offers to outlets, which never make it wait: each has a bounded queue and counts what
-it drops.
+The engine's thread owns all estimators. Sources hand it deliveries through a bounded inbox, and wait while
+the inbox is full. The engine offers outcomes to outlets, which never make it wait: each outlet has a bounded queue and
+counts dropped outcomes.
 """

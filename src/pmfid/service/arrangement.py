@@ -1,5 +1,5 @@
-"""Which axis is in which group: at the start, after a restart, and when PLANT.toml has changed; and what configurations
-the axes had, since when: part of a checkpoint, and told to the sinks."""
+"""Assigns axes to groups at the start, after a restart, and after a change of PLANT.toml. Keeps the history of
+configurations, which is part of a checkpoint and goes to the sinks."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
 __all__ = ["Configurations", "arrange_groups", "remember", "tell_configurations"]
 
-#: The progress of a calibration is told so often [s].
+#: Time between two reports on the progress of a calibration [s].
 PROGRESS = 10.0
-#: Of the last so many it is known whether they are there already, and so many are kept.
+#: Number of last configurations that are compared with new ones, and number that is kept.
 RECENT, MOST = 100, 1000
 
 Tell = Callable[[dict[str, Any]], None]
@@ -27,19 +27,19 @@ Tell = Callable[[dict[str, Any]], None]
 
 @dataclass
 class Configurations:
-    """The configurations of a plant, calibrated one after the other, each once. record: that the only axis is to be
-    watched on, None where samples come from elsewhere. One that fails costs its own axes only, and is told."""
+    """The configurations of a plant, calibrated one after the other, each once. A configuration that fails is reported,
+    and costs its own axes only. record: on which the only axis is watched, None if samples come from a source."""
 
     tell: Tell
     record: Record | None = None
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
 
     def load_all(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
-        """Name -> configuration of those axes whose configuration can be used: the present one, or where that fails
-        the one before. Raises PmfidError or OSError where there is but one, which could never be used."""
+        """Name -> configuration of all axes with a usable one: the present one, or the one before if that fails. Raises
+        PmfidError or OSError if the only configuration has never been usable."""
         paths = dict.fromkeys(axes.values())
-        found = {path: self._load_one(path, only=len(paths) == 1) for path in paths}
-        return {name: prepared for name, path in axes.items() if (prepared := found[path]) is not None}
+        loaded = {path: self._load_one(path, only=len(paths) == 1) for path in paths}
+        return {name: prepared for name, path in axes.items() if (prepared := loaded[path]) is not None}
 
     def _load_one(self, path: Path, only: bool) -> Prepared | None:
         before = self._known.get(path)
@@ -57,11 +57,11 @@ class Configurations:
             return None if before is None else before[1]
 
     def _calibrate(self, path: Path, axis: Axis) -> Prepared:
-        told = [monotonic()]
+        reported = [monotonic()]
 
         def progress(part: float) -> None:
-            if monotonic() - told[0] > PROGRESS:
-                told[0] = monotonic()
+            if monotonic() - reported[0] > PROGRESS:
+                reported[0] = monotonic()
                 self.tell({"event": "calibration", "config": path.name, "part": part})
 
         made = prepare(path, self.record, progress, axis)
@@ -71,15 +71,15 @@ class Configurations:
 
 
 def _build_stamp(path: Path, axis: Axis) -> str:
-    """What changes when the configuration does, or the record that it names."""
+    """A text that changes with the configuration and with its reference record."""
     reference = axis.monitor.reference
     status = None if reference is None else (path.parent / reference).stat()
     return f"{axis.model_dump_json(warnings=False)} {status and (status.st_size, status.st_mtime_ns, status.st_ino)}"
 
 
 def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:
-    """The groups for these axes, and the names of those that start anew: axes that are in a group with the same
-    configuration stay there as they are."""
+    """The groups for these axes, and the names of axes without a history. An axis in a group with the same
+    configuration stays there with its state."""
     present = {group.prepared.digest: group for group in groups}
     wanted: dict[str, tuple[Prepared, list[str]]] = {}
     for name, prepared in axes.items():
@@ -97,7 +97,7 @@ def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: 
 
 
 def remember(engine: Engine) -> None:
-    """What configurations there are since when."""
+    """Appends new configurations to the history, with the time."""
     known = {entry["digest"] for entry in engine.history[-RECENT:]}
     for group in engine.groups:
         if group.prepared.digest not in known:
@@ -108,9 +108,9 @@ def remember(engine: Engine) -> None:
 
 
 def tell_configurations(engine: Engine) -> None:
-    """To the sinks: they keep what differs from the time before."""
+    """Reports the present configurations to the sinks, which keep the ones that differ from the last ones."""
     present = {group.prepared.digest for group in engine.groups}
     for entry in engine.history:
         if entry["digest"] in present:
-            told = {key: entry[key] for key in ("config", "digest", "nominal")}
-            engine.notices.publish_own("", {"event": "configuration", **told})
+            content = {key: entry[key] for key in ("config", "digest", "nominal")}
+            engine.notices.publish_own("", {"event": "configuration", **content})

@@ -1,4 +1,4 @@
-"""How an MQTT broker is reached: the keys that every section has which names one, and a client of MQTT 5 of them."""
+"""The connection to an MQTT broker: the keys of every section that names a broker, and a client of MQTT 5."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When checkpoints are made and by whom they are written: the engine only copies, a thread does all the rest."""
+"""Makes and writes checkpoints: the engine copies its states, a thread of its own does the rest."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ __all__ = ["Checkpoints"]
 
 #: Deliveries that wait for a checkpoint at most: brokers have no more than 65535 messages under way.
 MOST = 50_000
-#: After a checkpoint that took a second to write comes the next after so many seconds at the earliest: with many axes
-#: it has hundreds of MB, and its checksum and its copies cost the time of a processor.
+#: Shortest pause after a checkpoint, in multiples of the time to write it: with many axes a checkpoint has hundreds of
+#: MB, and its checksum and its copies take processor time.
 REST = 4.0
 
 #: New memory of more bytes is made by the writer's thread before the first checkpoint that needs it: it is much slower
@@ -31,7 +31,7 @@ Done = Callable[[], None]
 
 @dataclass
 class _Job:
-    """room: bytes that are wanted for the next one, and no checkpoint."""
+    """draft: the checkpoint to write; done: called afterwards; room: in place of a draft, bytes of a larger buffer."""
 
     draft: Draft | None = None
     done: list[Done] = field(default_factory=list)
@@ -40,11 +40,11 @@ class _Job:
 
 @dataclass
 class Checkpoints:
-    """A `Keeper`. period: time between two checkpoints [s], longer where writing one takes long; tell: what there is to
-    say of the disk.
+    """A `Keeper`. period: time between two checkpoints [s], longer if writing takes long; tell: receives notices on the
+    disk.
 
-    While the disk does not take checkpoints, or is too slow for what comes, deliveries are acknowledged all the same,
-    for otherwise their source would stop and the watch with it; that is told, and what a restart would then lack.
+    While the disk fails, or is too slow for the deliveries, they are acknowledged without a checkpoint: otherwise their
+    source, and the watch, would stop. A notice reports this state, and the checkpoint that a restart would use.
     """
 
     vault: Vault
@@ -54,7 +54,7 @@ class Checkpoints:
     _undone: list[Done] = field(default_factory=list, init=False)
     _job: _Job | None = field(default=None, init=False)
     _failing: bool = field(default=False, init=False)
-    _behind: bool = field(default=False, init=False)
+    _too_slow: bool = field(default=False, init=False)
     _closing: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
@@ -64,22 +64,22 @@ class Checkpoints:
         self._thread.start()
 
     def call_when_kept(self, done: Done) -> None:
-        """To be called with the next checkpoint that is durable."""
+        """Has `done` called after the next durable checkpoint."""
         self._undone.append(done)
         if self._failing or len(self._undone) > MOST:
             self._let_go()
 
     def _let_go(self) -> None:
-        if not self._failing and not self._behind:
-            self._behind = True
+        if not self._failing and not self._too_slow:
+            self._too_slow = True
             problem = "the disk is too slow: what comes is acknowledged before it is in a checkpoint"
             self.tell({"event": "checkpoint", "problem": problem})
         self._call(self._undone)
         self._undone = []
 
     def offer(self, engine: Engine, last: bool = False) -> None:
-        """Makes a checkpoint if it is time for one, something has changed, and the last one is written; last: at once,
-        and returns when it is written, or could not be."""
+        """Makes a checkpoint if one is due, the state has changed, and the last one is written; last: at once, and
+        returns after the attempt to write it."""
         if last:
             self._close(engine)
         elif self._job is None and (monotonic() >= max(self._next, self._rested) or engine.urgent):
@@ -162,7 +162,7 @@ class Checkpoints:
         self.counters.add("pmfid_checkpoints_total")
         self.counters.put("pmfid_checkpoint_working", 1)
         self.counters.put("pmfid_checkpoint_seconds", seconds)
-        self._behind = False
+        self._too_slow = False
         if self._failing:
             self._failing = False
             self.tell({"event": "checkpoint", "works": True, "sequence": self.vault.sequence})

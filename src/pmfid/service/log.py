@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import IO
 
 from pmfid.service.sinks.plain import as_json, notice_object
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["NoticeLog", "json_line"]
 
@@ -19,7 +19,7 @@ def json_line(notice: Notice) -> str:
 
 @dataclass
 class NoticeLog:
-    """A sink that writes lines to a stream; line: of a notice, "" for one that is not for this log."""
+    """A sink that writes lines to a stream; line: of a notice, "" to leave the notice out."""
 
     stream: IO[str]
     line: Callable[[Notice], str] = json_line
@@ -28,7 +28,7 @@ class NoticeLog:
     def open(self) -> None:
         """The stream is open."""
 
-    def put(self, outcomes: list[Rows | Notice]) -> None:
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Writes them at once."""
         lines = [self.line(one) for one in outcomes if isinstance(one, Notice)]
         text = "".join(f"{line}\n" for line in lines if line)

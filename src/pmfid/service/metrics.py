@@ -31,7 +31,7 @@ HELP: dict[str, str] = {
     "pmfid_engine_busy_seconds_total": "Time in which the engine worked, in seconds.",
     "pmfid_events_total": "Events of axes, by kind.",
     "pmfid_inbox_deliveries": "Deliveries that wait for the engine.",
-    "pmfid_deliveries_slower_total": "Deliveries whose estimates took longer than so many seconds.",
+    "pmfid_deliveries_slower_total": "Deliveries whose estimates took longer than the limit in the label, in seconds.",
     "pmfid_latency_seconds": "Age of the oldest delivery of the last step when its estimates were there, in seconds.",
     "pmfid_lines_dropped_total": "Lines that are no samples, or came twice or too late.",
     "pmfid_page_browsers_dropped_total": "Browsers that did not read what the page sent.",

@@ -17,13 +17,13 @@ from pmfid.stream.counters import Counters
 
 __all__ = ["PauseWatch", "SignalRequests", "notify"]
 
-#: A process that has not come by for so long was stopped [s]: no load keeps it away.
+#: Time between two calls that shows a stopped process [s]: no load delays them as long.
 STOOD = 10.0
 
 
 @dataclass
 class SignalRequests:
-    """What was asked for by a signal."""
+    """Requests by signals."""
 
     stop: bool = False
     reload: bool = False
@@ -43,15 +43,14 @@ class SignalRequests:
 
 @dataclass
 class PauseWatch:
-    """To be called again and again: tells how long the whole process stood still. Nothing else would tell why its
-    estimates came late."""
+    """Reports pauses of the whole process, the only explanation for late estimates. `look` is called regularly."""
 
     tell: Callable[[dict[str, Any]], None]
     counters: Counters
     _looked: float = field(default_factory=monotonic, init=False)
 
     def look(self) -> None:
-        """Now."""
+        """Tests the time since the last call."""
         now = monotonic()
         stood, self._looked = now - self._looked, now
         if stood > STOOD:

@@ -1,4 +1,4 @@
-"""A service from its start to its end: what is started in which order, signals, and the same backwards."""
+"""A service from its start to its end: the order of start and end, and signals."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ __all__ = ["Service"]
 LOOK, ENDING = 0.1, 10.0
 #: Names that a notice lists at most.
 MOST_NAMES = 100
-#: The interpreter is handed over so often [s]: the kernel works without it, and the engine should not wait for it each
-#: time as long as it may be kept by default.
+#: Switch interval of the interpreter's threads [s]: the kernel works without the interpreter, and the engine should not
+#: wait for the default interval to get it back.
 SWITCH = 2e-4
 #: Objects after which garbage is looked for: blocks come and go by tens of thousands, without circles.
 COLLECTED = 50_000
-#: An engine that has not come by for so long is not called alive any more [s].
+#: Time since its last tick after which the engine no longer counts as alive [s].
 STUCK = 60.0
 
 
@@ -78,9 +78,9 @@ class Service:
     # --- start --------------------------------------------------------------------------------------------------------
 
     def _prepare(self, plant: Plant) -> None:
-        """All that can fail before anything runs."""
+        """Does all steps that can fail before a thread runs."""
         self._board = Board([], self.counters, every=max(plant.service.every, 0.1))
-        self._log = Queued(self.log, self.counters, lambda told: None, rows_wanted=False)
+        self._log = Queued(self.log, self.counters, lambda notice: None, rows_wanted=False)
         self._log.start()
         self._outlets: list[Outlet] = [self._board, self._log]
         self._engine = Engine(self.counters, self._outlets, self._board.list_followed)
@@ -104,7 +104,7 @@ class Service:
             raise
 
     def _check_plant(self, plant: Plant) -> Vault | None:
-        """What is told before axes are calibrated, which may take minutes."""
+        """Checks and reports before the calibration of axes, which may take minutes."""
         page_config(plant)
         if not plant.sources:
             problem = "no source is configured, so nothing will come: add [sources.NAME]"
@@ -112,7 +112,7 @@ class Service:
         return None if plant.state is None else Vault(plant.state)
 
     def _restore(self, plant: Plant, vault: Vault | None) -> None:
-        """Goes on from the last checkpoint, if there is one."""
+        """Restores the last checkpoint, if there is one."""
         if vault is None:
             self._arrange([])
             return
@@ -131,13 +131,13 @@ class Service:
         fresh = self._arrange(groups)
         known = set(saved.axes())
         changed = [name for name in fresh if name in known]
-        told = {
+        restored = {
             "event": "checkpoint",
             "restored": len(self._axes) - len(fresh),
             "fresh": len(fresh),
             "made": saved.wall,
         }
-        self._tell_now({**told, "changed": changed[:MOST_NAMES]} if changed else told)
+        self._tell_now({**restored, "changed": changed[:MOST_NAMES]} if changed else restored)
 
     def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
         """A checkpoint and its groups that are still configured so. Raises ValueError for what is none."""
@@ -150,7 +150,7 @@ class Service:
         self._engine.notices.publish_own("", what)
 
     def _arrange(self, groups: list[Group]) -> list[str]:
-        """Puts the axes into their groups, those of `groups` among them; names of the axes that start anew."""
+        """Assigns the axes to groups, with the given ones among them; returns the names of axes without a history."""
         made, fresh = arrange_groups(groups, self._axes, self._pace)
         self._engine.set_groups(made)
         remember(self._engine)
@@ -188,13 +188,13 @@ class Service:
         return None if prepared is None else prepared.axis
 
     def _say_started(self, plant: Plant) -> None:
-        """To all; the address of the page to the log alone, with a token made by this start on a terminal alone."""
+        """Reports the start to all outlets; the address of the page to the log, a new token to a terminal."""
         state = None if plant.state is None else str(plant.state)
-        told = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
+        serving = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
         self._outlets.remove(self._log)
-        number = self._engine.notices.publish_own("", told).number
+        number = self._engine.notices.publish_own("", serving).number
         self._outlets.append(self._log)
-        self._log.notice(Notice("", number, time.time(), {**told, **self._page_address(plant)}))
+        self._log.notice(Notice("", number, time.time(), {**serving, **self._page_address(plant)}))
 
     def _page_address(self, plant: Plant) -> dict[str, Any]:
         page = self._page
@@ -230,7 +230,7 @@ class Service:
         return exposition(self.counters)
 
     def _alive(self) -> bool:
-        """Whether the engine comes by."""
+        """Whether the engine still ticks."""
         return time.monotonic() - self._engine.beat < STUCK
 
     def _reference(self, axis: str) -> Record | None:
@@ -264,7 +264,7 @@ class Service:
                 notify("WATCHDOG=1")
 
     def _reload(self) -> None:
-        """Reads the plant again in a thread: what is calibrated anew does not delay the others."""
+        """Reads the plant again in a thread: new calibrations do not delay other axes."""
         if self._reloading is not None and self._reloading.is_alive():
             self._engine.tell({"event": "reload", "problem": "the last one is still under way; try again later"})
             return
@@ -288,16 +288,17 @@ class Service:
         tell_configurations(self._engine)
         gone = sum(name not in axes for name in before)
         changed = sum(name in before for name in fresh)
-        told = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}
+        reload = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}
         if left := plant.unlike(self._plant):
             rest = ", ".join(left[:MOST_NAMES])
-            told["problem"] = f"{rest} as before: only axes and fleets are read again; start the service again for that"
-        self._engine.tell(told)
+            problem = f"{rest} as before: only axes and fleets are read again; start the service again for that"
+            reload["problem"] = problem
+        self._engine.tell(reload)
 
     # --- end ----------------------------------------------------------------------------------------------------------
 
     def _end(self) -> None:
-        """Sources first, then what they had handed over, then where it goes."""
+        """Ends the sources first, then the engine after their last delivery, then the outlets."""
         self._sources.stop(ENDING)
         self._engine.inbox.close()
         if hasattr(self, "_thread"):

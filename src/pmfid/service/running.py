@@ -1,4 +1,4 @@
-"""Sources and their threads: started, begun again after an error that nobody expected, ended."""
+"""Sources and their threads: their start, their restart after an unexpected error, their end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pmfid.stream.inbox import Inbox
 
 __all__ = ["Running", "Sources"]
 
-#: Pauses after an error that nobody expected [s]: the first, and the longest.
+#: Pauses after an unexpected error [s]: the first, and the longest.
 FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
 
 Tell = Callable[[dict[str, Any]], None]
@@ -23,7 +23,7 @@ Tell = Callable[[dict[str, Any]], None]
 
 @dataclass
 class Running:
-    """A source in its thread. failed: it ended with an error, which is told; ended: it hands over nothing more."""
+    """A source in its thread. failed: the reported error that ended it; ended: no further delivery will come."""
 
     source: Source
     inbox: Inbox
@@ -36,7 +36,7 @@ class Running:
     _stopped: Event = field(default_factory=Event, init=False)
 
     def start(self) -> None:
-        """Begins to take in."""
+        """Starts the thread."""
         self._thread = Thread(target=self._run, name=f"source {self.source.name}", daemon=True)
         self._thread.start()
 
@@ -46,7 +46,7 @@ class Running:
             self.tell({"event": "source", "source": self.source.name, "problem": ""})
         taken = self.inbox.put(delivery)
         if taken and delivery.mark is not None:
-            self._mark = delivery.mark  # where it goes on if it has to begin again: the engine is behind
+            self._mark = delivery.mark  # start of a restart: the marks of the engine are older
         return taken
 
     def _run(self) -> None:
@@ -69,12 +69,12 @@ class Running:
         self.ended = True
 
     def stop(self) -> None:
-        """Asks it to end."""
+        """Asks the source to end."""
         self._stopped.set()
         self.source.stop()
 
     def join(self, timeout: float) -> None:
-        """Waits for its end, so long at most [s]."""
+        """Waits for its end, at most `timeout` [s]."""
         self._thread.join(timeout)
 
 
@@ -88,7 +88,7 @@ class Sources:
     running: dict[str, Running] = field(default_factory=dict, init=False)
 
     def start(self, source: Source) -> None:
-        """Starts one more."""
+        """Starts a source."""
         self.running[source.name] = Running(source, self.inbox, self.tell, self.marks)
         self.running[source.name].start()
 

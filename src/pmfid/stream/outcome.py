@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmfid.types import Floats
 
-__all__ = ["Kindred", "Notice", "Outlet", "Rows"]
+__all__ = ["EstimateRows", "Kindred", "Notice", "Outlet"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Kindred:
 
 
 @dataclass(frozen=True)
-class Rows:
+class EstimateRows:
     """Estimates of axes of one group, m rows in the order of time for each axis.
 
     axis: (m,) number within the group; number: (m,) samples of that axis so far, this one included; time: (m,) [s] by
@@ -77,6 +77,6 @@ class Notice:
 class Outlet(Protocol):
     """A receiver of outcomes. The engine's thread calls it: neither method may wait for anything."""
 
-    def rows(self, rows: Rows) -> None: ...
+    def rows(self, rows: EstimateRows) -> None: ...
 
     def notice(self, notice: Notice) -> None: ...

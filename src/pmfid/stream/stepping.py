@@ -13,7 +13,7 @@ from pmfid.monitor.rows import FleetRows
 from pmfid.session.monitored.run import event_object
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.order import SamplePiece
-from pmfid.stream.outcome import Rows
+from pmfid.stream.outcome import EstimateRows
 from pmfid.stream.waiting import Batch, GroupQueue
 from pmfid.types import Floats
 
@@ -34,7 +34,7 @@ class FoundEvent:
 class Stepped:
     """The outcome of a step of a group; lost: samples without an input, among all."""
 
-    rows: list[Rows] = field(default_factory=list)
+    rows: list[EstimateRows] = field(default_factory=list)
     found: list[FoundEvent] = field(default_factory=list)
     samples: int = 0
     lost: int = 0
@@ -106,10 +106,10 @@ def _choose_samples(
     return rows, columns
 
 
-def _build_rows(group: Group, batch: Batch, start: NDArray[np.int64], found: FleetRows, chosen: Chosen) -> Rows:
+def _build_rows(group: Group, batch: Batch, start: NDArray[np.int64], found: FleetRows, chosen: Chosen) -> EstimateRows:
     rows, columns = chosen
     number = start[rows] + columns + 1
-    return Rows(
+    return EstimateRows(
         group.kindred,
         batch.index[rows],
         number,

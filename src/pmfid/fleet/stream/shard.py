@@ -19,7 +19,7 @@ from pmfid.stream.delivery import Block, Delivery, Item, Table, Unusable
 from pmfid.stream.engine import Engine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.layout import HEADER, MAGIC
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["Outcomes", "Plan", "Shard", "shard_of"]
 
@@ -44,10 +44,10 @@ class Plan:
 class Outcomes:
     """What a batch gave, as an outlet."""
 
-    estimates: list[Rows] = field(default_factory=list)
+    estimates: list[EstimateRows] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
 
-    def rows(self, rows: Rows) -> None:
+    def rows(self, rows: EstimateRows) -> None:
         self.estimates.append(rows)
 
     def notice(self, notice: Notice) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from pmfid.fleet.stream.shard import Plan, Shard
-    from pmfid.stream.outcome import Notice, Rows
+    from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["COUNTS", "ESTIMATE", "NOTICE", "columns_of", "table_of"]
 
@@ -46,7 +46,7 @@ def table_of(shard: Shard) -> pl.DataFrame:
     return found.with_columns(pl.col("number", "counts", "status").fill_null(0))
 
 
-def _estimates(rows: Rows) -> pl.DataFrame:
+def _estimates(rows: EstimateRows) -> pl.DataFrame:
     import polars as pl
 
     axes, states = np.array(rows.group.axes, object), np.array(STATES, object)

@@ -1,4 +1,4 @@
-"""What is known of the plant now, for those who look: an outlet of the engine, without any mathematics."""
+"""The present state of the plant for its viewers: an outlet of the engine, without any mathematics."""
 
 from pmfid.service.board.board import Board, News, Subscription
 from pmfid.service.board.panel import Overview, Panel

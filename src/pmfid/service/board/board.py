@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from pmfid.service.board.panel import Overview, Panel, Records, row_bytes
 from pmfid.stream.alarms import AlarmRecord, Alarms
 from pmfid.stream.counters import Counters
-from pmfid.stream.outcome import Kindred, Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 
 __all__ = ["Board", "News", "Subscription"]
 
-#: Notices that are kept, and rows that wait for one who follows an axis.
+#: Notices that are kept, and rows that wait for a viewer of an axis.
 NOTICES, WAITING = 2000, 50_000
 
 
 @dataclass(frozen=True)
 class News:
-    """What changed since someone looked. version: to ask for the next with; layout: raised when groups change;
-    groups: by their place; notices, alarms: those told or changed since, oldest first."""
+    """Changes since a version. version: for the next request; layout: raised when groups change; groups: in the order
+    of the board; notices, alarms: new or changed ones, oldest first."""
 
     version: int
     layout: int
@@ -57,8 +57,8 @@ class Board:
     # --- for the engine ---
 
     def arrange(self, groups: Sequence[Kindred], referred: Mapping[str, Sequence[float]] | None = None) -> None:
-        """The groups that there are from now on; what is known of an axis stays where its parameters are the same.
-        referred: axis -> (q,) what is normal for it, where that is not what its group has; None: as it was."""
+        """Replaces the groups; the rows of an axis stay if its parameters are the same. referred: axis -> (q,) its
+        reference, if it differs from the reference of its group; None: unchanged."""
         share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))
         panels = [Panel(group, int(share), self.every) for group in groups]
         with self._lock:
@@ -77,7 +77,7 @@ class Board:
         self._budget = budget
         self.arrange(self.groups)
 
-    def rows(self, rows: Rows) -> None:
+    def rows(self, rows: EstimateRows) -> None:
         """Takes rows of one group."""
         if rows.axis.size == 0:
             return
@@ -98,7 +98,7 @@ class Board:
                 self._counters.add("pmfid_page_rows_dropped_total", dropped)
 
     def _panel_of(self, group: Kindred) -> Panel:
-        """A group that nobody announced takes the place of those that have axes of its names."""
+        """The panel of a group; an unknown group replaces the groups that share names of axes with it."""
         if id(group) not in self._by_group:
             others = [panel.group for panel in self._panels if not panel.place.keys() & set(group.axes)]
             self.arrange([*others, group])
@@ -120,7 +120,7 @@ class Board:
             self._layout += 1
 
     def list_followed(self) -> frozenset[str]:
-        """Names of the axes of which someone wants every row."""
+        """Names of the axes whose rows all have a viewer."""
         return self._followed
 
     # --- for the page ---
@@ -131,7 +131,7 @@ class Board:
 
     @property
     def layout(self) -> int:
-        """Raised whenever groups, or what is normal for an axis, change."""
+        """Raised whenever groups, or the reference of an axis, change."""
         return self._layout
 
     def news(self, since: int = 0, groups: bool = True) -> News:
@@ -147,23 +147,23 @@ class Board:
             return News(self._version, self._layout, overviews, notices, alarms)
 
     def list_referred(self) -> list[dict[int, list[float]]]:
-        """For each group the axes whose normal values are their own, by number, and these."""
+        """For each group the axes with a reference of their own, by number, and this reference."""
         with self._lock:
             return [panel.list_referred() for panel in self._panels]
 
     def alarm(self, number: int) -> AlarmRecord | None:
-        """The alarm that was told as the notice of this number."""
+        """The alarm with this notice number, None if unknown."""
         with self._lock:
             return self._alarms.get(number)
 
     def group_of(self, axis: str) -> Kindred | None:
-        """The group that an axis is of, None where there is no such axis."""
+        """The group of an axis, None if there is no such axis."""
         with self._lock:
             panel = self._by_axis.get(axis)
             return panel.group if panel else None
 
     def history(self, axis: str) -> Records | None:
-        """Rows of an axis, oldest first; None where there is no such axis."""
+        """Rows of an axis, oldest first; None if there is no such axis."""
         with self._lock:
             panel = self._by_axis.get(axis)
             return panel.history(panel.place[axis]) if panel else None

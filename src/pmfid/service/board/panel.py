@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.stream.outcome import Kindred, Rows
+from pmfid.stream.outcome import EstimateRows, Kindred
 from pmfid.types import Floats
 
 __all__ = ["Overview", "Panel", "Records", "row_bytes", "row_type"]
 
-#: Points of a trend; what one stands for at first and at most [s]: then the trend is a day long. At least so many rows
-#: fall on a point, for with about one, some would be empty.
+#: Points of a trend; first and longest interval of a point [s], which makes a trend of a day; fewest rows in an
+#: interval, because with about one row some points would be empty.
 POINTS, FINEST, COARSEST, ROWS = 90, 2.0, 1024.0, 2.0
 #: Rows of an axis that are kept at least and at most.
 FEWEST, MOST = 4, 20_000
@@ -24,7 +24,7 @@ Records = NDArray[np.void]
 
 
 def row_type(parameters: int) -> np.dtype[np.void]:
-    """A row as it is kept: the fields of `Rows`, little endian as they are sent."""
+    """A row as it is kept: the fields of `EstimateRows`, little endian as they are sent."""
     return np.dtype(
         [
             ("number", "<i8"),
@@ -47,8 +47,8 @@ def row_bytes(group: Kindred) -> int:
 
 @dataclass(frozen=True)
 class Overview:
-    """What changed in a group: axis: (m,) number within it; received: (m,) `time.monotonic()` of their last data;
-    value, std, deviation: (m,) of the leading parameter, the last relative to nominal; status, state: as in `Rows`."""
+    """Changes in a group. axis: (m,) number within it; received: (m,) `time.monotonic()` of their last data; value,
+    std, deviation: (m,) of the leading parameter, the last relative to nominal; status, state: as in `EstimateRows`."""
 
     axis: NDArray[np.int64]
     received: Floats
@@ -90,28 +90,28 @@ class Panel:
         return int(usable[0]) if usable.size else 0
 
     def refer(self, axis: int, normal: Sequence[float]) -> None:
-        """(q,) is normal for an axis from now on."""
+        """Sets the reference (q,) of an axis."""
         self.nominal[axis] = normal
 
     def refer_only(self, referred: Mapping[str, Sequence[float]]) -> None:
-        """(q,) by axis is normal for these, for all others what the group has."""
+        """Sets the references (q,) of these axes, and the reference of the group for all others."""
         self.nominal[:] = self.group.nominal
         for name in referred.keys() & self.place.keys():
             self.refer(self.place[name], referred[name])
 
     def list_referred(self) -> dict[int, list[float]]:
-        """Axes whose normal values are not those of the group, and these."""
+        """Axes whose reference differs from the reference of the group, and their references."""
         own = np.flatnonzero((self.nominal != self.group.nominal).any(axis=1))
         return {int(axis): self.nominal[axis].tolist() for axis in own}
 
-    def records(self, rows: Rows) -> Records:
+    def records(self, rows: EstimateRows) -> Records:
         """(m,) the rows as they are kept."""
         found: Records = np.empty(rows.axis.size, self.last.dtype)
         for name in found.dtype.names or ():
             found[name] = getattr(rows, name)
         return found
 
-    def update(self, rows: Rows, records: Records, version: int) -> None:
+    def update(self, rows: EstimateRows, records: Records, version: int) -> None:
         """Takes the latest row of each axis; version: of the board, for `overview`."""
         axis, latest = _latest(rows.axis, self.last.size)
         new = records[latest]

@@ -1,4 +1,4 @@
-"""A connection to a broker that publishes, and says when it is not one any more."""
+"""A connection to a broker that publishes, and reports its end."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class BrokerLink:
         self._last: MQTTMessageInfo | None = None
 
     def open(self) -> None:
-        """Connects anew and waits until the broker agrees."""
+        """Ends the last connection, connects again, and waits until the broker agrees."""
         self.drop()
         client = self._client = self._new()
         self._connected, self._ended, self._problem = Event(), Event(), ""
@@ -79,7 +79,7 @@ class BrokerLink:
         self._check()
 
     def publish(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
-        """Hands over a message; `flush` tells what became of it."""
+        """Hands over a message; `flush` reports its result."""
         info = self._check().publish(topic, payload, qos, retain)
         if info.rc != 0:
             raise OSError(self._problem or "the connection to the broker ended")

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from pmfid.service.sinks.plain import as_json, notice_object, row_object, single_rows
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["FileSink", "FileSinkSection"]
 
@@ -75,7 +75,7 @@ class FileSink:
                 if file.read(1) != b"\n":
                     _write_all(self._file, b"\n")
 
-    def put(self, outcomes: list[Rows | Notice]) -> None:
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Raises OSError where the lines cannot be written: then a regular file has none of them."""
         if not self._is_there():
             self.open()
@@ -101,7 +101,7 @@ class FileSink:
             os.close(file)
 
 
-def _lines(outcome: Rows | Notice) -> str:
+def _lines(outcome: EstimateRows | Notice) -> str:
     if isinstance(outcome, Notice):
         return f"{as_json(notice_object(outcome))}\n"
     names = outcome.group.names

@@ -15,7 +15,7 @@ from pmfid.service.sinks.broker_link import BrokerLink
 from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_object, single_rows
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.service.sinks.waiting import URGENT
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["MqttSink", "MqttSinkSection"]
 
@@ -79,7 +79,7 @@ class MqttSink:
             self._link.publish(topic, payload, 1, retain=True)
         self._link.flush()
 
-    def put(self, outcomes: list[Rows | Notice]) -> None:
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Raises OSError where the connection has ended, or not all is acknowledged."""
         self._link.check()
         for one in outcomes:
@@ -95,13 +95,13 @@ class MqttSink:
         """One level for a name, whatever is in it."""
         return f"{self._base}/{what}/{quote(of, safe='')}"
 
-    def _rows(self, rows: Rows) -> None:
+    def _rows(self, rows: EstimateRows) -> None:
         section = self._section
         for row in single_rows(rows):
             payload = as_json(row_object(row, rows.group.names)).encode()
             self._link.publish(self._topic("estimates", row.axis), payload, section.qos, section.retain)
 
-    def _batches(self, rows: Rows) -> None:
+    def _batches(self, rows: EstimateRows) -> None:
         topic = self._topic("batches", rows.group.config)
         for batch in batches_of(rows):
             self._link.publish(topic, as_json(batch).encode(), self._section.qos)
@@ -147,7 +147,7 @@ class MqttSink:
             self._link.drop()
 
 
-def batches_of(rows: Rows) -> Iterator[dict[str, Any]]:
+def batches_of(rows: EstimateRows) -> Iterator[dict[str, Any]]:
     """Columns of up to BATCH rows each, for JSON: axis, number, time, theta and std as lists of lists, ..."""
     named = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
     for start in range(0, rows.axis.size, BATCH):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pmfid.monitor.events import STATES
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["Row", "alarm_of", "as_json", "notice_object", "row_object", "single_rows"]
 
@@ -28,7 +28,7 @@ class Row(NamedTuple):
     state: str
 
 
-def single_rows(rows: Rows) -> Iterator[Row]:
+def single_rows(rows: EstimateRows) -> Iterator[Row]:
     """The rows of a block one by one, in order."""
     columns = (rows.axis, rows.number, rows.time, rows.u, rows.counts, rows.theta, rows.std, rows.innovation)
     lists = [column.tolist() for column in (*columns, rows.status, rows.state)]

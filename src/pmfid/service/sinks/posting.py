@@ -23,7 +23,7 @@ MOST_ANSWER = 1 << 16
 
 def check_address(url: str, secret: str | None, label: str) -> SplitResult:
     """The parts of an address. Raises UsageError for what is none, for a user or password in it, and for a secret that
-    would go unencrypted to another machine; label: of the section, for messages. The address itself is not told: it may
+    would go unencrypted to another machine; label: of the section, for messages. No message shows the address: it may
     be a secret."""
     try:
         parts = urlsplit(url)
@@ -85,7 +85,7 @@ class Poster:
         return http.client.HTTPConnection(host, port, timeout=self._timeout)
 
     def close(self) -> None:
-        """The next `post` connects anew."""
+        """Closes the connection; the next `post` opens another one."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()

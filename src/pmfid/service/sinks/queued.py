@@ -1,4 +1,4 @@
-"""The outlet in front of every sink: a bounded queue and a thread of its own, so that nobody waits for a sink."""
+"""The outlet in front of every sink: a bounded queue and a thread of its own, so that no thread waits for a sink."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from pmfid.errors import PmfidError, printable
 from pmfid.service.sinks import Sink
 from pmfid.service.sinks.waiting import MOST_ENTRIES, Entry, Lost, OutcomeQueue, QueueLimits, is_urgent
 from pmfid.stream.counters import Counters
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["Queued", "Tell"]
 
-#: Gets an object with "event": "sink" or "dropped", from the thread of the sink.
+#: Receives an object with "event": "sink" or "dropped", from the thread of the sink.
 Tell = Callable[[dict[str, Any]], None]
 
 #: Pauses after errors [s]: the first, the longest, and how long a sink must have worked to begin with the first again.
 FIRST_PAUSE, LONGEST_PAUSE, STEADY = 0.5, 60.0, 60.0
-#: A sink that is too slow is told at most once in so many seconds.
+#: Shortest time between two notices on a slow sink [s].
 TELL_EVERY = 60.0
 #: s after which `put` is called with nothing, so that a sink sees that its connection has ended, or its file is old.
 IDLE = 5.0
-#: Different problems with outcomes that a sink refuses, which are told.
-MOST_TOLD = 10
+#: Most different problems with refused outcomes that are reported.
+MOST_REFUSALS = 10
 
 
 def problem_of(error: Exception) -> str:
@@ -38,11 +38,11 @@ def problem_of(error: Exception) -> str:
 
 
 class Queued:
-    """An outlet that keeps what is offered until the sink has it.
+    """An outlet that keeps outcomes until the sink has them.
 
-    Offering takes microseconds: the lock that it needs is never held while anything is written or compared. What an
-    OSError of the sink says is told once and tried again with growing pauses, with `open` before it; what ends in
-    another error is tried alone, and dropped where that is its own fault.
+    An offer takes microseconds: no write and no comparison holds the lock. After an OSError of the sink, which is
+    reported once, the outcomes are tried again with growing pauses and `open` before them. After another error each
+    outcome is tried alone, and dropped if it causes the error again.
     Levels and totals, each with the label `sink`: pmfid_sink_waiting_rows, pmfid_sink_working, pmfid_sink_rows_total,
     pmfid_sink_errors_total, pmfid_dropped_rows_total, pmfid_dropped_notices_total, pmfid_refused_total.
 
@@ -67,9 +67,9 @@ class Queued:
         self._deadline = float("inf")  # of `close`
         self._open = self._failing = False
         self._pause, self._working_since, self._taken_at = 0.0, 0.0, -IDLE
-        self._alone = 0  # so many of the next outcomes are written one by one
-        self._lost = Lost()  # rows and notices that were dropped and not yet told
-        self._told_at = -TELL_EVERY
+        self._alone = 0  # number of next outcomes that are written one by one
+        self._lost = Lost()  # dropped rows and notices without a report
+        self._reported_at = -TELL_EVERY
         self._refusals: set[str] = set()
         self._trying: float | None = None  # since when it has not taken what it was given
         self._proved = False  # it has taken something
@@ -81,7 +81,7 @@ class Queued:
 
     # --- the engine's side --------------------------------------------------------------------------------------------
 
-    def rows(self, rows: Rows) -> None:
+    def rows(self, rows: EstimateRows) -> None:
         """Offers rows; never waits."""
         if self._rows_wanted and rows.axis.size:
             self._offer(rows)
@@ -91,7 +91,7 @@ class Queued:
         if self._events is None or notice.what.get("event") in self._events:
             self._offer(notice)
 
-    def _offer(self, outcome: Rows | Notice) -> None:
+    def _offer(self, outcome: EstimateRows | Notice) -> None:
         with self._changed:
             first = not self._waiting
             if isinstance(outcome, Notice) and is_urgent(outcome):
@@ -104,19 +104,19 @@ class Queued:
         self._count_lost(lost)
 
     def unwritten(self) -> list[Notice]:
-        """Alarms and what became of them which the sink does not have yet: what a checkpoint keeps for it."""
+        """Alarms, and notices on them, that the sink does not have yet: a checkpoint keeps them."""
         with self._changed:
             return list(self._unwritten.values())
 
     def works(self, since: float) -> bool | None:
-        """As `Taker` of `silence.py` says: one that waits for a server that does not answer does not work either."""
+        """As in `Taker` of `silence.py`: a sink that waits for a silent server does not work either."""
         trying = self._trying
         if trying is None:
             return self._proved or None
         return None if trying > since else False
 
     def _forget_written(self, batch: Sequence[Entry]) -> None:
-        """The sink has these, or they are not for it."""
+        """Forgets urgent notices that the sink has, or that it refuses."""
         with self._changed:
             for entry in batch:
                 if isinstance(entry.outcome, Notice):
@@ -127,8 +127,8 @@ class Queued:
         self._thread.start()
 
     def close(self, within: float) -> bool:
-        """Lets the sink write what waits, for so many seconds at most; False where it had not ended by then: what is
-        left is dropped and counted."""
+        """Lets the sink write the waiting outcomes for at most `within` seconds, then drops and counts the rest. False
+        if the sink has not ended by then."""
         with self._changed:
             self._deadline = time.monotonic() + within
             self._closing.set()
@@ -167,7 +167,7 @@ class Queued:
         self._end()
 
     def _next(self) -> list[Entry] | None:
-        """What is to be written now, which is nothing now and then; waits for it; None at the end."""
+        """Waits for the next outcomes, an empty list after IDLE; None at the end."""
         with self._changed:
             while not (self._closing.is_set() or self._due()):
                 self._changed.wait(self._compute_wait())
@@ -216,11 +216,11 @@ class Queued:
             self._counters.put("pmfid_sink_working", 1, sink=self.name)
             with self._changed:
                 lost, self._lost = self._lost, Lost()
-            told = {"event": "sink", "sink": self.name, "works": True}
-            self._tell({**told, "lost_rows": lost.rows, "lost_notices": lost.notices})
+            recovery = {"event": "sink", "sink": self.name, "works": True}
+            self._tell({**recovery, "lost_rows": lost.rows, "lost_notices": lost.notices})
 
     def _note_failure(self, error: Exception, batch: Sequence[Entry]) -> None:
-        """What may pass: told once; the outcomes wait in front of all others."""
+        """Reports a passing error once; the outcomes wait in front of all others."""
         steady = not self._failing and time.monotonic() - self._working_since > STEADY
         self._pause = FIRST_PAUSE if steady or not self._pause else min(2 * self._pause, LONGEST_PAUSE)
         self._counters.add("pmfid_sink_errors_total", sink=self.name)
@@ -238,7 +238,7 @@ class Queued:
         self._count_lost(lost)
 
     def _drop_refused(self, error: Exception, batch: Sequence[Entry]) -> None:
-        """What trying again does not help: each outcome is tried alone, and is dropped where it is the one."""
+        """After a lasting error: has each outcome tried alone, and drops the outcome that causes the error."""
         if len(batch) > 1:
             self._alone = len(batch)
             self._give_back(batch)
@@ -247,15 +247,15 @@ class Queued:
         self._alone = max(self._alone - 1, 0)
         self._counters.add("pmfid_refused_total", max(batch[0].rows, 1), sink=self.name)
         problem = problem_of(error)
-        if problem not in self._refusals and len(self._refusals) < MOST_TOLD:
+        if problem not in self._refusals and len(self._refusals) < MOST_REFUSALS:
             self._refusals.add(problem)
             self._tell({"event": "sink", "sink": self.name, "works": True, "problem": f"refused: {problem}"})
 
     def _tell_lost(self) -> None:
-        """That the sink is too slow, or was; an error tells by itself what was lost when it is over."""
-        if self._failing or not any(self._lost) or time.monotonic() - self._told_at < TELL_EVERY:
+        """Reports a slow sink; the report at the end of an error contains its own losses."""
+        if self._failing or not any(self._lost) or time.monotonic() - self._reported_at < TELL_EVERY:
             return
-        self._told_at = time.monotonic()
+        self._reported_at = time.monotonic()
         with self._changed:
             lost, self._lost = self._lost, Lost()
         self._tell({"event": "dropped", "sink": self.name, "rows": lost.rows, "notices": lost.notices})

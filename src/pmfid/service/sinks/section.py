@@ -1,4 +1,4 @@
-"""What the sections of all sinks have in common, and what a sink may use of the service."""
+"""The common keys of all sections of sinks, and the part of the service that a sink may use."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Host", "SinkSection"]
 class Host(Protocol):
     """The service around a sink. name: of the service; folder: that of PLANT.toml, from which names of files count;
     state: where the service keeps what must survive, None where it keeps nothing; counters: those of the service;
-    tell: gets what a sink has to say, as an object with "event": "sink", from any thread."""
+    tell: receives notices of a sink, objects with "event": "sink", from any thread."""
 
     @property
     def name(self) -> str: ...
@@ -58,7 +58,7 @@ class SinkSection(FileSection):
         return None
 
     def outlet(self, name: str, context: Host) -> Queued:
-        """The sink behind its queue, not yet started. Raises UsageError, as `make`."""
+        """The queue of the sink, not yet started. Raises UsageError, as `make`."""
         limits = QueueLimits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices)
         sink = self.make(name, context)
         return Queued(sink, context.counters, context.tell, limits, self.wants_rows(), self.wants_events())

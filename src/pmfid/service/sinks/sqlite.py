@@ -14,7 +14,7 @@ from pydantic import Field
 from pmfid.service.sinks.plain import alarm_of, as_json
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["SqliteSection", "SqliteSink"]
 
@@ -108,7 +108,7 @@ class SqliteSection(SinkSection):
 
 @contextmanager
 def _raise_os_errors(path: Path) -> Iterator[None]:
-    """What SQLite cannot do may pass: a disk that is full, a file that someone else holds or that is damaged."""
+    """Raises OSError for errors of SQLite, which may pass: a full disk, a damaged file, or a file in use."""
     try:
         yield
     except sqlite3.Error as error:
@@ -140,7 +140,7 @@ class SqliteSink:
                 raise
         self._database = database
 
-    def put(self, outcomes: list[Rows | Notice]) -> None:
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Raises OSError where they cannot be written."""
         if self._database is None:
             raise OSError(f"{self._path.name} is not open")

@@ -1,4 +1,4 @@
-"""What waits for a sink, in bounded memory: the oldest rows go first, alarms last. It knows no threads and no locks."""
+"""The queue of a sink in bounded memory: the oldest rows are dropped first, alarms last. No threads, no locks."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["MOST_ENTRIES", "URGENT", "Entry", "Lost", "OutcomeQueue", "QueueLimits", "is_urgent"]
 
 #: Events that a person waits for; all others are dropped before them.
 URGENT = frozenset({"alarm", "acknowledged", "settled", "cleared"})
-#: So many outcomes are taken at once.
+#: Most outcomes that are taken at once.
 MOST_ENTRIES = 1024
 
 
@@ -40,7 +40,7 @@ class Entry(NamedTuple):
     """An outcome that waits; serial: its place in the order in which they came; rows, size [bytes]: 0 for a notice."""
 
     serial: int
-    outcome: Rows | Notice
+    outcome: EstimateRows | Notice
     rows: int = 0
     size: int = 0
 
@@ -53,7 +53,7 @@ def is_urgent(notice: Notice) -> bool:
     return notice.what.get("event") in URGENT
 
 
-def size_of(rows: Rows) -> int:
+def size_of(rows: EstimateRows) -> int:
     """Bytes of the arrays."""
     arrays = (rows.axis, rows.number, rows.time, rows.u, rows.counts, rows.theta, rows.std)
     return sum(array.nbytes for array in (*arrays, rows.innovation, rows.status, rows.state))
@@ -88,10 +88,10 @@ class OutcomeQueue:
         limits = self.limits
         return 2 * self.rows > limits.rows or 2 * self.size > limits.size or 2 * self.notices > limits.notices
 
-    def add(self, outcome: Rows | Notice) -> Lost:
-        """Puts it behind all others; what had to go for it."""
+    def add(self, outcome: EstimateRows | Notice) -> Lost:
+        """Appends an outcome. Returns the dropped outcomes."""
         self._serial += 1
-        if isinstance(outcome, Rows):
+        if isinstance(outcome, EstimateRows):
             self._add_rows(Entry(self._serial, outcome, outcome.axis.size, size_of(outcome)))
         else:
             self._line_of(outcome).append(Entry(self._serial, outcome))
@@ -113,9 +113,9 @@ class OutcomeQueue:
         return taken
 
     def give_back(self, taken: Sequence[Entry]) -> Lost:
-        """Puts what was taken last in front again; what had to go since."""
+        """Puts the last taken outcomes in front again. Returns the dropped outcomes."""
         for entry in reversed(taken):
-            if isinstance(entry.outcome, Rows):
+            if isinstance(entry.outcome, EstimateRows):
                 self._add_rows(entry, front=True)
             else:
                 self._line_of(entry.outcome).appendleft(entry)

@@ -14,11 +14,11 @@ from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.service.sinks.posting import Poster, check_address
 from pmfid.service.sinks.section import Host, SinkSection
 from pmfid.session.model_config import Name, Positive
-from pmfid.stream.outcome import Notice, Rows
+from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["WebhookSection", "WebhookSink"]
 
-#: All events that a service tells: one that is misspelt would never be sent.
+#: All events of a service: a misspelt event would never be sent.
 EVENTS = (
     *(
         "alarm",
@@ -108,7 +108,7 @@ class WebhookSink:
     def open(self) -> None:
         """Nothing: it connects when there is something to say."""
 
-    def put(self, outcomes: list[Rows | Notice]) -> None:
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Raises OSError where the server does not answer or has a problem, RefusedError where it will not take one."""
         try:
             for notice in outcomes:

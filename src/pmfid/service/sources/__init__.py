@@ -1,4 +1,4 @@
-"""Where data come from: one file for each kind of source."""
+"""Origins of data: one file for each kind of source."""
 
 from __future__ import annotations
 

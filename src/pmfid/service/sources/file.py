@@ -30,7 +30,7 @@ __all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
 
 #: How often a file is looked at that does not grow [s].
 LOOK = 0.1
-#: A played record comes in blocks of so much time [s], and of so many samples at most.
+#: Duration of the blocks of a played record [s], and most samples of a block.
 BLOCK_TIME, BLOCK = 0.05, 1000
 #: Of a record that is played.
 SLOWEST, FASTEST = 0.001, 1e6
@@ -94,7 +94,7 @@ class Player:
     _stop: Event = field(default_factory=Event, init=False)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Hands over all samples; behind a mark, those that follow."""
+        """Hands over all samples, or the samples after the mark."""
         record = self._read()
         version, epoch, start = self._version(), 0, 0
         if mark is not None:
@@ -108,8 +108,8 @@ class Player:
                 return
             u, counts = record.u[first:end], record.counts[first:end]
             block = Block(self.axis, epoch, first, math.nan, record.dt, u, counts)
-            behind: Mark = {"version": version, "epoch": epoch, "sample": end}
-            if self._stop.is_set() or not take(Delivery(self.name, (block,), None, behind, time.monotonic())):
+            position: Mark = {"version": version, "epoch": epoch, "sample": end}
+            if self._stop.is_set() or not take(Delivery(self.name, (block,), None, position, time.monotonic())):
                 return
 
     def _read(self) -> Record:
@@ -165,9 +165,9 @@ class _Text:
                 self._parse = self._beginning.take(line)
                 self.header = line if self._parse is not None else b""
                 continue
-            said = self._parse(line) if line.strip() else None
-            if said is not None:
-                yield said
+            parsed = self._parse(line) if line.strip() else None
+            if parsed is not None:
+                yield parsed
 
 
 @dataclass
@@ -251,10 +251,10 @@ class Follower:
             offset += len(chunk)
             lines = text.take(chunk)
             self._complain("")
-            said = text.header.decode("utf-8", "surrogateescape")
-            behind: Mark = {"file": number, "offset": offset - text.unfinished, "header": said}
+            header_text = text.header.decode("utf-8", "surrogateescape")
+            position: Mark = {"file": number, "offset": offset - text.unfinished, "header": header_text}
             if lines and not take(
-                Delivery(self.name, (Lines(self.axis, lines),), mark=behind, received=time.monotonic())
+                Delivery(self.name, (Lines(self.axis, lines),), mark=position, received=time.monotonic())
             ):
                 return False
         return False
@@ -267,11 +267,11 @@ class Follower:
         return status.st_ino != number or status.st_size < offset
 
     def _complain(self, problem: str) -> None:
-        """Tells a problem once, and its end."""
+        """Reports a problem once, and its end."""
         if problem != self._problem:
             self._problem = problem
-            told = f"{self.path.name}: {problem}" if problem else ""
-            self.context.tell({"event": "source", "source": self.name, "problem": told})
+            text = f"{self.path.name}: {problem}" if problem else ""
+            self.context.tell({"event": "source", "source": self.name, "problem": text})
 
     def stop(self) -> None:
         """Ends `run`."""

@@ -34,8 +34,8 @@ __all__ = ["MqttSource", "MqttSourceSection"]
 
 #: A level of a topic that names the axis.
 AXIS_LEVEL = "{axis}"
-#: Two services under one name end each other's connections, which Mosquitto does not say: so many in a row that last
-#: no longer than that [s] are taken for it, and tried more and more slowly.
+#: Number of consecutive brief connections, and their longest duration [s], that show two services under one name: they
+#: end each other's connections, which Mosquitto does not report. Later attempts have growing pauses.
 _TAKEN_OVER, _BRIEF = 3, 1.0
 
 
@@ -97,7 +97,7 @@ class MqttSource:
     subscribed: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
     _over: Event = field(default_factory=Event, init=False)
-    _told: str = field(default="", init=False)
+    _reported: str = field(default="", init=False)
     _problem: str = field(default="", init=False)
     _failure: BaseException | None = field(default=None, init=False)
     _since: float = field(default=math.inf, init=False)
@@ -219,14 +219,14 @@ class MqttSource:
         return f"; if another service has the session {name!r}, too, give each its own client"
 
     def _end(self, problem: str) -> None:
-        """Ends the connection; the first problem is what is told."""
+        """Ends the connection; the first problem is reported."""
         self._problem = self._problem or problem
         self._over.set()
 
     def _say(self, problem: str) -> None:
-        """Tells a problem once, and its end."""
-        if problem != self._told:
-            self._told = problem
+        """Reports a problem once, and its end."""
+        if problem != self._reported:
+            self._reported = problem
             self.tell({"event": "source", "source": self.name, "problem": problem})
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SerialSection", "SerialSource"]
 
-#: A read ends when nothing has come for so long [s].
+#: Time without a byte that ends a read [s].
 _SILENCE = 0.1
 
 
@@ -72,7 +72,7 @@ class _Blocks:
 
 
 class _Csv:
-    """name: of the axis. Raises UsageError for a header that lacks columns."""
+    """name: of the axis. Raises UsageError for a header with missing columns."""
 
     def __init__(self, name: str, axis: Axis, header: str | None) -> None:
         self._name, self._axis, self._tried = name, axis, 0
@@ -93,7 +93,7 @@ class _Csv:
         return [*items, Lines(self._name, lines)] if lines else items
 
     def _header(self, text: bytes) -> list[Unusable]:
-        """Takes a line for the header if it is one; after FIRST_LINES others the reason is told."""
+        """Uses a line as the header if it is one; reports the reason after FIRST_LINES other lines."""
         if is_comment(text):
             return []
         try:
@@ -117,7 +117,7 @@ class SerialSource:
     tell: Callable[[dict[str, Any]], None]
     opened: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
-    _told: str = field(default="", init=False)
+    _reported: str = field(default="", init=False)
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Reads until `stop`. Raises UsageError for a section that cannot work, and without pyserial."""
@@ -163,7 +163,7 @@ class SerialSource:
                 self.stop()
 
     def _say(self, problem: str) -> None:
-        """Tells a problem once, and its end."""
-        if problem != self._told:
-            self._told = problem
+        """Reports a problem once, and its end."""
+        if problem != self._reported:
+            self._reported = problem
             self.tell({"event": "source", "source": self.name, "problem": problem})

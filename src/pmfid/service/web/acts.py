@@ -1,4 +1,4 @@
-"""What the page may ask of the engine."""
+"""Commands of the page to the engine."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ __all__ = ["Acts"]
 
 
 class Acts(Protocol):
-    """Each is False where the engine has no room for more at the moment, and neither waits. What became of it comes
-    back as a `Notice` ("acknowledged" with "alarm": its number and "note"; "reference"; "anew")."""
+    """No command waits; each returns False if the queue of commands is full. A `Notice` reports its result:
+    "acknowledged" with "alarm" (the number) and "note", "reference", or the event of `restart_numbers`."""
 
     def acknowledge(self, number: int, note: str) -> bool:
-        """The alarm that was told as the notice of this number is known to people."""
+        """Acknowledges the alarm with this notice number."""
         ...
 
     def refer(self, axis: str) -> bool:
-        """What the axis is now is normal: deviations count from there."""
+        """Makes the present parameters of the axis its reference."""
         ...
 
     def restart_numbers(self, axis: str) -> bool:
-        """The next samples of the axis are taken whatever their numbers."""
+        """Has the next samples of the axis taken whatever their numbers."""
         ...

@@ -179,7 +179,7 @@ def _answer_command(taken: bool) -> Response:
 
 
 class LineResponse(Response):
-    """A response of NDJSON that ends when the browser goes, which only `receive` tells."""
+    """A response of NDJSON that ends when the browser leaves, which only `receive` reports."""
 
     media_type = "application/x-ndjson"
 

@@ -33,7 +33,7 @@ KINDS = {
 
 
 def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
-    """Everything behind the guard."""
+    """The application inside the guard: files of the page, and the API."""
     files = page_files()
 
     async def file(request: Request) -> Response:

@@ -1,7 +1,7 @@
-"""What streams send: written once for all browsers that look at the same, whatever their number.
+"""Content of streams, written once for all browsers with the same view.
 
-An overview is a state: who reads slowly gets fewer and larger changes. Rows of an axis are events: the last seconds of
-them wait for who reads slowly, and what is missed is counted and told.
+An overview is a state: a slow browser gets fewer and larger changes. Rows of an axis are events: the last seconds of
+rows wait for a slow browser, and missed rows are counted and reported.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pmfid.stream.counters import Counters
 
 __all__ = ["Hub"]
 
-#: Time between two looks at the board [s]; every so many of them the overview goes out, and of many axes.
+#: Time between two looks at the board [s]; number of looks between two overviews, and between two of many axes.
 TICK, OVERVIEW, OVERVIEW_OF_MANY = 0.25, 2, 4
 MANY = 2000
 #: Pieces of an axis that wait for slow browsers: 15 s.
@@ -50,7 +50,7 @@ class Feed:
             self.rows += rows.size
 
     def get_lines_after(self, seen: int) -> tuple[int, list[bytes]]:
-        """(rows that are gone, lines of the others) since so many were seen."""
+        """(missed rows, lines of the other rows) after the first `seen` rows."""
         waiting = [(before, line) for before, line in self.pieces if before >= seen]
         missed = waiting[0][0] - seen if waiting else 0
         return missed, [line for _, line in waiting]
@@ -86,7 +86,7 @@ class Hub:
             self._tick.notify_all()
 
     async def _wait(self, ticks: int) -> bool:
-        """Until so many ticks have gone by; False at the end."""
+        """Waits for a number of ticks; False at the end."""
         until = self._ticks + ticks
         async with self._tick:
             await self._tick.wait_for(lambda: self.ended or self._ticks >= until)

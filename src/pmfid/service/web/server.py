@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Page", "serve"]
 
-#: Connections beside the streams: files, histories, metrics.
-BESIDE = 64
+#: Connections in addition to the streams: files, histories, metrics.
+FURTHER = 64
 #: Until the page answers, and until it has ended [s].
 STARTED, ENDED = 10.0, 3.0
 #: Connections that the system may keep until they are let in.
@@ -90,9 +90,9 @@ def serve(
     tokens = load_tokens(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
-    port, most = listener.getsockname()[1], most_connections(config.browsers + BESIDE)
+    port, most = listener.getsockname()[1], most_connections(config.browsers + FURTHER)
     hub = Hub(board, counters)
-    api = Api(name, board, counters, hub, acts, reference, metrics, alive, min(config.browsers, max(1, most - BESIDE)))
+    api = Api(name, board, counters, hub, acts, reference, metrics, alive, min(config.browsers, max(1, most - FURTHER)))
     app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
     try:
         server = _server(_uvicorn_config(app, config, counters, folder), hub, Entrance(listener, most, counters))
@@ -162,7 +162,7 @@ def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder:
 
 
 def _only_failures(record: logging.LogRecord) -> bool:
-    """Who sends nonsense is counted, and must not be able to fill a log; what fails inside is told with its trace."""
+    """Keeps failures of the page, with their trace. Invalid requests are counted only: they must not fill a log."""
     return record.exc_info is not None
 
 
@@ -213,5 +213,5 @@ def _notes(config: PageConfig, tokens: Tokens) -> tuple[str, ...]:
         if not config.certificate:
             notes.append("it is sent in the clear, the token as well: give [page] certificate and key, or use a proxy")
     if not tokens.made:
-        notes.append("open the page with #token=... of your token behind the address")
+        notes.append("open the page with #token=... of your token after the address")
     return tuple(notes)

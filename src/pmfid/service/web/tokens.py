@@ -16,7 +16,7 @@ from pmfid.service.web.config import PageConfig
 __all__ = ["READ", "WRITE", "Tokens", "keep_token", "load_tokens"]
 
 READ, WRITE = "read", "write"
-#: A token that someone chose has at least so many characters.
+#: Fewest characters of a configured token.
 SHORTEST = 20
 
 

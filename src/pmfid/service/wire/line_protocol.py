@@ -93,9 +93,9 @@ def _tags(line: str, place: int) -> tuple[dict[str, str], int]:
 
 
 def _fields(line: str, place: int) -> tuple[dict[str, Field], int]:
-    """The fields of a line, which begin behind spaces, and where they end."""
+    """The fields of a line, which begin after spaces, and the position of their end."""
     if not line.startswith(" ", place):
-        raise ValueError("a line must have fields behind its measurement and tags")
+        raise ValueError("a line must have fields after its measurement and tags")
     while line.startswith(" ", place):
         place += 1
     fields: dict[str, Field] = {}

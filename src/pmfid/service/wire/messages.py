@@ -1,4 +1,4 @@
-"""A message in whatever form it comes: binary blocks, JSON or line protocol, told by its first bytes."""
+"""Messages of any form: binary blocks, JSON or line protocol, identified by their first bytes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Messages:
     largest: int = LARGEST
 
     def items(self, data: bytes, axis: str = "") -> Sequence[Item]:
-        """What a message says. axis: the only one that it may be of, "": any. Never raises."""
+        """The items of a message. axis: the only one that it may contain, "": any. Never raises."""
         if len(data) > self.largest:
             return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
         try:
@@ -57,7 +57,7 @@ class Messages:
 
 
 def _check_axis(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Unusable:
-    """A block by the topic of one axis must not be another's: who may write to the first might not to the second."""
+    """Refuses a block of another axis than its topic's: a sender may have rights for one topic only."""
     if isinstance(item, Block) and item.axis != axis:
         return Unusable("name", f"a block of {item.axis!r} that came as one of {axis[:64]!r}", axis[:64])
     return item

@@ -1,4 +1,4 @@
-"""Samples of axes as they are taken become numbered blocks."""
+"""Makes numbered blocks of the samples of axes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class _Axis:
 
 @dataclass
 class Numbering:
-    """Numbers samples from 0 on, for each axis, and makes blocks of so many of them. dt: sample period [s]; epoch: that
-    of all blocks. Raises UsageError for a number of samples that no receiver takes."""
+    """Numbers the samples of each axis from 0 on, and makes blocks of them. dt: sample period [s]; epoch: of all
+    blocks; samples: of a block. Raises UsageError for a number of samples that no receiver takes."""
 
     dt: float
     epoch: int
@@ -58,7 +58,7 @@ class Numbering:
         return list(self._blocks(axis, waiting, whole=True))
 
     def skip(self, axis: str, samples: int) -> list[bytes]:
-        """Leaves so many numbers of an axis out; the block of what waits before them, if there is one."""
+        """Leaves numbers of an axis out. Returns the block of its waiting samples before them, if there is one."""
         waiting = self._axes.setdefault(axis, _Axis())
         made = list(self._blocks(axis, waiting, whole=False))
         waiting.first += samples

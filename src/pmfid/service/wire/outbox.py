@@ -50,7 +50,7 @@ class Outbox:
         self._forget()
 
     def begin(self, room: int) -> None:
-        """A new connection, with room for so many messages under way: all that is kept goes out again, in order."""
+        """Begins a connection that allows `room` messages under way: all kept messages are sent again, in order."""
         self._room, self._next, self._sent = room, 0, {}
         for message in self._log:
             message.open = True

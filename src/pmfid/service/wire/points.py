@@ -22,7 +22,7 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True)
 class Point:
-    """A sample as it came. axis: its name; fields: by name; time: beside the fields [s], NaN where there is none."""
+    """A sample as it came. axis: its name; fields: by name; time: outside the fields [s], NaN without one."""
 
     axis: str
     fields: Mapping[str, object]
@@ -76,5 +76,5 @@ class Readers:
 
     def _reader(self, config: Axis) -> FieldReader:
         if id(config) not in self._made:
-            self._made[id(config)] = config, FieldReader(config)  # kept beside it, so that its id stays its own
+            self._made[id(config)] = config, FieldReader(config)  # kept, so that no other object gets its id
         return self._made[id(config)][1]

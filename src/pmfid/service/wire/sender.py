@@ -39,9 +39,9 @@ _LONGEST_PAUSE = 5.0
 class Sender:
     """Sends samples of axes with the sample period dt [s] to a topic; a context manager, which flushes at its end.
 
-    epoch: raised whenever the numbers begin anew, None: the time of day; samples: of a block; size: bytes of a message
+    epoch: raised whenever the numbers restart, None: the time of day; samples: of a block; size: bytes of a message
     from which on it is sent; delay: after which it is sent at the latest [s]; keep: a message that is acknowledged is
-    forgotten when the connection has held for so long since [s], which must be more than the broker's
+    forgotten when the connection has held for this time since [s], which must be more than the broker's
     autosave_interval; most: bytes that are kept at most, beyond which the oldest messages are dropped, and counted in
     `dropped`. Methods may be called from any thread. Raises UsageError for sizes that no receiver takes, and without
     paho-mqtt.
@@ -95,7 +95,7 @@ class Sender:
             self._wait(self._numbering.add(axis, u, counts, time))
 
     def skip(self, axis: str, samples: int) -> None:
-        """So many samples of an axis were lost before they came here: their numbers are left out."""
+        """Leaves out the numbers of samples of an axis that were lost before they came here."""
         with self._lock:
             self._wait(self._numbering.skip(axis, samples))
 
