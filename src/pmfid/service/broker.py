@@ -44,7 +44,7 @@ class BrokerSection(FileSection):
     @field_validator("host")
     @classmethod
     def _only_a_name(cls, host: str) -> str:
-        """Without this an address would be looked up for ever, as a name that nobody has."""
+        """Refuses an address with other parts, which would be looked up for ever as an unknown name."""
         if "/" in host or any(mark.isspace() for mark in host):
             raise ValueError("it should be a name or an address alone, without mqtt:// and path; tls = true is TLS")
         if host.count(":") == 1:

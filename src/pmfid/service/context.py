@@ -1,4 +1,4 @@
-"""What a source may use of the service that starts it, and what all their sections in PLANT.toml have in common."""
+"""The part of the service that a source may use, and the base of all sections of sources in PLANT.toml."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Axes(Protocol):
 
 @dataclass(frozen=True)
 class Context:
-    """name: of the service; folder: that of PLANT.toml, from which names of files count; state: where the service
-    keeps what must survive, None where it keeps nothing; counters: those of the service; tell: an object with "event",
-    as `Notice.what`, which becomes a notice of the service, from any thread; axis: AXIS.toml of an axis by the name of
-    the axis, None where there is no such axis.
+    """name: of the service; folder: of PLANT.toml, to which names of files are relative; state: folder of the
+    checkpoints, None without checkpoints; counters: of the service; tell: makes a notice of the service of an object
+    with "event", as `Notice.what`, from any thread; axis: AXIS.toml of an axis by its name, None if there is no such
+    axis.
     """
 
     name: str

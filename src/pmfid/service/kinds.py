@@ -82,7 +82,7 @@ SINKS: dict[str, Callable[[], type[SinkSection]]] = {
     "webhook": _webhook,
 }
 _BY_TELEGRAF = "use the kind mqtt or file, which Telegraf reads for any database"
-#: What other programs do as well, and how.
+#: Removed kinds, and the programs or kinds that replace them.
 REMOVED: dict[str, str] = {
     "arrow": _BY_TELEGRAF,
     "line_protocol": _BY_TELEGRAF,

@@ -1,4 +1,4 @@
-"""What is counted as Prometheus's text format, version 0.0.4, with what the system says of the process."""
+"""Counters in Prometheus's text format, version 0.0.4, with the system's figures of the process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pmfid.stream.counters import Counters
 
 __all__ = ["HELP", "exposition"]
 
-#: What a name means, for those that the service counts; others get their name in words.
+#: Meanings of the service's counters; other counters get their name in words.
 HELP: dict[str, str] = {
     "pmfid_axes": "Axes of a configuration.",
     "pmfid_axes_silent": "Axes with an alarm that they send nothing.",

@@ -82,7 +82,7 @@ class FleetSection(FileSection):
 
 @dataclass(frozen=True)
 class Plant:
-    """folder: that of PLANT.toml; axes: name -> path of AXIS.toml; page: the section [page] as it is written, None
+    """folder: of PLANT.toml; axes: name -> path of AXIS.toml; page: the section [page] as it is written, None
     where there is none; sources, sinks: name -> section."""
 
     folder: Path
@@ -107,7 +107,7 @@ class Plant:
         return None if self.service.state is None else self.folder / self.service.state
 
     def unlike(self, other: Plant) -> list[str]:
-        """The sections, as in PLANT.toml, that differ from the other's; those of the axes are left out."""
+        """The sections of PLANT.toml that differ from the other plant; sections of axes are left out."""
         single = [
             f"[{name}]"
             for name in ("service", "page")

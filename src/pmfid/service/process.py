@@ -60,7 +60,7 @@ class PauseWatch:
 
 
 def notify(state: str) -> None:
-    """Sends a state as sd_notify(3) does, as "READY=1"; nothing where nobody listens."""
+    """Sends a state as sd_notify(3) does, as "READY=1"; does nothing without a listener."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return

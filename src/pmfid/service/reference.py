@@ -1,4 +1,4 @@
-"""What every key of PLANT.toml means: from the models that validate it. Nothing is written twice."""
+"""The meaning of every key of PLANT.toml, from the models that validate the file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ begun: [guide/service.md](guide/service.md); the axes themselves: [axis_toml.md]
 
 
 def plant_entries() -> tuple[ReferenceEntry, ...]:
-    """Of all keys; those of sources and sinks stand under their kind."""
+    """Entries of all keys; keys of sources and sinks stand under their kind."""
     return tuple(_entries())
 
 

@@ -35,9 +35,6 @@ __all__ = ["Service"]
 LOOK, ENDING = 0.1, 10.0
 #: Names that a notice lists at most.
 MOST_NAMES = 100
-#: Switch interval of the interpreter's threads [s]: the kernel works without the interpreter, and the engine should not
-#: wait for the default interval to get it back.
-SWITCH = 2e-4
 #: Objects after which garbage is looked for: blocks come and go by tens of thousands, without circles.
 COLLECTED = 50_000
 #: Time since its last tick after which the engine no longer counts as alive [s].

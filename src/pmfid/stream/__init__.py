@@ -1,4 +1,4 @@
-"""What steps many axes as their blocks arrive: `pmfid serve` and the streams of a fleet share it.
+"""Steps many axes as their blocks arrive: `pmfid serve` and the streams of a fleet share this package.
 
     deliveries --> order --> fleets of monitors --> rows and notices --> outlets
                                      |

@@ -51,7 +51,7 @@ class Alarms:
     _all: dict[int, AlarmRecord] = field(default_factory=dict, init=False)
 
     def take(self, notice: Notice) -> list[AlarmRecord]:
-        """What a notice changes: the alarms as they are now. One that came before changes nothing again."""
+        """Applies a notice. Returns the changed alarms; a repeated notice changes none."""
         what = notice.what
         if what.get("event") == "alarm":
             return self._raise(notice)

@@ -12,7 +12,7 @@ from pmfid.types import Flags, Floats
 
 __all__ = ["Clock", "clock_runs", "period_fits", "rate_fits", "rate_is_due"]
 
-#: A clock that is off by more was set [s]: stamps may be those of whole seconds.
+#: Largest deviation of a clock that was not set [s]: stamps may have a resolution of whole seconds.
 SET = 1.5
 #: Rate of the sender's clock compared with its numbers: fewest samples and shortest time [s] of a measurement, and the
 #: tolerance of the rate.

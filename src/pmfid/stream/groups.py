@@ -155,7 +155,7 @@ class Group:
         self.kindred = self._build_kindred()
 
     def restore(self, names: Sequence[str], state: bytes) -> None:
-        """Goes on with axes from the saved states of their fleet. Raises UsageError for those of others."""
+        """Restores axes from the saved state of their fleet. Raises UsageError for a state of another fleet."""
         self.fleet.set_state(state)
         self.positions.add(len(names))
         self.seats = [Seat(self, k, name) for k, name in enumerate(names)]

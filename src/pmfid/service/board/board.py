@@ -135,7 +135,7 @@ class Board:
         return self._layout
 
     def news(self, since: int = 0, groups: bool = True) -> News:
-        """What changed after version `since`; 0: everything. groups: the axes as well as notices and alarms."""
+        """Changes after version `since`; 0: everything. groups: the axes in addition to notices and alarms."""
         with self._lock:
             overviews = [panel.overview(since) for panel in self._panels] if groups else []
             notices = [notice for version, notice in self._notices if version > since]
@@ -194,9 +194,9 @@ class Board:
 
 
 class Subscription:
-    """Every row of one axis for someone who looks at it: bounded, the oldest dropped and counted.
+    """Every row of one axis for a viewer: a bounded queue that drops and counts its oldest rows.
 
-    axis: its name; most: rows that wait at most; close: called once when nobody looks any more."""
+    axis: its name; most: rows that wait at most; close: called when the viewer leaves."""
 
     def __init__(self, axis: str, most: int, close: Callable[[Subscription], None]) -> None:
         self.axis, self._most, self._close = axis, most, close
@@ -220,7 +220,7 @@ class Subscription:
         return dropped
 
     def take(self) -> tuple[Records | None, int]:
-        """What came since the last time, None for nothing, and how many rows were dropped meanwhile."""
+        """The rows since the last call, None for none, and the number of rows dropped meanwhile."""
         with self._lock:
             pieces, self._pieces = self._pieces, deque()
             dropped, self._dropped, self._waiting = self._dropped, 0, 0
@@ -232,5 +232,5 @@ class Subscription:
         return np.concatenate(same), dropped
 
     def close(self) -> None:
-        """Nobody looks any more. May be called twice."""
+        """Ends the subscription. May be called twice."""
         self._close(self)

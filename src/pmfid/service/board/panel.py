@@ -41,7 +41,7 @@ def row_type(parameters: int) -> np.dtype[np.void]:
 
 
 def row_bytes(group: Kindred) -> int:
-    """What a row of an axis takes."""
+    """Size of a row of an axis [bytes]."""
     return row_type(len(group.names)).itemsize
 
 

@@ -1,4 +1,4 @@
-"""Rows and notices as what texts are made of: numbers and names in place of arrays, strict JSON."""
+"""Rows and notices as plain values for texts: numbers and names in place of arrays, strict JSON."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def row_object(row: Row, names: tuple[str, ...]) -> dict[str, Any]:
 def notice_object(notice: Notice) -> dict[str, Any]:
     """For JSON: what `pmfid monitor --json` prints for the event, with its axis, number and wall time in front."""
     return {"axis": notice.axis, "number": notice.number, "wall": notice.wall} | {
-        # what is acknowledged has a number of its own: that of its alarm
+        # an acknowledgement has a number of its own besides the number of its alarm
         {"number": "alarm"}.get(key, key): value
         for key, value in notice.what.items()
     }

@@ -42,8 +42,8 @@ def check_address(url: str, secret: str | None, label: str) -> SplitResult:
 
 
 class Poster:
-    """Posts to one address. headers: sent each time; timeout: s for a whole exchange; ca: file of the certificates that
-    are trusted, None for those of the system. Raises UsageError where that cannot be read."""
+    """Posts to one address. headers: sent each time; timeout: s for a whole exchange; ca: file of the trusted
+    certificates, None for the certificates of the system. Raises UsageError if the file cannot be read."""
 
     def __init__(
         self, address: SplitResult, headers: Mapping[str, str], timeout: float, ca: Path | None = None

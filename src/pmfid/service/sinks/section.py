@@ -17,8 +17,8 @@ __all__ = ["Host", "SinkSection"]
 
 
 class Host(Protocol):
-    """The service around a sink. name: of the service; folder: that of PLANT.toml, from which names of files count;
-    state: where the service keeps what must survive, None where it keeps nothing; counters: those of the service;
+    """The service around a sink. name: of the service; folder: of PLANT.toml, to which names of files are relative;
+    state: folder of the checkpoints, None without checkpoints; counters: those of the service;
     tell: receives notices of a sink, objects with "event": "sink", from any thread."""
 
     @property

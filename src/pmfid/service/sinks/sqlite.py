@@ -150,7 +150,7 @@ class SqliteSink:
                     _insert(cursor, one)
 
     def close(self) -> None:
-        """What was put is on the disk already."""
+        """Closes the file; all outcomes of `put` are on the disk already."""
         database, self._database = self._database, None
         if database is not None:
             with _raise_os_errors(self._path):
@@ -211,7 +211,7 @@ def _insert(cursor: sqlite3.Cursor, notice: Notice) -> None:
 
 
 def _cell(value: object) -> float | str | None:
-    """What a column takes; SQLite has NULL for a number that is not one."""
+    """A value for a column; SQLite has NULL for a number that is not finite."""
     if isinstance(value, str) or value is None:
         return value
     if isinstance(value, int | float):

@@ -29,7 +29,7 @@ class QueueLimits:
 
 
 class Lost(NamedTuple):
-    """What was dropped: how many rows and notices; urgent: the numbers of those among these."""
+    """Dropped outcomes: the number of rows and of notices; urgent: numbers of the urgent notices among them."""
 
     rows: int = 0
     notices: int = 0

@@ -64,7 +64,7 @@ class ExecdSource:
             if not select.select([self.stdin], [], [], _LOOK)[0]:
                 continue
             data = os.read(self.stdin, CHUNK)
-            lines = splitter.feed(data or b"\n")  # the last line may lack its end
+            lines = splitter.feed(data or b"\n")  # the last line may have no line feed
             text = b"".join(line + b"\n" for line in lines if line.strip())
             passing = passing and self._pass_on(text)
             items = form.items(text)
@@ -78,7 +78,7 @@ class ExecdSource:
         self._stopped.set()
 
     def _pass_on(self, text: bytes) -> bool:
-        """Writes lines to standard output; False where nobody reads it any more."""
+        """Writes lines to standard output; False once it has no reader."""
         try:
             while text:
                 text = text[os.write(self.stdout, text) :]

@@ -118,7 +118,7 @@ class Player:
         return read_record(self.path, self.config) if self.record is None else self.record
 
     def _version(self) -> str:
-        """What changes when the file does."""
+        """A text that changes with the file."""
         status = os.stat(self.path)
         return f"{status.st_size} {status.st_mtime_ns}"
 
@@ -142,7 +142,7 @@ class _Text:
         self._parse = LineParser(self.header, self.config) if self.header else None
 
     def take(self, chunk: bytes) -> list[Line]:
-        """What the lines say that end in it; an unfinished one waits. Raises UsageError where no header comes."""
+        """The samples of the lines that end in the chunk; an unfinished one waits. Raises UsageError without a header."""
         text = self._rest + chunk
         *whole, self._rest = text.split(b"\n")
         if len(self._rest) > LONGEST_LINE:
@@ -150,7 +150,7 @@ class _Text:
         return list(self._lines(whole))
 
     def end(self) -> list[Line]:
-        """What the last line says though no line feed ends it."""
+        """The samples of the last line, which no line feed ends."""
         rest, self._rest = self._rest, b""
         return list(self._lines([rest]))
 
@@ -195,7 +195,7 @@ class Piped:
                 return
 
     def _read(self) -> bytes | None:
-        """What came, b"" at the end; None while nothing comes, to see now and then whether all is to end."""
+        """The next bytes, b"" at the end; None after a pause without bytes, so that `stop` takes effect."""
         try:
             number = self.stream.fileno()
         except OSError:  # a stream of the same process

@@ -1,4 +1,4 @@
-"""What the page asks for: the plant, streams, histories, the reference; and what it may do."""
+"""Requests of the page: the plant, streams, histories, the reference; and commands."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Api:
         ]
 
     async def plant(self, request: Request) -> Response:
-        """What does not change while it runs."""
+        """The plant: content that changes only with its layout."""
         content = {
             "name": self.name,
             "may": request.scope["may"],

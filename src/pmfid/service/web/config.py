@@ -56,7 +56,7 @@ class PageConfig(FileSection):
         return self
 
     def _check_remote(self) -> None:
-        """What others can reach asks for three decisions."""
+        """Checks the three settings that an address for other machines needs."""
         where = f"[page] address = {self.address!r} can be reached from other machines"
         if not self.allow_remote:
             raise UsageError(f"{where}; set allow_remote = true if that is meant, or use {HERE}")

@@ -115,5 +115,5 @@ class Guarded(H11Protocol):
 
 
 def build_protocol(limits: ConnectionLimits, counters: Counters) -> type[Guarded]:
-    """The protocol as uvicorn is given it: a class, of which it makes an object for each connection."""
+    """The protocol for uvicorn: a class, from which uvicorn makes an object for each connection."""
     return type("Guarded", (Guarded,), {"limits": limits, "counters": counters})

@@ -31,8 +31,8 @@ WRITTEN = 8
 
 @dataclass
 class Feed:
-    """The rows of one axis, for all who look at it. rows: that came so far; dropped: that the board could not keep;
-    pieces: (rows before it, line)."""
+    """The rows of one axis for all its viewers. rows: number of rows so far; dropped: number of rows that the board
+    could not keep; pieces: (rows before it, line)."""
 
     subscription: Subscription
     viewers: int = 0
@@ -41,7 +41,7 @@ class Feed:
     pieces: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=PIECES))
 
     def take(self) -> None:
-        """What came since the last time."""
+        """Appends the rows since the last call."""
         rows, dropped = self.subscription.take()
         self.dropped += dropped
         if rows is not None:

@@ -33,7 +33,7 @@ def pack_rows(rows: Records) -> dict[str, object]:
 
 
 def pack_overview(group: int, overview: Overview, start: float) -> dict[str, object]:
-    """What changed in a group; received: in tenths of a second after `start`, by `time.monotonic()`."""
+    """Changes in a group; received: in tenths of a second after `start`, by `time.monotonic()`."""
     return {
         "group": group,
         "axis": pack_array(overview.axis, "i4"),

@@ -25,9 +25,9 @@ from pmfid.stream.counters import Counters
 
 __all__ = ["FREE", "LARGEST_BODY", "WINDOW", "Brake", "Guard", "Refusal", "hosts_of", "json_body"]
 
-#: What a request may bring [bytes], and how long it may take [s].
+#: Largest body of a request [bytes], and its longest duration [s].
 LARGEST_BODY, SLOWEST_BODY = 4096, 5.0
-#: Wrong tokens that an address may send within so much time [s], and addresses that are remembered.
+#: Most wrong tokens of an address within a window of time [s], and most addresses that are remembered.
 FREE, WINDOW, ADDRESSES = 10, 60.0, 4096
 
 HEADERS = {
@@ -85,7 +85,7 @@ def _network(address: str) -> str:
 
 
 def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
-    """The values of Host that are answered: those of the address, and those that were configured, in small letters."""
+    """The accepted values of Host in small letters: names of the address, and configured names."""
     literal = f"[{address}]" if ":" in address else address
     names = {literal}
     if address in ("127.0.0.1", "::1", "localhost"):

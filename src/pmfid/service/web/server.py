@@ -37,7 +37,7 @@ FURTHER = 64
 STARTED, ENDED = 10.0, 3.0
 #: Connections that the system may keep until they are let in.
 BACKLOG = 1024
-#: What the system may keep for a browser that reads slowly [bytes]; left alone it would keep some megabytes for each.
+#: Send buffer of the system for each browser [bytes]; its default would be some megabytes.
 WAITING = 262_144
 
 
@@ -76,7 +76,7 @@ def serve(
     metrics: Callable[[], str] | None = None,
     alive: Callable[[], bool] = lambda: True,
 ) -> Page:
-    """Starts to serve the page, before the engine's thread is started. name: of the service; folder: that of
+    """Starts to serve the page, before the engine's thread is started. name: of the service; folder: of
     PLANT.toml; reference: record of normal work of an axis, by its name, read when someone asks, in a thread of its own
     (it may raise UsageError); metrics: text for Prometheus; alive: whether the engine is, for health checks. Raises
     UsageError where the address cannot be had, a token is missing, or the extra is not installed."""

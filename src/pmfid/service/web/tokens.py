@@ -1,4 +1,4 @@
-"""Bearer tokens of two scopes: who may read, who may write as well."""
+"""Bearer tokens of two scopes: to read, or to read and write."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ _TRUTH |= {"t": True, "T": True, "f": False, "F": False}
 
 @dataclass(frozen=True)
 class Measured:
-    """What a line says. time_ns: since 1970, None where it has no timestamp."""
+    """The content of a line. time_ns: since 1970, None without a timestamp."""
 
     measurement: str
     tags: Mapping[str, str]
@@ -67,7 +67,7 @@ def _points(texts: list[str], axis: str, tag: str, precision: Precision) -> Iter
 
 
 def parse_line(line: str, precision: Precision = "ns") -> Measured:
-    """What one line says. Raises ValueError with a sentence for what is no line protocol."""
+    """The content of a line. Raises ValueError with a sentence for other text than line protocol."""
     measurement = _NAME.match(line)
     if measurement is None:
         raise ValueError("a line must begin with the name of its measurement")

@@ -20,7 +20,7 @@ __all__ = ["Numbering"]
 
 @dataclass
 class _Axis:
-    """What waits for its block. first: number of the first sample; time: of it [s]; u, counts: (n,)."""
+    """Samples that wait for their block. first: number of the first sample; time: of it [s]; u, counts: (n,)."""
 
     first: int = 0
     time: float = math.nan

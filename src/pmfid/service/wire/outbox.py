@@ -61,7 +61,7 @@ class Outbox:
         self._room = 0
 
     def pump(self, publish: Callable[[bytes], int]) -> bool:
-        """Publishes as many messages as have room, each of which gets a number by that. Whether there were any."""
+        """Publishes messages while there is room, and notes their numbers. Returns whether there were any."""
         before = self._next
         while self._next < len(self._log) and len(self._sent) < self._room:
             message = self._log[self._next]

@@ -40,7 +40,7 @@ class PointColumns:
 
 @dataclass
 class Readers:
-    """What the fields of each axis mean, by the [record] of its AXIS.toml.
+    """The readers of the fields of each axis, by the [record] of its AXIS.toml.
 
     axes: by name, looked at for each sample, so that it may change; axes that share an object share a reader.
     """

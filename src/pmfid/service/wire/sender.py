@@ -1,7 +1,7 @@
 """Samples of many axes to a broker, for gateways and tests: numbered, in blocks, many blocks in a message.
 
-What the broker has not acknowledged is kept, and what it has for a while longer: a broker that is killed forgets what
-it had not saved yet. After every new connection all of that is sent again, in order; a receiver knows the numbers.
+A message is kept until it is acknowledged, and for some time after it: a killed broker forgets messages that it had not
+saved yet. After every new connection all kept messages are sent again, in order; a receiver knows the numbers.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["Sender"]
 
 #: Messages under way that the broker has not acknowledged, where it does not ask for less.
 _UNDER_WAY = 100
-#: What the broker answers where nobody has subscribed, so that the message is gone.
+#: Answer of the broker to a message without a subscriber, which is lost.
 _NOBODY = 0x10
 #: Pause between two attempts to connect, at most [s].
 _LONGEST_PAUSE = 5.0
