@@ -142,7 +142,7 @@ class _Text:
         self._parse = LineParser(self.header, self.config) if self.header else None
 
     def take(self, chunk: bytes) -> list[Line]:
-        """The samples of the lines that end in the chunk; an unfinished one waits. Raises UsageError without a header."""
+        """Samples of the lines that end in the chunk; an unfinished one waits. Raises UsageError without a header."""
         text = self._rest + chunk
         *whole, self._rest = text.split(b"\n")
         if len(self._rest) > LONGEST_LINE:
