@@ -15,7 +15,7 @@ from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Unusable
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.order import UNKNOWN_GAP
 from studies.monitoring.axis import INCREMENTS, changing
@@ -36,8 +36,8 @@ def motions() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return {name: changing(plants[name], 5 + k, INCREMENTS, SECONDS) for k, name in enumerate(AXES)}
 
 
-def engine_of(prepared: Prepared, outlet: Collected, pace: Pace = PACE, axes: Sequence[str] = AXES) -> Engine:
-    engine = Engine(Counters(), [outlet])
+def engine_of(prepared: Prepared, outlet: Collected, pace: Pace = PACE, axes: Sequence[str] = AXES) -> StreamEngine:
+    engine = StreamEngine(Counters(), [outlet])
     engine.set_groups(arrange_groups([], dict.fromkeys(axes, prepared), pace)[0])
     return engine
 
@@ -67,7 +67,7 @@ class Restarted:
     restarts: int = 0
     saved: tuple[int, bytes] | None = field(default=None)
 
-    def run(self, deliveries: Sequence[Delivery], kills: float) -> Engine:
+    def run(self, deliveries: Sequence[Delivery], kills: float) -> StreamEngine:
         engine, k = engine_of(self.prepared, self.outlet), 0
         while k < len(deliveries):
             n = self.random.randint(1, 6)
@@ -79,12 +79,12 @@ class Restarted:
                 engine, k = self.again(), max(0, self.saved[0] - self.random.choice([0, 0, 2]))
         return engine
 
-    def again(self) -> Engine:
+    def again(self) -> StreamEngine:
         assert self.saved is not None
         self.restarts += 1
         found = read_snapshot(self.saved[1])
         assert found.marks == {"source": {"place": self.saved[0]}}
-        engine = Engine(Counters(), [self.outlet])
+        engine = StreamEngine(Counters(), [self.outlet])
         found.restore(engine)
         groups = [one.restore_group(self.prepared, PACE) for one in found.groups]
         engine.set_groups(arrange_groups(groups, dict.fromkeys(AXES, self.prepared), PACE)[0])

@@ -33,7 +33,7 @@ from pmfid.stream import silence as module
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Notice
 from studies.service.processes import service
@@ -86,8 +86,8 @@ class Watched:
         self.engine.set_groups(arrange_groups([], dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
         self.engine.silence.tick(self.at)
 
-    def _engine(self) -> Engine:
-        engine = Engine(Counters(), [self.outlet])
+    def _engine(self) -> StreamEngine:
+        engine = StreamEngine(Counters(), [self.outlet])
         engine.silence.limit, engine.silence.sources, engine.silence.sinks = self.limit, ("hall", "lab"), [self.sink]
         return engine
 

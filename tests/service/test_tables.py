@@ -15,7 +15,7 @@ from pmfid.stream import clock
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tables
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.intake import take_expected
 from pmfid.stream.order import Order
@@ -26,8 +26,8 @@ SIZE, TURNS = 8, 60
 PACE = Pace(4 * SIZE * CART_DT, 5 * CART_DT)
 
 
-def engine_of(prepared: Prepared, outlet: Collected, axes: Sequence[str] = AXES) -> Engine:
-    engine = Engine(Counters(), [outlet])
+def engine_of(prepared: Prepared, outlet: Collected, axes: Sequence[str] = AXES) -> StreamEngine:
+    engine = StreamEngine(Counters(), [outlet])
     engine.set_groups(arrange_groups([], dict.fromkeys(axes, prepared), PACE)[0])
     return engine
 
@@ -82,7 +82,7 @@ def deliveries(random: Random) -> list[Delivery]:
     return found
 
 
-def told(engine: Engine, outlet: Collected) -> tuple[object, ...]:
+def told(engine: StreamEngine, outlet: Collected) -> tuple[object, ...]:
     counts = {key: value for key, value in engine.counters.values().items() if "seconds" not in key[0]}
     return outlet.rows_of, repr(sorted(outlet.notices.items())), counts, snapshot(engine)[2:]
 
@@ -92,7 +92,7 @@ def test_a_table_is_its_blocks_one_by_one(prepared: Prepared, seed: int, monkeyp
     monkeypatch.setattr(clock, "RATE_TIME", 0.3)
     monkeypatch.setattr(clock, "RATE_SAMPLES", 20)
     given = deliveries(Random(seed))
-    random, outlets, engines = Random(seed), (Collected(), Collected()), list[Engine]()
+    random, outlets, engines = Random(seed), (Collected(), Collected()), list[StreamEngine]()
     batches = list[list[Delivery]]()
     while given:
         n = random.randint(1, 9)
@@ -123,7 +123,7 @@ def test_what_an_order_knows_goes_with_its_axis_when_others_go_and_over_a_restar
     after = {seat.name: (seat.order.epoch, seat.order.expected, seat.order.held) for seat in group.seats}
     assert after == {name: before[name] for name in left} | {"new": (-1, 0, ())}
     (saved,) = read_snapshot(b"".join(snapshot(engine))).groups
-    restored = Engine(Counters())
+    restored = StreamEngine(Counters())
     restored.set_groups([saved.restore_group(prepared, PACE)])
     rest = [Delivery("source", [table([blocks[name][k] for name in left])]) for k in range(20, 40)]
     for one in (engine, restored):

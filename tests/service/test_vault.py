@@ -23,7 +23,7 @@ from pmfid.simulation import CART_DT
 from pmfid.stream.checkpoint import StateBuffer, read_snapshot, snapshot
 from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.vault import Vault
@@ -118,8 +118,8 @@ def test_a_folder_has_one_service(tmp_path: Path) -> None:
 # --- the engine's state -----------------------------------------------------------------------------------------------
 
 
-def engine_of(prepared: Prepared, window: float = 0.0) -> Engine:
-    engine = Engine(Counters())
+def engine_of(prepared: Prepared, window: float = 0.0) -> StreamEngine:
+    engine = StreamEngine(Counters())
     engine.set_groups(arrange_groups([], {"x1": prepared, "x2": prepared}, Pace(window, 1.0))[0])
     return engine
 
@@ -134,7 +134,7 @@ def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) ->
     body = b"".join(snapshot(engine))
     found = read_snapshot(body)
     (group,) = [one.restore_group(prepared, Pace(0.5, 1.0)) for one in found.groups]
-    again = Engine(Counters())
+    again = StreamEngine(Counters())
     found.restore(again)
     again.set_groups([group])
     assert [b.first for b in group.seats[0].order.held] == [80, 120]

@@ -12,7 +12,7 @@ from typing import Any
 from pmfid.errors import PmfidError
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.records import Record
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
 __all__ = ["Configurations", "arrange_groups", "remember", "tell_configurations"]
@@ -96,7 +96,7 @@ def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: 
     return made, fresh
 
 
-def remember(engine: Engine) -> None:
+def remember(engine: StreamEngine) -> None:
     """Appends new configurations to the history, with the time."""
     known = {entry["digest"] for entry in engine.history[-RECENT:]}
     for group in engine.groups:
@@ -107,7 +107,7 @@ def remember(engine: Engine) -> None:
     del engine.history[:-MOST]
 
 
-def tell_configurations(engine: Engine) -> None:
+def tell_configurations(engine: StreamEngine) -> None:
     """Reports the present configurations to the sinks, which keep the ones that differ from the last ones."""
     present = {group.prepared.digest for group in engine.groups}
     for entry in engine.history:

@@ -11,7 +11,7 @@ from typing import Any
 from pmfid.stream.checkpoint import Draft, StateBuffer, draft, state_size
 from pmfid.stream.counters import Counters
 from pmfid.stream.crash import crash_point
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.vault import Vault
 
 __all__ = ["Checkpoints"]
@@ -77,7 +77,7 @@ class Checkpoints:
         self._call(self._undone)
         self._undone = []
 
-    def offer(self, engine: Engine, last: bool = False) -> None:
+    def offer(self, engine: StreamEngine, last: bool = False) -> None:
         """Makes a checkpoint if one is due, the state has changed, and the last one is written; last: at once, and
         returns after the attempt to write it."""
         if last:
@@ -91,7 +91,7 @@ class Checkpoints:
                 self._next = monotonic() + self.period
                 self._make(engine)
 
-    def _make(self, engine: Engine) -> None:
+    def _make(self, engine: StreamEngine) -> None:
         begun = monotonic()
         # what waits for a sink will be written by the next one, also where nothing else changes
         self._made_at, engine.urgent = -1 if any(engine.unwritten().values()) else engine.changes, False
@@ -105,7 +105,7 @@ class Checkpoints:
             self._job = job
             self._changed.notify_all()
 
-    def _close(self, engine: Engine) -> None:
+    def _close(self, engine: StreamEngine) -> None:
         with self._changed:
             self._changed.wait_for(lambda: self._job is None)
         self._make(engine)

@@ -24,7 +24,7 @@ from pmfid.session.config import Axis
 from pmfid.session.records import Record, read_record
 from pmfid.stream.checkpoint import Snapshot, read_snapshot
 from pmfid.stream.counters import Counters
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Notice, Outlet
 from pmfid.stream.vault import Vault
@@ -80,7 +80,7 @@ class Service:
         self._log = Queued(self.log, self.counters, lambda notice: None, rows_wanted=False)
         self._log.start()
         self._outlets: list[Outlet] = [self._board, self._log]
-        self._engine = Engine(self.counters, self._outlets, self._board.list_followed)
+        self._engine = StreamEngine(self.counters, self._outlets, self._board.list_followed)
         self._sinks: list[Queued] = []
         self._engine.silence.limit, self._engine.silence.sources = plant.service.silence, tuple(plant.sources)
         self._unwritten: dict[str, list[Notice]] = {}

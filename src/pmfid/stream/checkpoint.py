@@ -24,7 +24,7 @@ from pmfid.stream.groups import Group, Pace, Prepared, Seat
 from pmfid.stream.outcome import Notice
 
 if TYPE_CHECKING:
-    from pmfid.stream.engine import Engine
+    from pmfid.stream.engine import StreamEngine
 
 __all__ = ["Draft", "Snapshot", "StateBuffer", "draft", "read_snapshot", "snapshot", "state_size"]
 
@@ -100,17 +100,17 @@ class Draft:
         return found
 
 
-def snapshot(engine: Engine) -> list[bytes | memoryview]:
+def snapshot(engine: StreamEngine) -> list[bytes | memoryview]:
     """The checkpoint of the engine between two ticks."""
     return draft(engine, StateBuffer()).chunks()
 
 
-def state_size(engine: Engine) -> int:
+def state_size(engine: StreamEngine) -> int:
     """Bytes of the buffer that a draft needs."""
     return sum(len(part) for group in engine.groups for part in group.fleet.unsealed_state())
 
 
-def draft(engine: Engine, room: StateBuffer) -> Draft:
+def draft(engine: StreamEngine, room: StateBuffer) -> Draft:
     """The checkpoint of the engine between two ticks, to be completed by another thread while the engine goes on."""
     states = room.copy_states([group.fleet.unsealed_state() for group in engine.groups])
     others, groups = (
@@ -221,7 +221,7 @@ class Snapshot:
     unwritten: dict[str, list[Notice]]
     groups: list[Saved]
 
-    def restore(self, engine: Engine) -> None:
+    def restore(self, engine: StreamEngine) -> None:
         """Restores the part of the engine outside its groups."""
         engine.marks.update(self.marks)
         engine.history, engine.numbered = self.history, self.numbered

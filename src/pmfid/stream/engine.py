@@ -24,7 +24,7 @@ from pmfid.stream.outcome import Notice, Outlet
 from pmfid.stream.silence import Silence
 from pmfid.stream.stepping import FoundEvent, step
 
-__all__ = ["Engine", "Keeper"]
+__all__ = ["Keeper", "StreamEngine"]
 
 #: Time between two looks at the commands while no delivery arrives [s].
 IDLE = 0.1
@@ -35,7 +35,7 @@ SLOW = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 class Keeper(Protocol):
     """Writes checkpoints."""
 
-    def offer(self, engine: Engine, last: bool = False) -> None:
+    def offer(self, engine: StreamEngine, last: bool = False) -> None:
         """Between two ticks: makes a checkpoint if one is due; last: at once, and waits until it is written."""
         ...
 
@@ -47,7 +47,7 @@ class Keeper(Protocol):
 class _Forgetful:
     """A `Keeper` without checkpoints: deliveries are done when they are stepped."""
 
-    def offer(self, engine: Engine, last: bool = False) -> None:
+    def offer(self, engine: StreamEngine, last: bool = False) -> None:
         """Nothing."""
 
     def call_when_kept(self, done: Callable[[], None]) -> None:
@@ -59,7 +59,7 @@ def _nobody() -> frozenset[str]:
 
 
 @dataclass
-class Engine:
+class StreamEngine:
     """Steps the axes of all groups as deliveries arrive.
 
     outlets: receive rows and notices; followed: names of the axes whose rows are all given out; groups: all axes;

@@ -13,7 +13,7 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.stream.alarms import AlarmRecord
 from pmfid.stream.checkpoint import HELD, Saved, Snapshot, snapshot
 from pmfid.stream.counters import Counters
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 
 __all__ = ["body_from", "body_of", "join_groups", "keep_axes"]
@@ -68,7 +68,7 @@ def body_of(
 ) -> bytes:
     """The body of a checkpoint of some axes of a group, and of their alarms. Raises ValueError for a state that no
     group has saved."""
-    engine = Engine(Counters())
+    engine = StreamEngine(Counters())
     here = [alarm for alarm in alarms if alarm.axis in names]
     Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
     engine.set_groups([keep_axes(saved.restore_group(prepared, pace), names)])
@@ -85,6 +85,6 @@ def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -
         group.restore(list(monitors), fleet.get_state())
     except UsageError as error:
         raise ValueError(str(error)) from None
-    engine = Engine(Counters())
+    engine = StreamEngine(Counters())
     engine.set_groups([group])
     return b"".join(snapshot(engine))

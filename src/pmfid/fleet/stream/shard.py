@@ -16,7 +16,7 @@ from pmfid.stream import blocks
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.counters import Counters
 from pmfid.stream.delivery import Block, Delivery, Item, Table, Unusable
-from pmfid.stream.engine import Engine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.layout import HEADER, MAGIC
 from pmfid.stream.outcome import EstimateRows, Notice
@@ -61,7 +61,7 @@ class Shard:
     def __init__(self, plan: Plan, number: int, body: bytes | None = None) -> None:
         self.plan, self.number = plan, number
         self.outcomes, self.counters = Outcomes(), Counters()
-        self._engine = Engine(self.counters, [self.outcomes])
+        self._engine = StreamEngine(self.counters, [self.outcomes])
         self._group = Group(plan.prepared, plan.pace)
         if body is not None:
             self._go_on(body)
