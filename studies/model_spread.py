@@ -17,7 +17,7 @@ from pmfid.estimators.auto import AUTO
 from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.output_error import OE
-from pmfid.judge.drive import examined
+from pmfid.judge.drive import examine_estimate
 from pmfid.judge.matter import NORMAL_95
 from pmfid.judge.spread import model_spread
 from pmfid.models.drive import Drive
@@ -64,7 +64,7 @@ def _estimated(axis: Any, record: CartRecord, known: Floats) -> dict[str, tuple[
     for method, (estimator, fit, adequacy) in estimates(
         IV(*settings), OE(*settings), IntervalML(*settings), record
     ).items():
-        known_model = examined(estimator, record.u, record.counts, fit.theta, adequacy)
+        known_model = examine_estimate(estimator, record.u, record.counts, fit.theta, adequacy)
         spread = np.full(fit.theta.size, np.nan)
         if known_model is not None:
             spread = model_spread(estimator, record.u, record.counts, fit.theta, fit.theta_std, known_model)
@@ -182,7 +182,7 @@ model has not moves the value by the same amount in every record. `interval_95` 
   lacks. Of Coulomb friction beside Stribeck friction that is the level to which it falls.
 - **What nothing here can see**: a wrong input gain scales every parameter alike and leaves no trace in any motion; no
   interval contains that. Nor is there anything in it for a force that none of those in
-  `pmfid/estimators/lacks.py` resembles and the counts do not show.
+  `pmfid/estimators/candidate_forces.py` resembles and the counts do not show.
 - **null, or a dash**: not known, where no motion of the model can be simulated.
 """
 PAGE = Page(

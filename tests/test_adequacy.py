@@ -108,7 +108,7 @@ def test_a_wrong_model_is_known(name, motion, wrong):
     fit = method.fit(u, read)
     found = judge(method, u, read, fit.theta, fit.theta_std)
     assert "unmodelled" in codes(found)
-    assert any("what the model lacks" in finding.text for finding in found)
+    assert any("an unmodelled effect" in finding.text for finding in found)
 
 
 @pytest.mark.parametrize(("name", "motion"), CELLS)
@@ -136,7 +136,7 @@ def test_what_is_missing_is_named_and_its_size_is_right():
     axis = AXES["cart"]
     u, read, resolution = record(axis, "dead time", "multisine", 100.0, seed=4)
     found = examine(estimator(IntervalML, axis, resolution), u, read)
-    assert found.lacks[found.missed[0]].name == "dead_time"
+    assert found.forces[found.missed[0]].name == "dead_time"
     u, read, resolution = record(axis, "directional", "prbs", 1000.0)
     assert 'friction = "directional"' in examine(estimator(IntervalML, axis, resolution), u, read).says
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from pmfid import OE, SRIVC, Encoder, Experiment, NotIdentifiableError, TransferFunction
 from pmfid.estimators.srivc import fit_process, make_problem, solve_by_descent
 from pmfid.judge.assess import assess
-from pmfid.judge.causality import Signals, fed_back, unexplained
+from pmfid.judge.causality import ResidualStretch, find_feedback, find_unmodelled_response
 from pmfid.simulation.process import simulate_process
 from pmfid.transfer.confidence import score_covariance
 from pmfid.transfer.noise import Noise, fit_noise
@@ -36,8 +36,8 @@ def sweep(samples: int) -> np.ndarray:
     return np.sin(0.2 * t + 4.0 * t**2 / (2 * t[-1]))
 
 
-def parts(u: np.ndarray, residual: np.ndarray) -> list[Signals]:
-    return [Signals(u[None], residual, np.arange(u.size))]
+def parts(u: np.ndarray, residual: np.ndarray) -> list[ResidualStretch]:
+    return [ResidualStretch(u[None], residual, np.arange(u.size))]
 
 
 def none_known(samples: int) -> np.ndarray:
@@ -139,16 +139,16 @@ def test_an_input_that_is_given_makes_no_alarm(seed):
     rng = np.random.default_rng(seed)
     for u in (sweep(800), np.resize(rng.standard_normal(200), 800), np.repeat(rng.choice([-1.0, 1.0], 80), 10)):
         v = coloured(rng, 800)
-        assert fed_back(parts(u, v), none_known(800)).chance > 1e-4
-        assert unexplained(parts(u, v), none_known(800)).chance > 1e-4
+        assert find_feedback(parts(u, v), none_known(800)).chance > 1e-4
+        assert find_unmodelled_response(parts(u, v), none_known(800)).chance > 1e-4
 
 
 def test_a_model_that_is_too_small_is_no_feedback():
     u = sweep(800)
     lost = simulate_process((1.0,), (1.0, 0.5), u, DT)
     found = parts(u, lost + 0.01 * coloured(np.random.default_rng(1), 800))
-    assert unexplained(found, none_known(800)).chance < 1e-10
-    assert fed_back(found, none_known(800)).chance > 1e-4
+    assert find_unmodelled_response(found, none_known(800)).chance < 1e-10
+    assert find_feedback(found, none_known(800)).chance > 1e-4
 
 
 def looped(seed: int, noise: float, reference: str) -> Experiment:
@@ -169,7 +169,7 @@ def looped(seed: int, noise: float, reference: str) -> Experiment:
 def test_a_loop_is_found_however_small_the_noise(reference, noise):
     record = looped(3, noise, reference)
     fit = SRIVC(TransferFunction(1, 0), Encoder(1.0), DT, 2.0).fit_experiments([record])
-    assert fed_back(parts(record.u, fit.residual), none_known(1000)).chance < 1e-6
+    assert find_feedback(parts(record.u, fit.residual), none_known(1000)).chance < 1e-6
 
 
 # --- what the status and the search say -------------------------------------------------------------------------------

@@ -12,8 +12,8 @@ import pytest
 import pmfid
 from pmfid.cli.tables import _parameters as terminal_table
 from pmfid.estimators.adequacy import Adequacy, examine
+from pmfid.estimators.candidate_forces import DEAD_ZONE
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import DEAD_ZONE
 from pmfid.judge.matter import NORMAL_95
 from pmfid.judge.spread import ODDS, believed_squares
 from pmfid.session.parameters import UNKNOWN, format_interval, parameter_header, parameter_rows
@@ -149,22 +149,22 @@ def test_friction_that_comes_and_goes_within_a_sample_is_found() -> None:
     """Taken at the mean velocity of a sample it was another force, of which the counts showed nothing: mass 0.12 % off
     with an error bar of 0.014 %, and the model was called enough."""
     found = cart_at(0.5)
-    missed = [found.lacks[k].name for k in found.missed]
+    missed = [found.forces[k].name for k in found.missed]
     assert "stribeck" in missed
-    size = max(size for lack, size in zip(found.lacks, found.size, strict=True) if lack.name == "stribeck")
+    size = max(size for candidate, size in zip(found.forces, found.size, strict=True) if candidate.name == "stribeck")
     assert 0.3 < size / CART.coulomb_friction < 1.5
 
 
 def test_no_more_is_claimed_of_that_friction_than_the_counts_show(right: Adequacy) -> None:
     """A tenth of a per mille of Coulomb friction, it was."""
-    std = [size for lack, size in zip(right.lacks, right.size_std, strict=True) if lack.name == "stribeck"]
+    std = [size for candidate, size in zip(right.forces, right.size_std, strict=True) if candidate.name == "stribeck"]
     assert min(std) > 1e-3 * CART.coulomb_friction
     assert right.adequate
 
 
 def with_sizes(found: Adequacy, size: float, std: float) -> Adequacy:
     """The same with each plausible force of `size` +- `std` of what is plausible, and none of the others."""
-    plausible = np.array([lack.plausible for lack in found.lacks])
+    plausible = np.array([candidate.plausible for candidate in found.forces])
     other = np.where(plausible > 0, plausible, 1.0)
     there = np.where(plausible > 0, size, 0.0)
     bars = std * other
@@ -183,7 +183,7 @@ def with_sizes(found: Adequacy, size: float, std: float) -> Adequacy:
 def test_a_force_counts_by_what_the_record_says_of_it(
     right: Adequacy, size: float, std: float, expected: object
 ) -> None:
-    plausible = np.array([lack.plausible for lack in right.lacks])
+    plausible = np.array([candidate.plausible for candidate in right.forces])
     believed = np.sqrt(believed_squares(with_sizes(right, size, std)))
     assert np.all(believed[plausible == 0] == 0)
     assert [value == expected for value in (believed / np.where(plausible > 0, plausible, 1.0))[plausible > 0]] == [
@@ -193,9 +193,9 @@ def test_a_force_counts_by_what_the_record_says_of_it(
 
 def test_of_a_wrong_model_the_clearest_force_counts_most(right: Adequacy) -> None:
     stribeck, spring = (
-        next(k for k, lack in enumerate(right.lacks) if lack.name == name) for name in ("stribeck", "spring")
+        next(k for k, candidate in enumerate(right.forces) if candidate.name == name) for name in ("stribeck", "spring")
     )
-    z = np.zeros(len(right.lacks))
+    z = np.zeros(len(right.forces))
     z[stribeck], z[spring] = 10.0, 20.0
     found = replace(right, z=z, size=z * right.size_std)
     believed = believed_squares(found)

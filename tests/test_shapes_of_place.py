@@ -108,7 +108,7 @@ def test_the_model_is_not_said_to_lack_what_it_has() -> None:
         said[name] = weigh(best_of(*estimator.fit_least_squares(run.u, run.counts)))
     assert said["without"].missed
     assert not said["with"].missed
-    assert "uneven_way" not in {lack.name for lack in said["with"].lacks}
+    assert "uneven_way" not in {candidate.name for candidate in said["with"].forces}
 
 
 def test_keys_of_axis_toml_are_those_of_a_drive() -> None:

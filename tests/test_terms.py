@@ -11,12 +11,12 @@ import pytest
 
 import pmfid
 from pmfid.estimators.adequacy import gain_elsewhere, weigh
+from pmfid.estimators.candidate_forces import PeriodicForce, setting
 from pmfid.estimators.difference import rms
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import Place, setting
 from pmfid.judge.term_fits import Bench
-from pmfid.judge.term_trials import Trial, carried
-from pmfid.judge.terms import Candidate, Step, Terms, is_unclear, proposed, search
+from pmfid.judge.term_trials import Trial, carry_parameters
+from pmfid.judge.terms import Candidate, FittedCandidate, Terms, is_unclear, propose_candidates, search
 from pmfid.models.equation import Equation
 from pmfid.report.terms import friction_figure, write_terms
 from pmfid.session.terms import TermSearch
@@ -169,14 +169,16 @@ def test_a_coarser_encoder_sees_less() -> None:
 def test_every_change_is_a_line_that_the_cure_names(plain: TermSearch) -> None:
     names = {field.name for field in fields(pmfid.Drive)}
     best = plain.chosen.trial.best
-    lacks = weigh(best, [Place("cogging", 0.5), Place("gravity", 6.0), Place("friction_period", 2.0)]).lacks
-    changes = [(lack, change) for lack in lacks for change in lack.changes]
+    forces = weigh(
+        best, [PeriodicForce("cogging", 0.5), PeriodicForce("gravity", 6.0), PeriodicForce("friction_period", 2.0)]
+    ).forces
+    changes = [(candidate, change) for candidate in forces for change in candidate.changes]
     keys = {next(iter(change)) for _, change in changes}
     # a lag is told from a dead time by `judge`, once one of them is there
     assert keys == names - {"input_gain", "lag", "axis"}, "a field of a drive that no force asks for is never searched"
-    for lack, change in changes:
+    for candidate, change in changes:
         key, value = next(iter(change.items()))
-        assert setting(key, value) in lack.cure
+        assert setting(key, value) in candidate.cure
 
 
 # --- the parts --------------------------------------------------------------------------------------------------------
@@ -184,7 +186,7 @@ def test_every_change_is_a_line_that_the_cure_names(plain: TermSearch) -> None:
 
 def moved(change: dict[str, object], theta: list[float], **before: object) -> dict[str, float]:
     old, new = pmfid.Drive(GAIN, **before).equation, pmfid.Drive(GAIN, **(before | change)).equation  # type: ignore[arg-type]
-    return dict(zip(names_of(new), carried(old, np.array(theta), new).tolist(), strict=True))
+    return dict(zip(names_of(new), carry_parameters(old, np.array(theta), new).tolist(), strict=True))
 
 
 def names_of(equation: Equation) -> list[str]:
@@ -207,12 +209,12 @@ def test_a_friction_that_drives_is_not_proposed() -> None:
     record = made(quadratic=3e-4)
     method = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
     trial = Bench(method, record.u, record.counts).first(method.model)  # type: ignore[arg-type]
-    found = trial.weighed()
-    below = [k for k in found.missed if found.lacks[k].positive and found.size[k] < 0]
-    assert all(found.size[k] > 0 for k in found.missed if found.lacks[k].name == "curved")
-    keys = {candidate.key for candidate in proposed(trial, found)}
+    found = trial.weigh_forces()
+    below = [k for k in found.missed if found.forces[k].positive and found.size[k] < 0]
+    assert all(found.size[k] > 0 for k in found.missed if found.forces[k].name == "curved")
+    keys = {candidate.key for candidate in propose_candidates(trial, found)}
     assert "quadratic" in keys
-    negative = {found.lacks[k].name for k in below} - {found.lacks[k].name for k in found.missed if found.size[k] > 0}
+    negative = {found.forces[k].name for k in below} - {found.forces[k].name for k in found.missed if found.size[k] > 0}
     assert not keys & negative
 
 
@@ -297,9 +299,9 @@ def test_a_pitch_that_is_hardly_better_than_another_is_not_believed(plain: TermS
     whole = plain.chosen.trial
     partly = replace(whole, best=replace(whole.best, noise=0.3))
 
-    def step(pitch: float, gain: float, trial: Trial = partly) -> Step:
+    def step(pitch: float, gain: float, trial: Trial = partly) -> FittedCandidate:
         candidate = Candidate({"cogging": pitch}, "", 8.0, 2.0, 100.0, 50.0)
-        return Step(candidate, trial, gain, 20.0, np.inf, "")
+        return FittedCandidate(candidate, trial, gain, 20.0, np.inf, "")
 
     best, near, far = step(0.5, 100.0), step(0.6, 80.0), step(0.6, 20.0)
     assert is_unclear(best, [best, near])

@@ -149,12 +149,12 @@ def test_a_term_that_turns_out_to_predict_worse_goes_again(monkeypatch: pytest.M
 
 def test_two_terms_are_tried_at_once_where_no_single_one_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
     record = made("stop-and-go", samples=2400, asymmetry=0.15, stiffness=0.01)
-    own = rules.against
+    own = rules.find_objection
 
     def against(step: Any, found: Any) -> str:
         return "refused" if len(set(step.candidate.change) - {"offset"}) == 1 else own(step, found)
 
-    monkeypatch.setattr(rules, "against", against)
+    monkeypatch.setattr(rules, "find_objection", against)
     found = search(Bench(METHOD, record.u, record.counts), pmfid.Drive(GAIN), scan=False)
     assert set(found.added) == {"friction", "spring"}
     assert {step.candidate.key for step in found.without} == {"friction", "spring"}
@@ -170,14 +170,14 @@ def test_a_term_that_was_as_good_is_compared_again_in_the_end(lag: TermSearch, l
     )
     found = dataclasses.replace(lag.terms, steps=((kept, other),))
     assert found.either == ((kept, other),)
-    assert under_way._decided(found).either == ()
+    assert under_way._resolve_alternatives(found).either == ()
 
 
 def test_a_pitch_whose_quick_fit_goes_astray_is_fitted_as_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """With Stribeck friction that was missing as well, no pitch was gone on from, and cogging was not found."""
     record = made(samples=1800, cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
     monkeypatch.setattr(Bench, "pitches", lambda bench, trial: [])
-    monkeypatch.setattr(Bench, "promised", lambda bench, trial: [1.3])
+    monkeypatch.setattr(Bench, "scan_pitches", lambda bench, trial: [1.3])
     found = search(Bench(METHOD, record.u, record.counts), pmfid.Drive(GAIN))
     assert found.added == {"cogging": pytest.approx(1.3, rel=0.01)}
 
@@ -191,7 +191,7 @@ def test_a_load_takes_the_place_of_directional_friction_that_explains_no_more(lo
     under_way = rules._Search(
         bench, (), False, [loaded.terms.trials[0], both], [*loaded.terms.errors[:1], math.inf], lambda part: None
     )
-    assert [step.candidate.key for step in under_way._without_superfluous()] == ["offset"]
+    assert [step.candidate.key for step in under_way._drop_superfluous()] == ["offset"]
     assert under_way.trials[-1].model == pmfid.Drive(GAIN, offset=True)
 
 

@@ -17,8 +17,8 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.starts import find_least_from_start
 from pmfid.judge.term_fits import Bench
-from pmfid.judge.term_periods import balanced, pitched
-from pmfid.judge.terms import Candidate, Step, against
+from pmfid.judge.term_periods import free_pitch, scan_balance
+from pmfid.judge.terms import Candidate, FittedCandidate, find_objection
 from pmfid.simulation import Machine
 from studies.friction_axes import BENCHES
 from studies.machines import record_of
@@ -51,7 +51,7 @@ def test_a_balance_of_forces_sees_the_pitch_wherever_the_simulation_is() -> None
     record = made(cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
     travel = float(np.ptp(record.counts)) * STEP
     numbers = np.arange(4.0, 60.0, 0.25)
-    found = balanced(LS(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF), record.u, record.counts, numbers)
+    found = scan_balance(LS(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF), record.u, record.counts, numbers)
     assert numbers[int(np.argmax(found))] == pytest.approx(travel / 1.3, abs=0.3)
     assert 0 < float(np.max(found)) < 1
 
@@ -63,7 +63,7 @@ def test_a_difference_knows_its_pitch() -> None:
     difference = like(IntervalML, METHOD, model=model).make_difference(
         np.r_[trial.theta, 0.01, 0.0], record.u, trial.difference.y
     )
-    free, q = pitched(difference, model), np.r_[np.ones(difference.scale.size), 0.0]
+    free, q = free_pitch(difference, model), np.r_[np.ones(difference.scale.size), 0.0]
     q[-1] = free.number / 100
     assert free(q) == pytest.approx(difference(q[:-1]))
     assert free.model_at(q).cogging == pytest.approx(1.3)
@@ -90,10 +90,10 @@ def test_what_explains_every_count_needs_no_score_of_the_model_before() -> None:
     whole = Bench(METHOD, record.u, record.counts).first(METHOD.model)  # type: ignore[arg-type]
     assert whole.best.clean
     candidate = Candidate({"stribeck": "estimate"}, "", 6.9, 6.1, 892.0, -14586.0)
-    step = Step(candidate, whole, 440.0, 24.0, np.inf, "")
-    assert against(step, [step]) == ""
+    step = FittedCandidate(candidate, whole, 440.0, 24.0, np.inf, "")
+    assert find_objection(step, [step]) == ""
     partly = replace(step, trial=replace(whole, best=replace(whole.best, noise=0.3)))
-    assert "not in other parts" in against(partly, [partly])
+    assert "not in other parts" in find_objection(partly, [partly])
 
 
 def test_the_cutoff_that_a_short_record_asks_for_is_enough() -> None:

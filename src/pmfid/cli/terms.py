@@ -56,10 +56,10 @@ def terms(
     with progress("terms") as tell:
         from pmfid.session.config import load_axis
         from pmfid.session.records import read_record
-        from pmfid.session.terms import places_of, search_drive
+        from pmfid.session.terms import list_periodic_forces, search_drive
 
         axis = load_axis(config, {"estimator.cutoff": cutoff})
-        places = places_of(turn, pitch, friction_period)
+        places = list_periodic_forces(turn, pitch, friction_period)
         other = None if held_out is None else read_record(held_out, axis)
         found = search_drive(read_record(record, axis), axis, places, scan, other, tell)
         if out is not None:

@@ -1,9 +1,9 @@
-"""Is the model enough? The counts against the motion that it simulates, and against forces that it may lack.
+"""Is the model enough? Score tests of the counts against candidate forces that the model leaves out.
 
 A score test (Rao 1948; Lagrange multiplier test): at the best fit of the model no parameter can explain more of the
-counts. If one of the forces of `lacks` could, by more than the encoder's error lets it seem, the model lacks it, or
-something like it. The same derivatives say how far the parameters would move if a machine had as much of such a force
-as machines well may, and the record let that pass.
+counts. If a candidate force could, beyond the error of the encoder, the machine has an unmodelled effect: this
+force or one like it. The same derivatives bound how far the parameters would move if a machine had a plausible amount
+of such a force and the record did not show it.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 
 from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.candidate_forces import CandidateForce, PeriodicForce, list_candidate_forces
 from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import Difference, remove_nuisance, rms
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import Lack, Place, lacks
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.phases import phase_scatter
@@ -28,15 +28,15 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.scatter import TINY, block_scatter
 from pmfid.types import Floats
 
-#: A force is missed where its score is so many of its standard deviations: chance alone once in a thousand records.
+#: A force is missed if its score exceeds this number of standard deviations: by chance once in a thousand records.
 MISSED = 4.0
-#: Forces that explain so nearly as much as the best are named, too, and so many at most.
+#: Forces that explain at least this part of what the best explains are named, too; greatest number of named forces.
 NEARLY, MOST_SAID = 0.8, 3
 #: Parts of a record that a force is to explain with what the others say of it.
 PARTS = 6
 #: Part of the information on a force below which a part of the record says nothing of it.
 RARE = 1e-6
-#: Two estimates contradict each other from so many standard deviations of their difference on.
+#: Two estimates contradict each other from this number of standard deviations of their difference on.
 CONTRADICTED = 2.5
 #: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
 APART = 1e-4
@@ -49,20 +49,20 @@ STEP_OF_FORCE = 1e-3
 class Adequacy:
     """What the counts say on the model, at its best fit to them.
 
-    difference, q: the fit; noise: standard deviation beside the encoder's step [counts], of a fit within the counts,
-    else None; lacks: k forces; z: (k,) how many standard deviations their scores are from zero; size, size_std: (k,)
+    difference, q: the fit; noise: standard deviation in addition to the encoder's step [counts], of a fit within the
+    counts, else None; forces: k candidates; z: (k,) their scores in standard deviations; size, size_std: (k,)
     coefficients that the counts ask for, to first order, and their standard deviations; expected: (k,) the information
     on each; moves: (p, k) by how much the parameters of that fit move for a unit of each; elsewhere: (k,) doubled gain
     of the log-likelihood of parts of the record, each with the coefficient that the other parts ask for; unseen: (p,)
     by how much plausible forces would move the parameters that no record of this input shows, as a dead zone under an
-    input of one size: it is an error of the gain; explained: part, root mean square, of what is left
-    beyond the encoder's own error that the force explains which explains most.
+    input of one size: it is an error of the gain; explained: part, root mean square, of the residual beyond the
+    encoder's own error that the best force explains.
     """
 
     difference: Difference
     q: Floats
     noise: float | None
-    lacks: tuple[Lack, ...]
+    forces: tuple[CandidateForce, ...]
     z: Floats
     size: Floats
     size_std: Floats
@@ -89,7 +89,7 @@ class Adequacy:
 
     @property
     def named(self) -> tuple[int, ...]:
-        """Of the missed forces those that explain so nearly the most that either may be what is lacking."""
+        """The missed forces that explain nearly as much as the best: each may be the unmodelled effect."""
         return tuple(k for k in self.missed if self.gain[k] > NEARLY * self.gain[self.missed[0]])
 
     @cached_property
@@ -100,8 +100,8 @@ class Adequacy:
 
     @property
     def dead_time(self) -> float | None:
-        """Dead time [s] of the input that the counts ask for, to first order, where one may be what is lacking."""
-        found = [k for k in self.named if self.lacks[k].name == "dead_time" and self.size[k] > 0]
+        """Dead time [s] of the input that the counts ask for, to first order, if a dead time is among the named."""
+        found = [k for k in self.named if self.forces[k].name == "dead_time" and self.size[k] > 0]
         return float(self.size[found[0]]) if found else None
 
     @property
@@ -115,27 +115,27 @@ class Adequacy:
     def says(self) -> str:
         """What is wrong with the model, for people; empty where nothing is."""
         if self.missed:
-            asked = list(dict.fromkeys(self._said(k) for k in self.named))[:MOST_SAID]
-            cure = self.lacks[self.missed[0]].cure
+            asked = list(dict.fromkeys(self._describe_force(k) for k in self.named))[:MOST_SAID]
+            cure = self.forces[self.missed[0]].cure
             like_it = f"the motion asks for {'; or for '.join(asked)}; or for something like it"
             return f"{like_it}: {cure}" if cure else like_it
         return "" if self.follows else "no single force explains what is left"
 
-    def _said(self, k: int) -> str:
-        lack = self.lacks[k]
-        return f"{lack.says} of about {self.size[k]:.2g} s" if lack.name == "dead_time" else lack.says
+    def _describe_force(self, k: int) -> str:
+        candidate = self.forces[k]
+        return f"{candidate.says} of about {self.size[k]:.2g} s" if candidate.name == "dead_time" else candidate.says
 
     @cached_property
     def tolerated(self) -> Floats:
         """(k,) coefficients, root mean square, that are plausible in a machine and not excluded by the counts: each
         with a Gaussian prior of what is plausible."""
-        prior = np.array([lack.plausible for lack in self.lacks]) ** 2
+        prior = np.array([candidate.plausible for candidate in self.forces]) ** 2
         share = prior / (prior + self.size_std**2)
         return np.asarray(np.sqrt(share * self.size_std**2 + (share * self.size) ** 2))
 
     def spread(self, moves: Floats | None = None) -> Floats:
-        """(p,) by how much forces that the record tolerates would move the parameters; moves: (p, k) those of another
-        method per unit, None: of the best fit itself."""
+        """(p,) by how much forces that the record tolerates would move the parameters; moves: (p, k) shifts of another
+        method's estimate per unit of each force, None: shifts of the best fit."""
         moves = self.moves if moves is None else moves
         return np.asarray(np.sqrt(np.sum((moves * self.tolerated) ** 2, axis=1)))
 
@@ -150,9 +150,9 @@ def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats
     return weigh(method.best(u, counts, start))
 
 
-def weigh(best: Best, places: Sequence[Place] = ()) -> Adequacy:
+def weigh(best: Best, places: Sequence[PeriodicForce] = ()) -> Adequacy:
     """The same for the motion that fits best. places: what may come again along the travel, too."""
-    return _tested(best, *information_of(best), places)
+    return _run_score_tests(best, *information_of(best), places)
 
 
 def information_of(best: Best) -> tuple[float, Floats]:
@@ -180,22 +180,24 @@ def mean_information(noise: float) -> float:
     return float(np.mean(expected_information(np.linspace(-0.5, 0.5, 1001), noise)))
 
 
-def _tested(best: Best, information: float, slope: Floats, places: Sequence[Place]) -> Adequacy:
+def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequence[PeriodicForce]) -> Adequacy:
     """The score tests; information: of a sample, slope (n,): of the negative log-likelihood by the difference."""
     difference, q = best.difference, best.q
     p = difference.parameters
     sensitivity = -difference.jacobian(q)
     own = remove_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
-    candidates = lacks(difference, q, places)
-    effects = np.column_stack([_effect(difference, q, lack) for lack in candidates] or [np.zeros((slope.size, 0))])
+    candidates = list_candidate_forces(difference, q, places)
+    effects = np.column_stack(
+        [_effect(difference, q, candidate) for candidate in candidates] or [np.zeros((slope.size, 0))]
+    )
     effects = np.where(np.all(np.isfinite(effects), axis=0), effects, 0.0)  # of next to nothing, beyond numbers
-    beside = remove_nuisance(difference, effects, sensitivity[:, p:])
+    cleaned = remove_nuisance(difference, effects, sensitivity[:, p:])
     scale = np.maximum(np.linalg.norm(own, axis=0), TINY)
-    shift = np.linalg.lstsq(own / scale, beside)[0] / scale[:, None]
-    alone = beside - own @ shift
-    apart = np.linalg.norm(alone, axis=0) > APART * np.linalg.norm(beside, axis=0)
+    shift = np.linalg.lstsq(own / scale, cleaned)[0] / scale[:, None]
+    alone = cleaned - own @ shift
+    apart = np.linalg.norm(alone, axis=0) > APART * np.linalg.norm(cleaned, axis=0)
     moves = -shift * difference.scale[:p, None]
-    hidden = moves[:, ~apart] * np.array([lack.plausible for lack in candidates])[~apart]
+    hidden = moves[:, ~apart] * np.array([candidate.plausible for candidate in candidates])[~apart]
     alone, moves = alone[:, apart], moves[:, apart]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = score_variance(best, alone, information, slope)
@@ -204,7 +206,7 @@ def _tested(best: Best, information: float, slope: Floats, places: Sequence[Plac
         left = slope[:, None] - information * alone * (score / expected)
         variance = np.minimum(variance, np.maximum(expected, block_scatter(alone * left, difference.recovery)))
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
-    found = tuple(lack for lack, there in zip(candidates, apart, strict=True) if there)
+    found = tuple(candidate for candidate, there in zip(candidates, apart, strict=True) if there)
     elsewhere = gain_elsewhere(alone * slope[:, None], alone**2 * information)
     unseen = np.linalg.norm(hidden, axis=1)
     of_encoder = slope.size * (1.0 if best.noise is not None else information / 12)
@@ -224,16 +226,17 @@ def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
     return np.asarray(np.sum(2 * size * score - size**2 * information, axis=0))
 
 
-def _effect(difference: Difference, q: Floats, lack: Lack) -> Floats:
+def _effect(difference: Difference, q: Floats, candidate: CandidateForce) -> Floats:
     """(n,) by how much the simulated position moves [counts] for a unit of the force."""
-    usual = rms(lack.force)
-    size = STEP * lack.plausible or STEP_OF_FORCE * abs(difference.equation.input_gain) * rms(difference.u) / usual
-    more, less = (difference.motion(q, -side * size * lack.force)[0] for side in (1.0, -1.0))
+    usual = rms(candidate.force)
+    size = STEP * candidate.plausible or STEP_OF_FORCE * abs(difference.equation.input_gain) * rms(difference.u) / usual
+    more, less = (difference.motion(q, -side * size * candidate.force)[0] for side in (1.0, -1.0))
     return difference.filter_signal(more - less) / (2 * size * difference.resolution)
 
 
-def contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:
-    """Is an estimate further from that of an adequate model than both error bars and what the model may lack allow?"""
+def is_contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:
+    """Does an estimate differ from the fit of an adequate model by more than both standard errors and `spread` (p,)
+    allow?"""
     allowed = np.sqrt(fit.theta_std**2 + best.theta_std**2 + spread**2)
     return bool(np.any(np.abs(fit.theta - best.theta) > CONTRADICTED * allowed))
 
@@ -244,18 +247,20 @@ def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floa
     if not np.all(np.any(columns.zeta != 0, axis=0)):
         return found.moves[: columns.zeta.shape[1]]
     n = columns.used.size
-    forces = np.column_stack([filtered(lack.force, estimator, n) for lack in found.lacks] or [np.zeros((n, 0))])
+    forces = np.column_stack(
+        [filter_force(candidate.force, estimator, n) for candidate in found.forces] or [np.zeros((n, 0))]
+    )
     gain = solve_with_instruments(columns)[1]
     return np.asarray(-gain @ (columns.zeta.T @ forces[columns.used]))
 
 
-def filtered(force: Floats, estimator: Estimator, n: int) -> Floats:
-    """A force, held over each of n intervals or over each of their parts, behind the chain of an estimator (n,); the
-    columns come a sample later."""
-    return np.asarray(filtered_rows(force[None], estimator, force.size // n)[0])
+def filter_force(force: Floats, estimator: Estimator, n: int) -> Floats:
+    """A force, held over each of n intervals or over each of their parts, filtered by the chain of an estimator (n,);
+    the columns come a sample later."""
+    return np.asarray(filter_forces(force[None], estimator, force.size // n)[0])
 
 
-def filtered_rows(forces: Floats, estimator: Estimator, parts: int = 1) -> Floats:
+def filter_forces(forces: Floats, estimator: Estimator, parts: int = 1) -> Floats:
     """The same of many forces (k, parts n): (k, n)."""
     rate = 2 * parts / estimator.dt
     pole = (rate - estimator.cutoff) / (rate + estimator.cutoff)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import Adequacy, contradicted, weigh
+from pmfid.estimators.adequacy import Adequacy, is_contradicted, weigh
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.bcls import BCLS
@@ -112,7 +112,7 @@ class _Sharp:
         parameters, hidden unmodelled effects included.
         """
         spread = self.adequacy.spread()
-        if cls is not IV or contradicted(other, self.fit, spread):
+        if cls is not IV or is_contradicted(other, self.fit, spread):
             return f"{cls.method} contradicts it"
         total = np.hypot(self.fit.theta_std, spread)
         less = np.sum(np.log(total)) < np.sum(np.log(other.theta_std))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import filtered
+from pmfid.estimators.adequacy import filter_force
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.motion import mean_velocity
@@ -140,7 +140,7 @@ def _hats(model: IV, side: float, speed: Floats, nodes: Floats) -> Iterator[Floa
     for j in range(1, nodes.size):
         unit = np.zeros(nodes.size)
         unit[j] = 1.0
-        yield filtered(side * np.where(speed > 0, np.interp(speed, nodes, unit), 0.0), model, speed.size // PARTS)
+        yield filter_force(side * np.where(speed > 0, np.interp(speed, nodes, unit), 0.0), model, speed.size // PARTS)
 
 
 def bend_of(speeds: tuple[Floats, Floats]) -> Floats:

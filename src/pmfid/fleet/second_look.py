@@ -1,9 +1,9 @@
-"""Do forces that the model lacks move the estimate of a segment? A second look at some of them.
+"""Do unmodelled effects move the estimate of a segment? A second look at some segments.
 
-The mean square of what is left says little: friction that grows with the square of the speed is nearly a combination of
-viscous and Coulomb friction, and moves both. So such forces themselves are asked for, behind instrumental variables
-(`estimators/lacks.py` has them, too), and what they may move a parameter by is held against its bar: as much as the
-segment asks for, or where it cannot tell, as much as machines well may have.
+The mean square of the residual says little: friction that grows with the square of the speed is nearly a combination of
+viscous and Coulomb friction, and moves both. The second look therefore tests candidate forces, after instrumental
+variables (compare `estimators/candidate_forces.py`). The shift of a parameter is compared with its standard error. A
+force has the size that the segment asks for, or a plausible size if the segment cannot determine it.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import MISSED, filtered_rows
+from pmfid.estimators.adequacy import MISSED, filter_forces
+from pmfid.estimators.candidate_forces import CURVED
 from pmfid.estimators.configuration import like
 from pmfid.estimators.difference import rms
 from pmfid.estimators.instruments import LASTING
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.lacks import CURVED
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.scatter import block_scatter
 from pmfid.fleet.series import LOOKED_AT, MOVED, UNUSABLE
 from pmfid.fleet.stretch import Stretch
-from pmfid.judge.matter import BARS
+from pmfid.judge.matter import NOISE_LIMIT
 from pmfid.judge.spread import believed_square
 from pmfid.models.equation import VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.models.shapes import Square
@@ -66,9 +66,9 @@ def second_looks(
 
 
 def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
-    """May forces that the model lacks move a parameter of theta (p,) by more than its standard deviation std (p,) and
-    the tolerance allow?"""
-    allowed = np.maximum(BARS * std, TOLERANCE * np.abs(theta))
+    """May unmodelled effects move a parameter of theta (p,) by more than its standard deviation std (p,) and the
+    tolerance allow?"""
+    allowed = np.maximum(NOISE_LIMIT * std, TOLERANCE * np.abs(theta))
     with np.errstate(all="ignore"):  # of a motion beyond numbers nothing is known
         try:
             moves = _moves(stretch, method, theta)
@@ -83,7 +83,7 @@ def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
     columns = method.columns_at(theta, u, counts)
     speed = velocity(counts) * (stretch.resolution / stretch.dt)
     forces, plausible = _forces(method.equation, theta, speed, u)
-    filtered = filtered_rows(forces, method)[:, columns.used].T
+    filtered = filter_forces(forces, method)[:, columns.used].T
     found, inverse = solve_with_instruments(columns)
     moves = -inverse @ (columns.zeta.T @ filtered)
     score = filtered - columns.zeta @ np.linalg.lstsq(columns.zeta.T @ columns.zeta, columns.zeta.T @ filtered)[0]

@@ -1,1 +1,1 @@
-"""What to think of an estimate: flags, sentences and the numbers behind them, from estimator, data and parameters."""
+"""What to think of an estimate: flags, sentences and their numbers, from estimator, data and parameters."""

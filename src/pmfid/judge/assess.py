@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.judge.causality import Signals, fed_back, noise_beside, unexplained
+from pmfid.judge.causality import ResidualStretch, estimate_residual_noise, find_feedback, find_unmodelled_response
 from pmfid.judge.hold import Hold, look_at_hold
 from pmfid.judge.necessity import Second, depends_on_input, second_look
 from pmfid.transfer.confidence import residual_repeats
@@ -21,10 +21,10 @@ from pmfid.types import Floats
 
 #: The square of a number must not leave the format.
 BEYOND = 1e120
-#: The model lacks something, or the input is fed back, where so few right models in open loop would seem to.
+#: Part of the right models in open loop that a test of unmodelled effects or of feedback may reject.
 FALSE_ALARM = 1e-4
-#: An input that is a straight line where it was taken for held, or the reverse, puts at most so many times the
-#: difference of the two responses at their first sample into the residual.
+#: A wrong hold puts at most this multiple of the difference of the two responses at their first sample into the
+#: residual.
 WRONG_HOLD = 2.0
 
 
@@ -78,8 +78,8 @@ class Assessment:
 
 
 def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment:
-    """theta (p,) in the problem's units; delay: by so many samples its inputs are late. Raises NotIdentifiableError
-    where the simulated output leaves the range of numbers."""
+    """theta (p,) in the problem's units; delay: samples by which its inputs are late. Raises NotIdentifiableError
+    if the simulated output leaves the range of numbers."""
     count = len(problem.stretches)
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
     pairs = zip(problem.stretches, point.initial, strict=True)
@@ -96,7 +96,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
         )
     left = sum(float(e @ e) for e in residual)
     whole = sum(float(np.sum((y - np.mean(y)) ** 2)) for y in measured)
-    grids = [_on_grid(e, stretch, -1) for e, stretch in zip(residual, problem.stretches, strict=True)]
+    grids = [_lay_on_grid(e, stretch, -1) for e, stretch in zip(residual, problem.stretches, strict=True)]
     auto, cross, bounds = _correlations(grids)
     return Assessment(
         100 * (1 - float(np.sqrt(left / max(whole, 1e-300)))),
@@ -121,14 +121,14 @@ def _doubts(
     for stretch, error in zip(problem.stretches, residual, strict=True):
         inside = stretch.rows < stretch.grid.size - delay
         kept.append(inside)
-        parts.append(Signals(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
+        parts.append(ResidualStretch(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
     known = point.zeta[np.concatenate(kept)]
     return (
-        unexplained(parts, known).chance < FALSE_ALARM,
-        fed_back(parts, known, _direct(problem, point)).chance < FALSE_ALARM,
+        find_unmodelled_response(parts, known).chance < FALSE_ALARM,
+        find_feedback(parts, known, _direct(problem, point)).chance < FALSE_ALARM,
         depends_on_input(problem, point),
         second_look(problem, point),
-        look_at_hold(problem, point, noise_beside(parts, known)),
+        look_at_hold(problem, point, estimate_residual_noise(parts, known)),
         residual_repeats(problem, point),
     )
 
@@ -145,7 +145,7 @@ def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]
     return (min(0.0, size), max(0.0, size))
 
 
-def _on_grid(residual: Floats, stretch: RecordStretch, source: int) -> tuple[Floats, Floats, Floats]:
+def _lay_on_grid(residual: Floats, stretch: RecordStretch, source: int) -> tuple[Floats, Floats, Floats]:
     """Residual with zeros where nothing is measured, input less its mean, and 1 where there is a residual."""
     filled, there = np.zeros(stretch.grid.size), np.zeros(stretch.grid.size)
     filled[stretch.rows], there[stretch.rows] = residual, 1.0

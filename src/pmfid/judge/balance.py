@@ -151,11 +151,11 @@ class Balance:
 
     @cached_property
     def by_velocity(self) -> Binned:
-        return binned(self.velocity, self.residual, self.lags)
+        return average_in_bins(self.velocity, self.residual, self.lags)
 
     @cached_property
     def by_position(self) -> Binned:
-        return binned(self.position, self.beside_velocity, self.lags)
+        return average_in_bins(self.position, self.beside_velocity, self.lags)
 
     @cached_property
     def beside_velocity(self) -> Floats:
@@ -180,11 +180,11 @@ def one_way_friction(balance: Balance) -> Friction | None:
         return None
     velocity = balance.velocity[one_way]
     force = (balance.target - balance.part(MASS, OFFSET, STIFFNESS))[one_way]
-    return Friction(velocity, force, binned(velocity, balance.residual[one_way], balance.lags))
+    return Friction(velocity, force, average_in_bins(velocity, balance.residual[one_way], balance.lags))
 
 
 def low_pass(estimator: IV, signal: Floats) -> list[Floats]:
-    """A signal (n,) behind 1, 2, ... `order` stages of the Poisson chain, as the kernel has them for velocities."""
+    """A signal (n,) after 1, 2, ... `order` stages of the Poisson chain, as the kernel has them for velocities."""
     slope, cutoff = 2 / estimator.dt, estimator.cutoff
     gain, pole = cutoff / (slope + cutoff), (slope - cutoff) / (slope + cutoff)
     nodes = [first_order(signal, pole, 2 * gain)[0]]
@@ -205,7 +205,7 @@ def encoder_response(balance: Balance) -> tuple[Floats, Floats]:
     ) + viscous * velocity
 
 
-def binned(x: Floats, force: Floats, lags: int) -> Binned:
+def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
     """Means of a force (n,) over x (n,); standard errors for samples correlated over `lags` (Newey and West 1987)."""
     bins = int(np.clip(x.size // (2 * lags + 1), FEWEST_BINS, MOST_BINS))
     edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))[1:-1]

@@ -1,10 +1,9 @@
 """Does the residual know of the input? Does the input know of the noise? Two tests against chance, one regression.
 
-The residual is regressed on the input of now and before: what is found there, beyond what the fit itself took, a model
-lacks. It is then regressed on the input yet to come as well: what is found there and not in the past comes back through
-the input, as a controller does it (Sims 1972). Both are judged behind the whitening filter of the noise, and both take
-the input as given: that it is a sweep, a sum of sines or periodic, so that nothing in it is ever new, makes no false
-alarm.
+The first regression is on present and past inputs: what they explain, beyond what the fit itself took, is an unmodelled
+effect. The second adds future inputs: what only these explain comes back through the input, as under control (Sims
+1972). Both tests whiten the noise first and take the input as given. A sweep, a sum of sines or a periodic input, in
+which nothing is ever new, therefore makes no false alarm.
 
 A controller answers to noise of any size, but the jumps of its reference hide the answer to a small one. So the inputs
 to come enter by what a robust linear prediction leaves of them, without the jumps. Of a given input that is as good as
@@ -23,7 +22,7 @@ from pmfid._stage import first_order
 from pmfid.transfer.noise import Noise, fit_noise, whiten_columns
 from pmfid.types import Flags, Floats, Places
 
-#: Lags of the input: at least, at most, and one for each so many samples; of the future ones.
+#: Lags of the input: least and greatest number, samples for each further lag; number of future lags.
 LEAST, MOST, SAMPLES_PER_LAG, AHEAD = 8, 40, 15, 10
 #: Own past from which the input is predicted, in the end and at first; choices of samples for the first prediction;
 #: passes; samples that a prediction holds for; what is a jump, in robust standard deviations.
@@ -35,7 +34,7 @@ APART = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class ResidualStretch:
     """One uninterrupted stretch: inputs (c, M) on its grid, the first the one that acts; residual (N,) at its rows."""
 
     inputs: Floats
@@ -45,7 +44,7 @@ class Signals:
 
 @dataclass(frozen=True)
 class Evidence:
-    """chance: that of nothing but noise to give as much; share: of the whitened residual's power that is explained."""
+    """chance: probability that noise alone explains as much; share: explained part of the whitened residual's power."""
 
     chance: float
     share: float
@@ -54,26 +53,29 @@ class Evidence:
 NONE = Evidence(1.0, 0.0)
 
 
-def unexplained(parts: Sequence[Signals], known: Floats, source: int = -1) -> Evidence:
+def find_unmodelled_response(parts: Sequence[ResidualStretch], known: Floats, source: int = -1) -> Evidence:
     """What the input `source` of now and before explains of the residual beyond the columns known (N, k), the
     sensitivities of the fit."""
     past, kept, place = _columns(parts, source)
     return evidence(_residual(parts)[kept], known[kept], past[kept], place[kept])
 
 
-def noise_beside(parts: Sequence[Signals], known: Floats) -> Noise | None:
-    """The noise in the residual beside what the columns known (N, k) and the input of now and before explain of it;
-    None: there is none."""
+def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> Noise | None:
+    """The noise in the residual that the columns known (N, k) and present and past inputs leave; None: there is
+    none."""
     past, kept, place = _columns(parts, 0)
     columns = _basis(np.hstack([known, past])[kept])
-    return _noise_beside(np.column_stack([_residual(parts)[kept], columns]), place[kept])
+    return _estimate_noise(np.column_stack([_residual(parts)[kept], columns]), place[kept])
 
 
-def fed_back(parts: Sequence[Signals], known: Floats, direct: tuple[float, float] = (0.0, 0.0)) -> Evidence:
-    """What inputs yet to come explain of the residual beyond those of now and before; known (N, k) as in `unexplained`.
+def find_feedback(
+    parts: Sequence[ResidualStretch], known: Floats, direct: tuple[float, float] = (0.0, 0.0)
+) -> Evidence:
+    """What future inputs explain of the residual beyond present and past inputs; known (N, k) as in
+    `find_unmodelled_response`.
 
-    An answer of the input within the same sample shows in the input of now. But so does a wrong hold: direct, how much
-    of the input of now the residual has in it then, at least and at most."""
+    A response of the input within the same sample shows in the present input, and so does a wrong hold. direct: least
+    and greatest part of the present input that a wrong hold puts into the residual."""
     past, kept, place = _columns(parts, 0)
     ahead = np.vstack([_ahead(part) for part in parts])
     kept &= np.all(np.isfinite(ahead), axis=1)
@@ -86,18 +88,18 @@ def fed_back(parts: Sequence[Signals], known: Floats, direct: tuple[float, float
 def evidence(
     error: Floats, known: Floats, tested: Floats, place: Places, allowed: tuple[float, float] = (0.0, 0.0)
 ) -> Evidence:
-    """An F test of columns tested (N, b) beside the known ones (N, a) on an error (N,) with noise of any colour;
+    """An F test of columns tested (N, b), given the known ones (N, a), on an error (N,) with noise of any colour;
     allowed: coefficients of a single column that are no evidence."""
     if error.size < 2 * (known.shape[1] + tested.shape[1]) + 20 or not _rms(error) > 0:
         return NONE
     columns = np.column_stack([error / _rms(error), _basis(known), tested])
     a = columns.shape[1] - tested.shape[1]
-    noise = _noise_beside(columns[:, :a], place)
+    noise = _estimate_noise(columns[:, :a], place)
     if noise is None:
         return NONE
-    columns = whiten_columns(noise, columns, place)[_settled(place, noise.coefficients.size)]
+    columns = whiten_columns(noise, columns, place)[_mark_settled(place, noise.coefficients.size)]
     Q = _basis(columns[:, 1:a])
-    whole, T = columns[:, 0], _apart(columns[:, a:], Q)
+    whole, T = columns[:, 0], _remove_projection(columns[:, a:], Q)
     e = whole - Q @ (Q.T @ whole)
     if T.shape[1] == 1:
         limits = (allowed[0] / _rms(error), allowed[1] / _rms(error))
@@ -112,22 +114,22 @@ def evidence(
     return Evidence(chance, gain / max(float(whole @ whole), 1e-300))
 
 
-def _noise_beside(columns: Floats, place: Places) -> Noise | None:
-    """The noise of the first column beside what the others explain, both found in turn; None: there is none."""
+def _estimate_noise(columns: Floats, place: Places) -> Noise | None:
+    """The noise that the other columns leave in the first, by regression and noise fit in turn; None: there is none."""
     error, known = columns[:, 0], columns[:, 1:]
     left = error - known @ (known.T @ error)
     if not _rms(left) > APART:
         return None
     noise = fit_noise(left, place)
     for _ in range(PASSES - 1):
-        behind = whiten_columns(noise, columns, place)[settled := _settled(place, noise.coefficients.size)]
-        left = error - known @ np.linalg.lstsq(behind[:, 1:], behind[:, 0], rcond=APART)[0]
+        whitened = whiten_columns(noise, columns, place)[settled := _mark_settled(place, noise.coefficients.size)]
+        left = error - known @ np.linalg.lstsq(whitened[:, 1:], whitened[:, 0], rcond=APART)[0]
         noise = fit_noise(left[settled], place[settled])
     return noise
 
 
-def _settled(place: Places, order: int) -> Flags:
-    """(N,) samples that do not lack their past for the whitening filter; all, where samples are missing everywhere."""
+def _mark_settled(place: Places, order: int) -> Flags:
+    """(N,) samples whose past the whitening filter has; all samples, if samples are missing everywhere."""
     from scipy.signal import lfilter  # slow to import, and only transfer functions need it
 
     line = np.zeros(int(place[-1] - place[0]) + 1)
@@ -137,7 +139,7 @@ def _settled(place: Places, order: int) -> Flags:
     return np.asarray(whole if np.sum(whole) > place.size // 2 else np.ones(place.size, bool))
 
 
-def _columns(parts: Sequence[Signals], source: int) -> tuple[Floats, Flags, Places]:
+def _columns(parts: Sequence[ResidualStretch], source: int) -> tuple[Floats, Flags, Places]:
     """Past inputs (N, l), rows with a past of their own (N,), places (N,) on one line."""
     samples = sum(part.rows.size for part in parts)
     lags = int(np.clip(samples // SAMPLES_PER_LAG, LEAST, MOST))
@@ -162,7 +164,7 @@ def _past(u: Floats, lags: int, samples: int) -> Floats:
     return np.column_stack([*lagged, *slow, np.ones(u.size)])
 
 
-def _ahead(part: Signals) -> Floats:
+def _ahead(part: ResidualStretch) -> Floats:
     """(N, AHEAD) what is new in the input at the rows and later, NaN where it has not been recorded."""
     news = calm(part.inputs[0])
     late = part.rows[:, None] + np.arange(AHEAD)
@@ -191,7 +193,7 @@ def _robust(columns: Floats, target: Floats) -> Floats:
     """Coefficients that jumps do not move, not even many: from the few samples, of many choices, that predict the most
     with a short past (least median of squares, Rousseeuw 1984) to least squares without the jumps."""
     short = columns[:, -min(SHORT_PAST + 1, columns.shape[1]) :]
-    chosen = [_chosen(short, target, trial) for trial in range(TRIALS)]
+    chosen = [_fit_subset(short, target, trial) for trial in range(TRIALS)]
     left: Floats = min(chosen, key=lambda errors: float(np.median(np.abs(errors))))
     found: Floats = np.zeros(columns.shape[1])
     for _ in range(ROBUST_PASSES):
@@ -202,14 +204,14 @@ def _robust(columns: Floats, target: Floats) -> Floats:
     return np.asarray(found)
 
 
-def _chosen(columns: Floats, target: Floats, trial: int) -> Floats:
+def _fit_subset(columns: Floats, target: Floats, trial: int) -> Floats:
     """(N,) errors of a prediction from as many samples as it has coefficients, spread by the golden ratio."""
     count = columns.shape[1]
     rows = (np.arange(trial * count, (trial + 1) * count) * 0.6180339887498949 % 1.0 * target.size).astype(int)
     return np.asarray(target - columns @ np.linalg.lstsq(columns[rows], target[rows], rcond=1e-9)[0])
 
 
-def _residual(parts: Sequence[Signals]) -> Floats:
+def _residual(parts: Sequence[ResidualStretch]) -> Floats:
     return np.concatenate([part.residual for part in parts])
 
 
@@ -217,8 +219,8 @@ def _rms(x: Floats) -> float:
     return float(np.sqrt(np.mean(x**2))) if x.size else 0.0
 
 
-def _apart(columns: Floats, Q: Floats) -> Floats:
-    """Columns (N, k) less what orthonormal ones explain of them; only those of which more than rounding is left."""
+def _remove_projection(columns: Floats, Q: Floats) -> Floats:
+    """Columns (N, k) less their projection on orthonormal columns; columns that this leaves empty are dropped."""
     size = np.linalg.norm(columns, axis=0)
     left = columns - Q @ (Q.T @ columns)
     left = left - Q @ (Q.T @ left)

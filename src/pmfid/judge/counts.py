@@ -6,7 +6,7 @@ import numpy as np
 
 from pmfid.types import Counts
 
-#: A change of the counts so much larger than the usual ones is no motion.
+#: A change of the counts that exceeds the usual ones by this factor is no motion.
 JUMP = 30
 
 

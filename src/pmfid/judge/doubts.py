@@ -47,12 +47,12 @@ MOVED = (
 UNKNOWN_POLE = "a pole is not known to half its size: record longer, excite it more, or use a smaller n and m"
 #: Less of the output explained [%] is worth a sentence.
 POOR_FIT = 10.0
-#: An output so many robust standard deviations off, in so small a part of the samples, is an outlier.
+#: An output further off than FAR robust standard deviations, in less than a part FEW of the samples, is an outlier.
 FAR, FEW = 10.0, 0.01
 
 
 def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
-    """An estimate of nothing but noise is none, whatever its error bars."""
+    """Raises NotIdentifiableError if the output does not depend on the input, whatever the standard errors are."""
     variance = np.diagonal(cov)
     if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
         raise NotIdentifiableError(
@@ -93,14 +93,14 @@ def findings_on(
     `flags_on` has it; expected: poles in the right half-plane were asked for."""
     found = [
         Finding(code, sentence, severity="doubt" if code in flags else "note")
-        for code, holds, sentence in _said(checks, process, flags, expected)
+        for code, holds, sentence in _list_doubts(checks, process, flags, expected)
         if holds
     ]
     missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
     return found + make_notes("missing", [f"{missing} samples of the output are missing"] * bool(missing))
 
 
-def _said(
+def _list_doubts(
     checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
 ) -> tuple[tuple[str, bool, str], ...]:
     """Code, whether it is the case, and the sentence."""

@@ -29,12 +29,12 @@ from pmfid.status import Status
 #: A correlation this many standard deviations from zero is taken for real.
 SIGNIFICANT = 4.5
 #: What is said where the model is wrong.
-UNMODELLED = "the counts show what the model lacks, or a parameter that changes"
+UNMODELLED = "the counts show an unmodelled effect, or a parameter that changes"
 #: Counts per sample below which the encoder's error is no white noise.
 COARSE = 1.0
 #: With fewer samples, or none that moves, there is nothing to judge a model by.
 FEWEST = 50
-#: With a memory the last of the record counts, so many times the memory.
+#: With forgetting, the last part of the record is judged: its length in memories.
 MEMORIES = 3.0
 #: A method's own error, relative, that is worth a word of its own.
 BIASED = 0.01
@@ -48,16 +48,15 @@ def judge(
     std: NDArray[np.float64],
     adequacy: Adequacy | None = None,
 ) -> tuple[Finding, ...]:
-    """What there is to find of an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
+    """Findings on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
 
     implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
-    is larger than its error bar and 2 %; std_too_small: larger than its error bar; unmodelled: the counts show that
-    the model lacks something; dead_time: an input that acts late may be what it lacks; not_followed: they are nothing
-    like what it simulates; model_spread: they would not show what it may lack, and that would move a parameter beyond
-    its error bar; feedback: what is unexplained comes back through the input; count_jump: one change of the counts is
-    no motion; coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
-    With a memory the last three of it are judged. adequacy: what `examine` says of the whole record, where that is
-    known already.
+    exceeds its standard error and 2 %; std_too_small: it exceeds its standard error; unmodelled: the counts show an
+    unmodelled effect; dead_time: that effect may be a late input; not_followed: the simulation does not follow the
+    counts; model_spread: the counts would not show an effect that moves a parameter beyond its standard error;
+    feedback: the residual comes back through the input; count_jump: one change of the counts is no motion;
+    coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
+    With forgetting, the last three memories are judged. adequacy: result of `examine` on the whole record, if known.
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
@@ -176,19 +175,19 @@ def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
 
 
 def recent(estimator: Estimator, samples: int) -> slice:
-    """The part of a record of so many samples that an estimate is of: its last three memories."""
+    """The samples of a record that an estimate depends on: its last three memories."""
     return slice(-round(min(samples, MEMORIES / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
 
 
-def examined(
+def examine_estimate(
     estimator: Estimator,
     u: NDArray[np.float64],
     counts: NDArray[np.int64],
     theta: NDArray[np.float64],
     known: Adequacy | None = None,
 ) -> Adequacy | None:
-    """What the counts say on the model near an estimate theta (p,) from u, counts: (n,), of the part of them that it is
-    of; None where nothing simulates the equation, or nothing moves. known: that, where it is known of this model.
+    """Adequacy of the model near an estimate theta (p,) from u, counts: (n,), on the samples that the estimate depends
+    on; None if nothing simulates the equation, or nothing moves. known: the result, if this model has one already.
 
     Raises NotIdentifiableError where no motion of the model can be fitted.
     """
@@ -216,9 +215,9 @@ def _model(
     std: NDArray[np.float64],
     adequacy: Adequacy | None,
 ) -> Iterator[Finding]:
-    """Does the motion that the model simulates explain the counts, and what could it lack that they do not show?"""
+    """Does the simulated motion explain the counts, and which unmodelled effects could the counts hide?"""
     try:
-        found = examined(estimator, u, counts, theta, adequacy)
+        found = examine_estimate(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
         yield Finding("unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})")
         return
@@ -236,19 +235,19 @@ def _model(
         yield from late(found)
         return
     part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
-    yield from _hidden(estimator, found, (u[part], counts[part]), theta[own], std[own])
+    yield from _find_hidden_effects(estimator, found, (u[part], counts[part]), theta[own], std[own])
 
 
-def _hidden(
+def _find_hidden_effects(
     estimator: Estimator,
     found: Adequacy,
     record: tuple[NDArray[np.float64], NDArray[np.int64]],
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
 ) -> Iterator[Finding]:
-    """An adequate model: does the estimate agree with it, and what could it lack without showing?"""
+    """Of an adequate model: does the estimate agree with it, and which effects could the record hide?"""
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
-    own_spread = found.spread()[: theta.size]  # beside shape parameters, which are known here
+    own_spread = found.spread()[: theta.size]  # without shape parameters, which are known here
     if isinstance(estimator, Following):
         spread = own_spread
     else:
@@ -267,8 +266,8 @@ def _hidden(
     if np.any(spread > std):
         yield Finding(
             "model_spread",
-            "friction or a dead time that the model lacks, and that this record would not show, may move a parameter "
-            "by more than its error bar: a finer encoder or a richer motion would show it",
+            "unmodelled friction or a dead time, which this record would not show, may move a parameter by more than "
+            "its standard error: a finer encoder or a richer motion would show it",
         )
     if np.any(found.unseen[: std.size] > std):
         part = float(np.max(found.unseen[: std.size] / np.maximum(np.abs(theta), TINY)))

@@ -1,4 +1,4 @@
-"""What the flags mean that no single sample sets, beside the bits of `Status`."""
+"""Meaning of the flags of whole records, in addition to the bits of `Status`."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.srivc import make_problem, process_of
 from pmfid.estimators.starts import READ
-from pmfid.judge.free_run import FreeRun, finite, firsts_of, horizons_of
+from pmfid.judge.free_run import FreeRun, finite, firsts_of, measure_horizons
 from pmfid.transfer.experiment import Experiment, RecordStretch
 from pmfid.transfer.sensitivity import simulate
 from pmfid.transfer.solve import ProcessProblem, visit
@@ -37,11 +37,11 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
     plain = replace(experiment, reference=None)
     n = poles.size
     read = max(READ / method.cutoff, SAMPLES * n * plain.period)
-    parts = _simulated(method, theta, [plain], read)
-    horizons = horizons_of(
+    parts = _simulate_stretches(method, theta, [plain], read)
+    horizons = measure_horizons(
         float(plain.times[-1] - plain.times[0]),
         read,
-        lambda seconds: _restarted(method, theta, plain, read, max(2, round(seconds / plain.period))),
+        lambda seconds: _restart_simulations(method, theta, plain, read, max(2, round(seconds / plain.period))),
     )
     rows = np.concatenate([stretch.samples for stretch, _ in parts])
     measured = np.concatenate([stretch.y[stretch.rows] for stretch, _ in parts])
@@ -49,7 +49,7 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
     return finite(FreeRun(plain.name, plain.times[rows], measured, simulated, read, encoder, horizons))
 
 
-def _simulated(
+def _simulate_stretches(
     method: OE, theta: Floats, experiments: Sequence[Experiment], read: float
 ) -> list[tuple[RecordStretch, Floats]]:
     """Each stretch and its simulated output at the measured samples."""
@@ -72,14 +72,14 @@ def _first(stretch: RecordStretch, read: float, problem: ProcessProblem) -> Reco
     return replace(stretch, rows=early if early.size >= least else stretch.rows[:least])
 
 
-def _restarted(
+def _restart_simulations(
     method: OE, theta: Floats, experiment: Experiment, read: float, samples: int
 ) -> list[tuple[Floats, Floats]]:
     parts = [_part(experiment, first, first + samples) for first in firsts_of(experiment.u.size, samples)]
     usable = [part for part in parts if np.all(np.isfinite(part.u)) and np.count_nonzero(np.isfinite(part.y)) > 2]
     if not usable:
         return []
-    return [(stretch.y[stretch.rows], output) for stretch, output in _simulated(method, theta, usable, read)]
+    return [(stretch.y[stretch.rows], output) for stretch, output in _simulate_stretches(method, theta, usable, read)]
 
 
 def _part(experiment: Experiment, first: int, last: int) -> Experiment:

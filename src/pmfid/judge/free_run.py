@@ -32,8 +32,8 @@ BEYOND = 1e120
 
 @dataclass(frozen=True)
 class Horizon:
-    """Runs over `seconds` each, begun anew every time; rmse: of their errors; standstill: of a model that stays where
-    it begins [unit of the output]."""
+    """Runs over `seconds` each, restarted every time; rmse: root mean square of their errors; standstill: error of a
+    model that stays at its start [unit of the output]."""
 
     seconds: float
     runs: int
@@ -43,8 +43,8 @@ class Horizon:
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """Time t [s], measured and simulated output, each (n,). read: the start is that of the first so many seconds;
-    encoder: root mean square error that the encoder alone would leave, None where there is none; notes: for people."""
+    """Time t [s], measured and simulated output, each (n,). read: length from the first sample [s] that determines
+    the start; encoder: root mean square error of the encoder alone, None without an encoder; notes: for people."""
 
     name: str
     t: Floats
@@ -112,10 +112,10 @@ def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) 
     scaled = np.maximum(scaled, difference.lower[: theta.size])
     run = _run(difference, scaled, method.cutoff)
     read = min(start_samples(method.dt, method.cutoff), u.size)
-    horizons = horizons_of(
+    horizons = measure_horizons(
         u.size * method.dt,
         read * method.dt,
-        lambda seconds: _restarted(difference, scaled, method.cutoff, max(2, round(seconds / method.dt))),
+        lambda seconds: _restart_simulations(difference, scaled, method.cutoff, max(2, round(seconds / method.dt))),
     )
     t = np.arange(u.size, dtype=np.float64) * method.dt
     encoder = method.encoder.resolution / math.sqrt(12)
@@ -128,7 +128,9 @@ def _run(part: Difference, theta: Floats, cutoff: float) -> Floats:
     return part.motion(fit_start(read, choose_start(read, theta, cutoff)))[0]
 
 
-def _restarted(difference: Difference, theta: Floats, cutoff: float, samples: int) -> list[tuple[Floats, Floats]]:
+def _restart_simulations(
+    difference: Difference, theta: Floats, cutoff: float, samples: int
+) -> list[tuple[Floats, Floats]]:
     parts = [difference.part(first, first + samples) for first in firsts_of(difference.y.size, samples)]
     return [(part.y, _run(part, theta, cutoff)) for part in parts]
 
@@ -139,11 +141,11 @@ def firsts_of(n: int, samples: int) -> list[int]:
     return firsts[:: -(-firsts.size // MOST_RUNS)].tolist() if firsts.size else []
 
 
-def horizons_of(
+def measure_horizons(
     duration: float, read: float, runs: Callable[[float], Sequence[tuple[Floats, Floats]]]
 ) -> tuple[Horizon, ...]:
-    """The errors of runs that are begun anew after HORIZONS, of those that a record of `duration` [s] holds, and that
-    are not all but the reading of the start, `read` [s]. runs: measured and simulated outputs of those over a time."""
+    """Errors of runs that restart after each of HORIZONS. A horizon must fit into the `duration` [s] of the record and
+    be longer than the reading of the start, `read` [s]. runs: measured and simulated outputs of runs over a time."""
     found = []
     for seconds in _seconds(duration, WORTH * read):
         parts = runs(seconds)

@@ -9,8 +9,8 @@ from pmfid.estimators.lateness import ALIKE, Lateness, lateness
 from pmfid.findings import Finding
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
 
-#: Samples from which on a delay that no score names is told: a smaller one imitates other things, as friction within a
-#: sample.
+#: Least delay [samples] that is reported without a score that names it: a smaller one imitates other effects, as
+#: friction within a sample.
 LEAST = 0.05
 #: What each is called, for people.
 CALLED = {DEAD_TIME: "dead time", LAG: "first-order lag"}
@@ -22,8 +22,10 @@ def late(found: Adequacy) -> Iterator[Finding]:
     equation, dt = found.difference.equation, found.difference.dt
     ways = _ways(found)
     if ways:
-        best, cure = _said(ways[0], dt), _cure(ways[0], equation)
-        yield Finding("dead_time", f"a {best} explains the counts better{_compared(ways, dt)}: set {cure} in [model]")
+        best, cure = _describe_delay(ways[0], dt), _cure(ways[0], equation)
+        yield Finding(
+            "dead_time", f"a {best} explains the counts better{_compare_ways(ways, dt)}: set {cure} in [model]"
+        )
 
 
 def _ways(found: Adequacy) -> list[Lateness]:
@@ -34,18 +36,20 @@ def _ways(found: Adequacy) -> list[Lateness]:
     if equation.at_once != equation:
         return lateness(found)
     most, least = max((float(found.gain[k]) for k in found.missed), default=0.0), LEAST * found.difference.dt
-    told = [way for way in lateness(found) if way.gain > most and sum(way.times.values()) > least]
-    return [way for way in told if found.follows or way.follows]
+    large = [way for way in lateness(found) if way.gain > most and sum(way.times.values()) > least]
+    return [way for way in large if found.follows or way.follows]
 
 
-def _compared(ways: list[Lateness], dt: float) -> str:
+def _compare_ways(ways: list[Lateness], dt: float) -> str:
     if len(ways) == 1:
         return ""
-    return f", a {_said(ways[1], dt)} {'nearly as well' if ways[0].gain - ways[1].gain < ALIKE else 'less so'}"
+    return (
+        f", a {_describe_delay(ways[1], dt)} {'nearly as well' if ways[0].gain - ways[1].gain < ALIKE else 'less so'}"
+    )
 
 
-def _said(way: Lateness, dt: float) -> str:
-    """In samples of dt [s]."""
+def _describe_delay(way: Lateness, dt: float) -> str:
+    """The delay in samples of dt [s], as words."""
     return " and a ".join(f"{CALLED[name]} of about {time / dt:.2g} samples" for name, time in way.times.items())
 
 

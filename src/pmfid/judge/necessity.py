@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from pmfid.judge.causality import Signals, noise_beside
+from pmfid.judge.causality import ResidualStretch, estimate_residual_noise
 from pmfid.transfer.confidence import covariance, places
 from pmfid.transfer.noise import fit_noise, whiten_columns
 from pmfid.transfer.prewhitening import prewhiten_problem
@@ -40,24 +40,24 @@ def depends_on_input(problem: ProcessProblem, point: ProcessPoint) -> bool:
     noise, place = fit_noise(point.error, places(problem)), places(problem)
     both = whiten_columns(noise, np.column_stack([point.error, alone]), place)
     left, whole = (float(np.sum(column**2)) for column in both[noise.coefficients.size :].T)
-    return _beyond(whole, left, point.error.size, problem.structure.size)
+    return _reduces_residual(whole, left, point.error.size, problem.structure.size)
 
 
 @dataclass(frozen=True)
 class Second:
-    """A second look at an estimate. surplus: one pole and one zero less do as well, so nothing tells where they are;
-    moved: behind the whitening filter of the noise the estimate is elsewhere, by more than its error bars allow
-    (Hausman 1978), so it has taken noise for dynamics."""
+    """A second look at an estimate. surplus: one pole and one zero less do as well, so nothing determines them;
+    moved: whitening of the noise moves the estimate by more than its standard errors allow (Hausman 1978), so the
+    estimate has taken noise for dynamics."""
 
     surplus: bool
     moved: bool
 
 
 def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
-    """At the estimate of a point, for noise of any colour.
+    """A second look at the estimate of a point, for noise of any colour.
 
-    A pole can settle on what the noise rings with, and what is left no longer rings: so the colour is that of what a
-    model with one pole less leaves and the input of just before does not explain."""
+    A pole can settle on a resonance of the noise, and the residual no longer rings. The colour is therefore estimated
+    from the residual of a model with one pole less, without what recent inputs explain."""
     structure = problem.structure
     smaller = Structure(max(structure.n - 1, 1), max(structure.m - 1, 0), structure.offset)
     plain = Structure(structure.n, structure.m, structure.offset)
@@ -65,8 +65,8 @@ def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
         return Second(False, False)
     with np.errstate(all="ignore"):
         try:
-            rest = point if smaller == structure else _settled(replace(problem, structure=smaller))
-            noise = noise_beside(signals(problem, rest.error), rest.zeta)
+            rest = point if smaller == structure else _settle_fit(replace(problem, structure=smaller))
+            noise = estimate_residual_noise(pair_inputs(problem, rest.error), rest.zeta)
             if noise is None:
                 return Second(False, False)
             white = prewhiten_problem(problem, noise)
@@ -74,15 +74,15 @@ def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
             scale = np.r_[np.ones(structure.size - 1), factor]
             start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
             full = descend(white, start, SETTLED).point
-            surplus = structure.n > 1 and not _beyond(
-                _settled(replace(white, structure=smaller)).cost, full.cost, point.error.size, 2
+            surplus = structure.n > 1 and not _reduces_residual(
+                _settle_fit(replace(white, structure=smaller)).cost, full.cost, point.error.size, 2
             )
-            return Second(surplus, _apart(full.theta / scale - point.theta, covariance(point, problem)))
+            return Second(surplus, _exceeds_chance(full.theta / scale - point.theta, covariance(point, problem)))
         except (np.linalg.LinAlgError, ValueError):
             return Second(False, False)
 
 
-def _apart(difference: Floats, cov: Floats) -> bool:
+def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
     """Is a difference (p,) too large for its covariance (p, p)?"""
     size = np.sqrt(np.diagonal(cov))
     scaled = difference / size
@@ -90,19 +90,19 @@ def _apart(difference: Floats, cov: Floats) -> bool:
     return bool(distance > chdtri(difference.size, ELSEWHERE))
 
 
-def _settled(problem: ProcessProblem) -> ProcessPoint:
+def _settle_fit(problem: ProcessProblem) -> ProcessPoint:
     found = refine(problem, first_guess(problem, 1.0), SETTLED)
     return found.point if found.settled else descend(problem, found.point, SETTLED).point
 
 
-def signals(problem: ProcessProblem, error: Floats) -> list[Signals]:
-    """The residual (N,) of all stretches beside the inputs."""
+def pair_inputs(problem: ProcessProblem, error: Floats) -> list[ResidualStretch]:
+    """The residual (N,) of all stretches, split and paired with the inputs."""
     ends = np.cumsum([stretch.rows.size for stretch in problem.stretches])
     parts = zip(problem.stretches, np.split(error, ends[:-1]), strict=True)
-    return [Signals(stretch.inputs, part, stretch.rows) for stretch, part in parts]
+    return [ResidualStretch(stretch.inputs, part, stretch.rows) for stretch, part in parts]
 
 
-def _beyond(whole: float, left: float, samples: int, unknowns: int) -> bool:
-    """Is a sum of squares `left` less than `whole` by more than so many unknowns gain by chance?"""
+def _reduces_residual(whole: float, left: float, samples: int, unknowns: int) -> bool:
+    """Is a sum of squares `left` less than `whole` by more than `unknowns` parameters gain by chance?"""
     ratio = samples * np.log(max(whole, 1e-300) / max(left, 1e-300))
     return bool(ratio > chdtri(unknowns, CHANCE / samples))

@@ -11,8 +11,8 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.base import Estimator
 from pmfid.findings import Finding
-from pmfid.judge.drive import examined, judge, recent
-from pmfid.judge.matter import BARS, Matter, matter_of, weigh_findings
+from pmfid.judge.drive import examine_estimate, judge, recent
+from pmfid.judge.matter import NOISE_LIMIT, Matter, matter_of, weigh_findings
 from pmfid.judge.spread import model_spread, spread_without_motion
 from pmfid.types import Floats
 
@@ -48,11 +48,11 @@ def verdict(
     found, spread = _spread(estimator, u, counts, theta, std, known)
     judged = judge(estimator, u, counts, theta, std, found)
     p = len(estimator.equation.names)
-    shown = np.full(p, np.nan) if found is None else _shown(found, theta[:p], std[:p], spread[:p])
+    shown = np.full(p, np.nan) if found is None else _estimate_shown_bias(found, theta[:p], std[:p], spread[:p])
     return Verdict(judged, spread, matter_of(estimator, theta, std, shown, tolerance), found)
 
 
-def _shown(found: Adequacy, theta: Floats, std: Floats, spread: Floats) -> Floats:
+def _estimate_shown_bias(found: Adequacy, theta: Floats, std: Floats, spread: Floats) -> Floats:
     """(p,) by how much what the record shows may move an estimate: of a model that it contradicts all but what no
     record of this input shows, which is reported once. Of any other only forces that it nearly shows, and by
     how much the estimate differs from the motion that fits: what would not show is in the interval."""
@@ -60,7 +60,7 @@ def _shown(found: Adequacy, theta: Floats, std: Floats, spread: Floats) -> Float
     if not found.adequate:
         return np.asarray(np.sqrt(np.maximum(spread**2 - found.unseen[:p] ** 2, 0.0)))
     apart = np.maximum((theta - (found.q * found.difference.scale)[:p]) ** 2 - std**2, 0.0)
-    nearly = np.where(np.abs(found.z) > BARS, found.size, 0.0)
+    nearly = np.where(np.abs(found.z) > NOISE_LIMIT, found.size, 0.0)
     return np.asarray(np.sqrt(apart + found.moves[:p] ** 2 @ nearly**2))
 
 
@@ -75,7 +75,7 @@ def _spread(
     """What the counts say on the model, if anything, and by how much unmodelled effects may move the estimate (p,)."""
     part = recent(estimator, u.size)
     try:
-        found = examined(estimator, u, counts, theta, known)
+        found = examine_estimate(estimator, u, counts, theta, known)
     except NotIdentifiableError:
         return None, spread_without_motion(estimator, u[part], counts[part], theta)
     if found is None:

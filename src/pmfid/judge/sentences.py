@@ -19,7 +19,7 @@ RELEVANT_FORCE = 0.03
 RELEVANT_PART = 0.005
 #: Fit of the velocity [%] below which the model does not follow.
 GOOD_FIT = 90.0
-#: A velocity error so many times that of the encoder alone is the model's.
+#: A velocity error is the model's from this multiple of the encoder's own error on.
 ABOVE_ENCODER = 3.0
 #: Correlation at lags that the filter no longer explains.
 CORRELATED = 0.2
@@ -60,7 +60,7 @@ def residual_sentence(balance: Balance) -> str:
 def _dependence(balance: Balance, found: Binned, name: str, cause: str) -> str:
     size = f"{found.change:.2g} N, {100 * found.change / balance.friction_size:.2g} % of the model's friction"
     if found.score <= SIGNIFICANT:
-        return f"No dependence on {name} can be told from chance (the means differ by {size})."
+        return f"No dependence on {name} is beyond chance (the means differ by {size})."
     if found.change < RELEVANT_FORCE * balance.friction_size:
         return f"The residual hardly changes with {name} (by {size})."
     return f"Look here: the residual changes with {name} by {size}: {cause}."
@@ -88,12 +88,12 @@ def friction_sentence(balance: Balance) -> str:
         return text + "It lies on the model's line."
     worst, slowest = int(np.argmax(real * np.abs(left.mean))), int(np.argmin(np.where(real, np.abs(left.x), np.inf)))
     places = " and ".join(
-        _off_the_line(left, k, balance.estimator.equation.motion) for k in dict.fromkeys((worst, slowest))
+        _describe_deviation(left, k, balance.estimator.equation.motion) for k in dict.fromkeys((worst, slowest))
     )
     return text + f"Look here: the model's line is not the friction, which is {places}."
 
 
-def _off_the_line(left: Binned, k: int, own: Units) -> str:
+def _describe_deviation(left: Binned, k: int, own: Units) -> str:
     more = "more" if left.mean[k] * left.x[k] > 0 else "less"
     return f"{abs(left.mean[k]):.2g} {own.force} {more} at {left.x[k]:.2g} {own.speed}"
 

@@ -1,17 +1,17 @@
-"""How far what the model lacks may move an estimate: a second error bar beside the one for noise.
+"""Model spread: how far unmodelled effects may move an estimate, in addition to its standard error for noise.
 
-Three views of the same, of which the largest counts:
+The spread is the largest of three views:
 
-- forces that machines have and this model has not (`estimators/lacks.py`), each by what the record says of its size: a
-  spike at zero and a Gaussian slab of what is plausible (George and McCulloch 1993), so that a force that the counts
-  rule out adds nothing, one that they cannot show adds what is plausible, and one that they ask for what they ask for;
-- another method that weighs the same record differently: each against the motion that fits best, and where the counts
-  contradict the model that one against instrumental variables;
-- where the counts contradict the model, parts of the record against each other: halves, slow and fast, forward and
-  backward. They are seen through instrumental variables, too, and so are no matter of the methods that fit the motion
-  within the counts: through a coarse encoder the parts would differ by the encoder's error, which these do not have.
+- Candidate forces (`estimators/candidate_forces.py`), each weighed by the record. The prior of a coefficient is a spike
+  at zero and a Gaussian slab (George and McCulloch 1993). A force that the counts rule out adds nothing. A force that
+  the counts cannot show adds a plausible amount. A force that the counts ask for adds the amount asked for.
+- Another method that weighs the same record differently. Each method is compared with the motion that fits best; if the
+  counts contradict the model, that motion is compared with instrumental variables.
+- Parts of the record, if the counts contradict the model: halves, slow and fast, forward and backward. Instrumental
+  variables compare them, so this view does not apply to methods that fit the motion within the counts: through a coarse
+  encoder the parts would differ by the encoder's error, which such methods do not have.
 
-Of differences counts only what is beyond their noise (the moment estimate of DerSimonian and Laird 1986).
+A difference counts only as far as it exceeds its noise (the moment estimate of DerSimonian and Laird 1986).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import NEARLY, Adequacy, filtered, force_moves
+from pmfid.estimators.adequacy import NEARLY, Adequacy, filter_force, force_moves
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.instruments import LASTING
@@ -35,7 +35,7 @@ from pmfid.estimators.results import Columns
 from pmfid.estimators.scatter import scatter
 from pmfid.types import Floats
 
-#: Before a record is seen, a machine has each of the plausible forces by so many to one: no machine has none of them.
+#: Prior odds that a machine has a plausible force: no machine has none of them.
 ODDS = 10.0
 #: exp of more is beyond use.
 MOST_EVIDENCE = 500.0
@@ -44,11 +44,11 @@ MOST_EVIDENCE = 500.0
 def model_spread(
     estimator: Estimator, u: Floats, counts: NDArray[np.int64], theta: Floats, std: Floats, found: Adequacy
 ) -> Floats:
-    """(p,) root mean square by which what the model lacks may move an estimate theta (p,) with standard deviations std
+    """(p,) root mean square by which unmodelled effects may move an estimate theta (p,) with standard deviations std
     (p,) from u, counts: (n,); NaN for what is no parameter of the equation.
 
-    found: what the counts of the same u say on the model. Where they contradict it, the forces that they ask for count
-    at the size that they ask for.
+    found: adequacy of the model on the same record. If the counts contradict the model, a force that they ask for
+    counts at the size that they ask for.
     """
     spread = np.full(theta.size, np.nan)
     equation = slice(0, len(estimator.equation.names))
@@ -91,7 +91,7 @@ def _views(
     yield np.maximum((theta - best) ** 2 - std**2, 0.0)
     if found.adequate or (follows and found.follows):
         return
-    whole = _solved(twin, columns, np.ones(columns.z.size, dtype=bool))
+    whole = _solve_part(twin, columns, np.ones(columns.z.size, dtype=bool))
     if whole is None:
         return
     if follows:
@@ -100,8 +100,9 @@ def _views(
 
 
 def _kinds_of_force(found: Adequacy) -> Iterator[list[int]]:
-    """The places of the forces that are one, tested at several speeds or sizes, of which a machine has one."""
-    names = [lack.name for lack in found.lacks]
+    """Indices of the candidates of each kind: one force tested at several speeds or sizes, of which a machine has
+    one."""
+    names = [candidate.name for candidate in found.forces]
     for name in dict.fromkeys(names):
         yield [k for k, other in enumerate(names) if other == name]
 
@@ -109,14 +110,14 @@ def _kinds_of_force(found: Adequacy) -> Iterator[list[int]]:
 def _contradictions(twin: IV, columns: Columns, velocity: Floats) -> Iterator[Floats]:
     """Mean squares (p,) by which parts of a record contradict each other, along its mean velocities (n,)."""
     for part in _parts(twin, columns, velocity):
-        first, second = _solved(twin, columns, part), _solved(twin, columns, ~part)
+        first, second = _solve_part(twin, columns, part), _solve_part(twin, columns, ~part)
         if first is not None and second is not None:
             share = _share(columns, part)
             yield np.maximum((first[0] - second[0]) ** 2 - first[1] - second[1], 0.0) * share * (1 - share)
 
 
 def _own_moves(found: Adequacy, twin: IV, columns: Columns, follows: bool) -> Floats:
-    """(p, k) by how much the estimate moves for a unit of each force: that of a motion that fits, or of instruments."""
+    """(p, k) by how much the estimate moves for a unit of each force: by the best motion, or by instruments."""
     if not follows:
         with suppress(NotIdentifiableError):
             return force_moves(found, twin, columns)
@@ -130,7 +131,7 @@ def believed_squares(found: Adequacy) -> Floats:
     by its part of all that is wrong: noise of the force has no single cause, and is in the standard deviation. One that
     is tested for, but not supposed, counts only where it explains nearly as much as the first.
     """
-    prior = np.array([lack.plausible for lack in found.lacks])
+    prior = np.array([candidate.plausible for candidate in found.forces])
     squares = believed_square(found.size, found.size_std, prior)
     if not found.missed:
         return np.where(prior > 0, squares, 0.0) * (1.0 if found.follows else found.explained)
@@ -153,7 +154,7 @@ def _parts(twin: IV, columns: Columns, velocity: Floats) -> Iterator[NDArray[np.
     """Which of the samples in use are in one of the two parts: the first half, fast, forward."""
     n = columns.z.size
     yield np.arange(n) < n // 2
-    velocity = filtered(velocity, twin, columns.used.size)[columns.used]
+    velocity = filter_force(velocity, twin, columns.used.size)[columns.used]
     speed = np.abs(velocity)
     yield speed > np.median(speed)
     yield velocity > 0
@@ -167,8 +168,8 @@ def _share(columns: Columns, part: NDArray[np.bool_]) -> Floats:
     return np.asarray(inside / (inside + outside))
 
 
-def _solved(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
-    """Estimate (p,) from a part of the samples in use, and its variances (p,); None where that identifies nothing."""
+def _solve_part(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
+    """Estimate (p,) from a part of the samples in use, and its variances (p,); None if the part identifies nothing."""
     own = replace(columns, phi=columns.phi[part], z=columns.z[part], zeta=columns.zeta[part])
     if not (np.all(np.any(own.zeta != 0, axis=0)) and np.all(np.any(own.phi != 0, axis=0))):
         return None

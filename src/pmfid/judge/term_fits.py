@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.candidate_forces import Change
 from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.difference import Difference, first_speed, least, rms
 from pmfid.estimators.instruments import Instruments
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import Change
 from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb, log_likelihood
 from pmfid.estimators.output_error import HOPELESS, OE
 from pmfid.estimators.starts import find_least_from_start, fit_at_speeds, read_start
 from pmfid.estimators.window_choice import FEWEST, FOLDS, SHORTEST, predicted_elsewhere
 from pmfid.judge.free_run import drive_run
-from pmfid.judge.term_periods import APART, HUNDRED, apart, candidates, pitched
+from pmfid.judge.term_periods import APART, HUNDRED, candidates, drop_neighbours, free_pitch
 from pmfid.judge.term_periods import FEWEST as FEWEST_PITCHES
-from pmfid.judge.term_trials import Trial, carried
+from pmfid.judge.term_trials import Trial, carry_parameters
 from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, MOST_LATE, Equation
 from pmfid.types import Floats
@@ -33,7 +33,7 @@ from pmfid.types import Floats
 MOST_PARTS = 2
 #: Relative tolerance of least squares on the way.
 ROUGHLY = 1e-4
-#: Noise [counts] below which a maximum of the likelihood may be a local one beside the right model.
+#: Noise [counts] above the floor, but below this value, may belong to a local maximum of the likelihood.
 SUSPICIOUS = 0.25
 #: A step up the likelihood that gains less is the last one.
 SETTLED = 0.1
@@ -65,11 +65,11 @@ class Bench:
             return self.further(self.first(change_arguments(model, {"stribeck": None})), {"stribeck": model.stribeck})
         method = like(IntervalML, self.method, model=model)
         difference, q, status = method.fit_least_squares(self.u, self.counts)
-        return trial_of(method, model, difference, q, status)
+        return make_trial(method, model, difference, q, status)
 
     def further(self, trial: Trial, change: Change) -> Trial:
         """The model with some of its fields changed, begun at the parameters of the one before."""
-        return self.fitted(change_arguments(trial.model, change), trial)
+        return self.fit_model(change_arguments(trial.model, change), trial)
 
     def pitches(self, trial: Trial) -> list[tuple[float, float]]:
         """Doubled gain of the log-likelihood, about, and pitch [unit of y] of cogging forces, the best first, of those
@@ -81,7 +81,7 @@ class Bench:
         while numbers:
             for number in numbers:
                 with suppress(NotIdentifiableError, UsageError):
-                    found.append(self._pitched(change_arguments(trial.model, {"cogging": travel / number}), trial))
+                    found.append(self._fit_pitch(change_arguments(trial.model, {"cogging": travel / number}), trial))
             tried += [*numbers, *(travel / pitch for _, pitch in found)]
             # moves that are all alike hardly tell a pitch of the travel more or less
             own = travel / max(found)[1] if found else FEWEST_PITCHES
@@ -94,54 +94,54 @@ class Bench:
             if likely > trial.log_likelihood
         ][:MOST_PITCHES]
 
-    def promised(self, trial: Trial) -> list[float]:
+    def scan_pitches(self, trial: Trial) -> list[float]:
         """Pitches [unit of y] of cogging forces at the peaks of the scans, not fitted."""
         travel = float(np.ptp(trial.difference.y))
         return [travel / number for number in candidates(self.method, self.u, self.counts, trial.best)]
 
-    def _pitched(self, model: Drive, trial: Trial) -> tuple[float, float]:
-        """Log-likelihood of a model at least squares, its pitch included, and that pitch [unit of y]: of motions that
-        are alike behind the high-pass the edges of the counts tell which."""
+    def _fit_pitch(self, model: Drive, trial: Trial) -> tuple[float, float]:
+        """Log-likelihood of a model at least squares, its pitch included, and that pitch [unit of y]. If motions are
+        alike after the high-pass, the edges of the counts decide between them."""
         method = like(IntervalML, self.method, model=model)
-        theta = carried(trial.model.equation, trial.theta, model.equation)
-        difference, q = _behind(method, self._by_places(model, theta), trial.difference)
-        behind = pitched(replace(difference, parts=1), model)
-        q = least(behind, np.r_[read_start(difference, q, method.cutoff), behind.number / HUNDRED], [COARSELY])
-        best, direct = Best(behind, q, q, None), replace(behind, pole=0.0)
-        if rms(behind(q)) <= HOPELESS * direct.explained:
+        theta = carry_parameters(trial.model.equation, trial.theta, model.equation)
+        difference, q = _high_pass(method, self._estimate_by_positions(model, theta), trial.difference)
+        filtered = free_pitch(replace(difference, parts=1), model)
+        q = least(filtered, np.r_[read_start(difference, q, method.cutoff), filtered.number / HUNDRED], [COARSELY])
+        best, direct = Best(filtered, q, q, None), replace(filtered, pole=0.0)
+        if rms(filtered(q)) <= HOPELESS * direct.explained:
             closer = least(direct, q, [ROUGHLY])
             if rms(direct(closer)) <= direct.explained:
                 best = Best(direct, closer, closer, LOOSE)
-        return log_likelihood(best, method.cutoff), float(behind.model_at(best.q).cogging or math.nan)
+        return log_likelihood(best, method.cutoff), float(filtered.model_at(best.q).cogging or math.nan)
 
-    def tuned(self, trial: Trial) -> Trial:
-        """The same with the pitch of the cogging force that is the likeliest, near the one that it has."""
-        free = pitched(trial.difference, trial.model)
+    def tune_pitch(self, trial: Trial) -> Trial:
+        """The trial with the likeliest pitch of its cogging force, near the present one."""
+        free = free_pitch(trial.difference, trial.model)
         q = np.r_[trial.best.q, free.number / HUNDRED]
         if trial.best.noise is None:
             q, noise = least(free, q, [ROUGHLY]), None
         else:
             _, q, noise = climb(free, q, None, SETTLED)
         model = free.model_at(q)
-        best = replace(trial.best, difference=free.at(q), q=q[:-1], noise=noise)
+        best = replace(trial.best, difference=free.fix_pitch(q), q=q[:-1], noise=noise)
         method = like(IntervalML, trial.method, model=model)
         found = Trial(model, method, best, log_likelihood(best, method.cutoff))
         return max(trial, found, key=lambda one: one.log_likelihood)
 
-    def _by_places(self, model: Drive, theta: Floats) -> Floats:
-        """Parameters (p,) by instrumental variables, which read the place from the counts: the motion of a model
-        without a force that comes again along the travel may be a period off. theta (p,): of the model, for what they
-        do not find."""
+    def _estimate_by_positions(self, model: Drive, theta: Floats) -> Floats:
+        """Parameters (p,) by instrumental variables, which read the position from the counts: the simulated motion of a
+        model without a periodic force may be a period off. theta (p,): of the model, for parameters that instrumental
+        variables do not estimate."""
         own, late = model.equation, dict.fromkeys((DEAD_TIME, LAG), 0.0) | _late_of(model.equation, theta)
         given = {key: late[key] for key in (DEAD_TIME, LAG) if getattr(model, key) == ESTIMATE}
         known = change_arguments(model, given | ({"stribeck": None} if model.stribeck == ESTIMATE else {}))
         found = like(Instruments, self.method, model=known).settle_iteration(self.u, self.counts)[1]
-        start = np.r_[carried(known.equation, found, own)[: len(own.names)], theta[len(own.names) :]]
+        start = np.r_[carry_parameters(known.equation, found, own)[: len(own.names)], theta[len(own.names) :]]
         return _late_by(own, start, late[DEAD_TIME], late[LAG])
 
-    def fitted(self, model: Drive, trial: Trial) -> Trial:
-        """A model begun at the parameters of another; of several starts the likeliest, and the first that explains
-        every count. Raises NotIdentifiableError where nothing settles."""
+    def fit_model(self, model: Drive, trial: Trial) -> Trial:
+        """A model fitted from the parameters of another; of several starts the likeliest, or the first that explains
+        every count. Raises NotIdentifiableError if no start settles."""
         found, refused = list[Trial](), NotIdentifiableError("the model settles nowhere")
         for theta, begun in self._starts(model, trial):
             try:
@@ -159,7 +159,7 @@ class Bench:
         """Parameters (p,) to begin with, and a trial whose motion starts alike: those of another model, and where it
         has no Stribeck speed, several."""
         equation, before = model.equation, trial.model.equation
-        theta = carried(before, trial.theta, equation)
+        theta = carry_parameters(before, trial.theta, equation)
         if late := _lates(model, trial):
             for dead, lag in late:
                 yield _late_by(equation, theta, dead, lag), trial
@@ -167,10 +167,12 @@ class Bench:
         if model.stribeck != ESTIMATE or trial.model.stribeck == ESTIMATE:
             yield theta, trial
         if model.stribeck == ESTIMATE:
-            found = fit_at_speeds(trial.usual_speed, self._known(model, theta, trial), lambda one: -one.log_likelihood)
+            found = fit_at_speeds(
+                trial.usual_speed, self._make_speed_fit(model, theta, trial), lambda one: -one.log_likelihood
+            )
             yield from ((np.r_[one.theta, speed], one) for speed, one in found)
 
-    def _known(self, model: Drive, theta: Floats, trial: Trial) -> Callable[[float], Trial]:
+    def _make_speed_fit(self, model: Drive, theta: Floats, trial: Trial) -> Callable[[float], Trial]:
         return lambda speed: self._from(change_arguments(model, {"stribeck": speed}), theta[:-1], trial, hasty=True)
 
     def _from(self, model: Drive, theta: Floats, trial: Trial, hasty: bool = False) -> Trial:
@@ -186,8 +188,8 @@ class Bench:
             difference = _quick(method.make_difference(theta, trial.difference.u, trial.difference.y))
             start = (trial.best.q * trial.difference.scale)[-2:]
             q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
-            found.append(_at_top(method, model, difference, q, trial.best.status, hasty))
-        found = [one for one in found if _in_time(one)]
+            found.append(_climb_to_top(method, model, difference, q, trial.best.status, hasty))
+        found = [one for one in found if _acts_in_time(one)]
         if not found:
             raise refused
         return max(found, key=lambda one: one.log_likelihood)
@@ -197,17 +199,17 @@ class Bench:
         method, starts = like(IntervalML, self.method, model=model), [theta]
         if any(not term.shape.of_speed for term in model.equation.shaped if term.shape):
             with suppress(NotIdentifiableError):
-                starts.insert(0, self._by_places(model, theta))
+                starts.insert(0, self._estimate_by_positions(model, theta))
         found = list[Trial]()
         for start in starts:
-            difference, q = _followed(method, start, trial.difference)
-            found.append(trial_of(method, model, difference, q, trial.best.status, hasty))
+            difference, q = _follow_record(method, start, trial.difference)
+            found.append(make_trial(method, model, difference, q, trial.best.status, hasty))
             if found[-1].best.clean:
                 break
         return found
 
-    def settled(self, trial: Trial) -> Trial:
-        """The same, of a model within the counts, simulated as finely as they ask for, to the last step."""
+    def settle_fit(self, trial: Trial) -> Trial:
+        """The trial, if within the counts, simulated as finely as the counts ask for, and fitted to convergence."""
         best = trial.best
         if best.noise is None:
             return trial
@@ -220,7 +222,7 @@ class Bench:
         """Error of free runs over what a model was not fitted to [unit of y]: another record, or thirds of this one
         with what the others say of the model. Infinite where there is no run."""
         if self.other is None:
-            return self._over_parts(trial)
+            return self._predict_parts(trial)
         equation = trial.model.equation
         linear = EquationModel(equation.known_at(trial.theta[len(equation.names) :]))
         method, theta = like(OE, trial.method, model=linear), trial.theta[: len(equation.names)]
@@ -228,7 +230,7 @@ class Bench:
             return drive_run(method, theta, *self.other, "the other record").rmse
         return math.inf
 
-    def _over_parts(self, trial: Trial) -> float:
+    def _predict_parts(self, trial: Trial) -> float:
         equation, n = trial.model.equation, self.u.size
         known = equation.known_at(trial.theta[len(equation.names) :])
         method = like(IntervalML, trial.method, model=EquationModel(known))
@@ -250,7 +252,7 @@ def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
     return [(dead * time, lag * time) for time in times for dead, lag in shares]
 
 
-def _in_time(trial: Trial) -> bool:
+def _acts_in_time(trial: Trial) -> bool:
     """Is the input no later than that of a drive may be?"""
     return max(_late_of(trial.model.equation, trial.theta).values(), default=0.0) <= MOST_LATE * trial.method.dt
 
@@ -274,7 +276,7 @@ def _late_by(equation: Equation, theta: Floats, dead: float, lag: float) -> Floa
 
 def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tuple[float, float]]:
     """Those whose pitch is not nearly that of one before; travel [unit of y]."""
-    kept = apart([travel / pitch for _, pitch in found])
+    kept = drop_neighbours([travel / pitch for _, pitch in found])
     return [one for one in found if travel / one[1] in kept]
 
 
@@ -283,32 +285,33 @@ def shortest_part(method: IntervalML) -> int:
     return max(FEWEST, math.ceil(SHORTEST / (method.cutoff * method.dt) - ROUNDING))
 
 
-def cutoff_for(samples: int, dt: float) -> float | None:
-    """Least cutoff [rad/s] at which a part of so many samples, every dt [s], can be predicted; None: there is none."""
+def choose_cutoff(samples: int, dt: float) -> float | None:
+    """Least cutoff [rad/s] at which a part of `samples` samples, every dt [s], can be predicted; None: there is
+    none."""
     return SHORTEST / (samples * dt) if samples >= FEWEST else None
 
 
-def trial_of(
+def make_trial(
     method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
 ) -> Trial:
     """At the largest likelihood from the least squares q (q,), where that is within the counts."""
     if difference.pole > 0 or rms(difference(q)) > difference.explained:
         best = Best(difference, q, q, None, status)
         return Trial(model, method, best, log_likelihood(best, method.cutoff))
-    return _at_top(method, model, difference, q, status, hasty)
+    return _climb_to_top(method, model, difference, q, status, hasty)
 
 
-def _followed(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
-    """The difference of a record as `Following.followed` has it, and its least squares from theta (p,), roughly: of
-    many models all but one are to be thrown away."""
-    behind, q = _behind(method, theta, record)
-    placed = any(not term.shape.of_speed for term in behind.equation.shaped if term.shape)
-    q = find_least_from_start(behind, q, method.cutoff, [ROUGHLY]) if placed else least(behind, q, [ROUGHLY])
-    direct = replace(behind, pole=0.0)
-    if rms(behind(q)) > HOPELESS * direct.explained:
-        return behind, q
+def _follow_record(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
+    """The difference of a record, with the high-pass if the simulation drifts away, and its rough least squares from
+    theta (p,): of many models all but one are to be thrown away."""
+    filtered, q = _high_pass(method, theta, record)
+    placed = any(not term.shape.of_speed for term in filtered.equation.shaped if term.shape)
+    q = find_least_from_start(filtered, q, method.cutoff, [ROUGHLY]) if placed else least(filtered, q, [ROUGHLY])
+    direct = replace(filtered, pole=0.0)
+    if rms(filtered(q)) > HOPELESS * direct.explained:
+        return filtered, q
     closer = least(direct, q, [ROUGHLY])
-    return (direct, closer) if rms(direct(closer)) <= direct.explained else (behind, q)
+    return (direct, closer) if rms(direct(closer)) <= direct.explained else (filtered, q)
 
 
 def _quick(difference: Difference) -> Difference:
@@ -316,19 +319,19 @@ def _quick(difference: Difference) -> Difference:
     return replace(difference, parts=min(difference.parts, MOST_PARTS))
 
 
-def _behind(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
-    """The difference of a record behind the high-pass, and q (q,) of theta (p,) at the first count."""
-    behind = replace(_quick(method.make_difference(theta, record.u, record.y)), pole=method.cutoff)
+def _high_pass(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
+    """The difference of a record after the high-pass, and q (q,) of theta (p,) at the first count."""
+    filtered = replace(_quick(method.make_difference(theta, record.u, record.y)), pole=method.cutoff)
     begin = np.r_[theta, record.y[0], first_speed(record.y, record.dt, method.cutoff, record.resolution)]
-    return behind, np.maximum(begin / behind.scale, behind.lower)
+    return filtered, np.maximum(begin / filtered.scale, filtered.lower)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # far from the counts their probability is beyond numbers
-def _at_top(
+def _climb_to_top(
     method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
 ) -> Trial:
-    """At a maximum of the likelihood near q (q,); by way of a noise that shrinks where it may be a local one, unless it
-    is to be hasty."""
+    """A trial at a maximum of the likelihood near q (q,). If the maximum may be a local one, a noise that shrinks leads
+    to it; hasty: never."""
     found = climb(difference, q, None, SETTLED)
     if not hasty and GIVEN_AWAY * NOISE_FLOOR < found[2] < SUSPICIOUS:
         place = q

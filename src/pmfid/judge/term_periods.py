@@ -1,8 +1,8 @@
-"""At which pitch does a force come again along the travel? Scans over pitches, and the pitches that they end at.
+"""Which pitch has a force that is periodic in the position? Scans over pitches, and the pitches that they end at.
 
-Two scans look at the same record in different ways. Score tests see what a force does to the position: where it is slow
-against the encoder's error, but not where the simulated motion has left the measured one. A balance of forces behind
-the filters sees it at the measured places, however far the simulation is off: where it is fast.
+Two scans look at the same record in different ways. Score tests see the effect of a force on the position. They see
+slow forces, but none if the simulated motion has left the measured one. A balance of filtered forces sees fast forces
+at the measured positions, however far the simulation is off.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.estimators.adequacy import filtered_rows, weigh
+from pmfid.estimators.adequacy import filter_forces, weigh
+from pmfid.estimators.candidate_forces import PeriodicForce
 from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.difference import Difference, rms
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import Place
 from pmfid.estimators.likelihood import Best
 from pmfid.estimators.ls import LS
 from pmfid.models.drive import Drive
 from pmfid.types import Floats
 
-#: Least and most pitches of the travel: with fewer a pitch is told from nothing else, more are not looked for.
+#: Least and greatest number of pitches in the travel: fewer resemble other forces, more are not looked for.
 FEWEST, MOST = 4.0, 150.0
 #: Counts, and samples at the usual speed, that a pitch has at least.
 COUNTS, SAMPLES = 8.0, 4.0
-#: Pitches are tried half a pitch of the travel apart, so many at a time.
+#: Distance of the numbers of pitches that are tried, and how many are tried at a time.
 APART, AT_A_TIME = 0.5, 40
 #: Peaks that are gone on from in each scan, and pitches of the travel between two of them.
 PEAKS, BETWEEN = 2, 0.9
 #: Around a peak they are tried this much apart.
 CLOSER = np.arange(-0.4, 0.5, 0.1)
-#: Cutoffs of the balance, as parts of the filters': the encoder's error hides a slow force behind fast filters, and
-#: friction a fast one behind slow filters.
+#: Cutoffs of the balance, as parts of the filters' cutoff: with fast filters the encoder's error hides a slow force,
+#: with slow filters friction hides a fast one.
 SLOWER = (1.0, 1 / 3)
 #: Pitches that are looked at on the way are counted in hundreds, so that they are moved by a hundredth of one.
 HUNDRED = 100.0
@@ -56,11 +56,11 @@ def candidates(method: IntervalML, u: Floats, counts: NDArray[np.int64], best: B
     numbers = pitches(best)
     if not numbers.size:
         return []
-    found = list(_peaks(numbers, lambda tried: _promised(best, tried)))
+    found = list(_peaks(numbers, lambda tried: _predict_gains(best, tried)))
     for part in SLOWER:
         own = like(LS, method, model=method.model.simple, cutoff=part * method.cutoff)
-        found += _peaks(numbers, lambda tried, own=own: balanced(own, u, counts, tried))  # type: ignore[misc]
-    return apart(found)
+        found += _peaks(numbers, lambda tried, own=own: scan_balance(own, u, counts, tried))  # type: ignore[misc]
+    return drop_neighbours(found)
 
 
 def _peaks(numbers: Floats, gain_of: Callable[[Floats], Floats]) -> Iterator[float]:
@@ -75,8 +75,8 @@ def _peaks(numbers: Floats, gain_of: Callable[[Floats], Floats]) -> Iterator[flo
         gain[np.abs(numbers - numbers[k]) < BETWEEN] = 0.0
 
 
-def apart(numbers: Sequence[float]) -> list[float]:
-    """Those that are not nearly another one before."""
+def drop_neighbours(numbers: Sequence[float]) -> list[float]:
+    """The numbers without those close to an earlier one."""
     kept = list[float]()
     for number in numbers:
         if all(abs(number - other) > APART for other in kept):
@@ -84,17 +84,17 @@ def apart(numbers: Sequence[float]) -> list[float]:
     return kept
 
 
-def _promised(best: Best, numbers: Floats) -> Floats:
-    """(k,) doubled gain of the log-likelihood of sin and cos together that their scores promise, about, for so many
-    pitches of the travel."""
+def _predict_gains(best: Best, numbers: Floats) -> Floats:
+    """(k,) doubled gain of the log-likelihood that the scores of sin and cos together promise, about, for each number
+    of pitches in the travel."""
     coarse = replace(best, difference=replace(best.difference, parts=1))
     travel, gains = float(np.ptp(best.difference.y)), dict.fromkeys(numbers.tolist(), 0.0)
     for part in _parts(numbers):
         own = {travel / number: number for number in part.tolist()}
-        found = weigh(coarse, [Place("cogging", period) for period in own])
-        for lack, gain in zip(found.lacks, found.gain.tolist(), strict=True):
-            if lack.name == "cogging":
-                gains[own[float(lack.changes[0]["cogging"])]] += gain  # type: ignore[arg-type]
+        found = weigh(coarse, [PeriodicForce("cogging", period) for period in own])
+        for candidate, gain in zip(found.forces, found.gain.tolist(), strict=True):
+            if candidate.name == "cogging":
+                gains[own[float(candidate.changes[0]["cogging"])]] += gain  # type: ignore[arg-type]
     return np.array(list(gains.values()))
 
 
@@ -102,9 +102,9 @@ def _parts(numbers: Floats) -> list[Floats]:
     return [numbers[first : first + AT_A_TIME] for first in range(0, numbers.size, AT_A_TIME)]
 
 
-def balanced(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floats) -> Floats:
-    """(k,) part of what a balance of forces behind the filters leaves, of u, counts (n,), that a force at the measured
-    place with so many pitches of the travel explains beside the model's own terms."""
+def scan_balance(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floats) -> Floats:
+    """(k,) part of the residual of a filtered balance of forces that a periodic force at the measured position
+    explains, for each number of pitches in the travel. u, counts: (n,). The model's own terms are taken out first."""
     columns, y = method.columns(u, counts), method.encoder.resolution * (counts - counts[0])
     middle = y + np.diff(y, append=y[-1]) / 2
     own = np.linalg.qr(columns.phi)[0]
@@ -113,7 +113,7 @@ def balanced(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floats) 
     found = []
     for part in _parts(numbers):
         angle = np.outer(2 * np.pi / np.ptp(y) * part, middle)
-        waves = filtered_rows(moving * np.concatenate([np.sin(angle), np.cos(angle)]), method)[:, columns.used]
+        waves = filter_forces(moving * np.concatenate([np.sin(angle), np.cos(angle)]), method)[:, columns.used]
         waves -= (waves @ own) @ own.T
         sin, cos = waves[: part.size], waves[part.size :]
         a, b, both = np.sum(sin**2, axis=1), np.sum(cos**2, axis=1), np.sum(sin * cos, axis=1)
@@ -123,7 +123,7 @@ def balanced(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floats) 
 
 
 def _moving(counts: NDArray[np.int64], near: int) -> NDArray[np.bool_]:
-    """(n,) does the axis move, within so many samples? At rest friction takes whatever force there is."""
+    """(n,) does the axis move within `near` samples? At rest friction takes up any force."""
     moves = np.diff(counts, append=counts[-1]) != 0
     return np.asarray(np.convolve(moves, np.ones(2 * near + 1), "same") > 0)
 
@@ -135,8 +135,8 @@ class Pitched(Difference):
 
     model: Drive | None = None
 
-    def at(self, q: Floats) -> Difference:
-        """The difference at the pitch of q (q + 1,)."""
+    def fix_pitch(self, q: Floats) -> Difference:
+        """The difference with the pitch fixed at that of q (q + 1,)."""
         own = {field.name: getattr(self, field.name) for field in fields(Difference)}
         return Difference(**(own | {"equation": self.model_at(q).equation}))
 
@@ -152,14 +152,14 @@ class Pitched(Difference):
         return float(np.ptp(self.y)) / float((self.model and self.model.cogging) or np.nan)
 
     def __call__(self, q: Floats) -> Floats:
-        return self.at(q)(q[:-1])
+        return self.fix_pitch(q)(q[:-1])
 
     @property
     def lower(self) -> Floats:
         return np.asarray(np.r_[super().lower, FEWEST / 2 / HUNDRED])
 
 
-def pitched(difference: Difference, model: Drive) -> Pitched:
-    """The same difference, of a model with a cogging force, at any pitch."""
+def free_pitch(difference: Difference, model: Drive) -> Pitched:
+    """The difference of a model with a cogging force, with the pitch as a further unknown."""
     own = {field.name: getattr(difference, field.name) for field in fields(Difference)}
     return Pitched(**own, model=model)

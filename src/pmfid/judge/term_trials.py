@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.estimators.adequacy import Adequacy, information_of, score_variance, weigh
+from pmfid.estimators.candidate_forces import PeriodicForce
 from pmfid.estimators.difference import Difference, remove_nuisance, rms
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import Place
 from pmfid.estimators.likelihood import Best
 from pmfid.estimators.scatter import TINY
 from pmfid.models.drive import Drive
@@ -45,14 +45,14 @@ class Trial:
 
     @property
     def theta(self) -> Floats:
-        """(p,) parameters of the equation, and behind them those that it is not linear in."""
+        """(p,) parameters of the equation, followed by those that it is not linear in."""
         return np.asarray((self.best.q * self.difference.scale)[:-2])
 
     @property
     def parameters(self) -> int:
         return self.difference.parameters
 
-    def weighed(self, places: Sequence[Place] = ()) -> Adequacy:
+    def weigh_forces(self, places: Sequence[PeriodicForce] = ()) -> Adequacy:
         return weigh(self.best, places)
 
     @property
@@ -63,15 +63,15 @@ class Trial:
 
 
 def inflation(before: Trial, after: Trial) -> float:
-    """By how much the score of what a model has beyond another scatters more, at its fit, than that of independent
-    errors would: so much larger are likelihood ratios by chance. The largest of all directions that are new."""
+    """Ratio of the scatter of the scores of a model's new terms, at its fit, to the scatter of independent errors.
+    Chance inflates likelihood ratios by this factor. The largest over all new directions."""
     best, old, new = after.best, before.model.equation, after.model.equation
     difference, p = best.difference, best.difference.parameters
     sensitivity = -difference.jacobian(best.q)
     own = remove_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
     steps = SMALL * np.maximum(np.abs(before.theta), SMALL * float(np.max(np.abs(before.theta))))
-    begin = carried(old, before.theta, new)
-    moves = [(carried(old, before.theta + step, new) - begin) / float(np.sum(step)) for step in np.diag(steps)]
+    begin = carry_parameters(old, before.theta, new)
+    moves = [(carry_parameters(old, before.theta + step, new) - begin) / float(np.sum(step)) for step in np.diag(steps)]
     shared = own @ np.column_stack(moves)
     shared /= np.maximum(np.linalg.norm(shared, axis=0), TINY)
     own /= np.maximum(np.linalg.norm(own, axis=0), TINY)
@@ -82,7 +82,7 @@ def inflation(before: Trial, after: Trial) -> float:
 
 
 def known_shapes(best: Best) -> Best:
-    """The same motion as that of an equation whose shape parameters are known."""
+    """The same motion, from an equation whose shape parameters are known."""
     difference, q = best.difference, best.q
     p = len(difference.equation.names)
     equation = difference.equation.known_at((q * difference.scale)[p:-2])
@@ -91,8 +91,8 @@ def known_shapes(best: Best) -> Best:
     return replace(best, difference=linear, least=best.least[keep], q=q[keep])
 
 
-def carried(before: Equation, theta: Floats, after: Equation) -> Floats:
-    """Parameters (p,) of one equation as those of another one to start from: what only the latter has is zero."""
+def carry_parameters(before: Equation, theta: Floats, after: Equation) -> Floats:
+    """Parameters (p,) of one equation as start values of another; parameters that only the latter has are zero."""
     own = before.role_values(theta)
     body, further = (
         own[: len(ROLES)],

@@ -18,15 +18,16 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, NEARLY, Adequacy
+from pmfid.estimators.candidate_forces import DIRECTIONAL, Change, PeriodicForce, setting
 from pmfid.estimators.configuration import change_arguments
-from pmfid.estimators.lacks import DIRECTIONAL, Change, Place, setting
 from pmfid.judge.term_fits import Bench
 from pmfid.judge.term_periods import pitches
 from pmfid.judge.term_trials import Trial, inflation
 from pmfid.models.drive import Drive
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG
 
-#: Where the model does not explain every count, its scores scatter for what it lacks: these are worth a trial then.
+#: Least score that is worth a trial if the model does not explain every count: unmodelled effects then scatter the
+#: scores.
 WEAK = 1.0
 #: What the score of a force cannot tell from it: a lag is a dead time to first order.
 OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"lag": ESTIMATE},)})
@@ -34,7 +35,7 @@ OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"
 MOST_TRIED, MOST_STEPS = 4, 8
 #: Pitches that are tried together with another term where no single one suffices.
 MOST_PAIRED = 2
-#: Candidates that chance has in each step, about, beside places and pitches.
+#: Number of candidates in each step, about, without periodic forces and pitches.
 USUAL = 8
 #: A gain that every further parameter of a term has to bring.
 PER_PARAMETER = 4.0
@@ -48,10 +49,10 @@ NO_WORSE = 0.002
 
 @dataclass(frozen=True)
 class Candidate:
-    """A change of the model, what it is, and how it was come by. z: standard deviations of its score from zero;
-    inflation: by how much the score scatters beyond what independent errors would, at first before the term is there,
-    and when it is fitted with it; explains: doubled gain of the log-likelihood that its score promises; elsewhere: that
-    over parts that it is not taken from; scanned: its pitch comes from a scan."""
+    """A change of the model, its description and its origin. z: score in standard deviations; inflation: scatter of the
+    score relative to independent errors, at first without the term, and after the fit with it; explains: doubled gain
+    of the log-likelihood that the score promises; elsewhere: promised gain over parts that the coefficient is not taken
+    from; scanned: the pitch comes from a scan."""
 
     change: Change
     says: str
@@ -68,10 +69,10 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Step:
-    """One candidate, fitted on top of a model. gain: doubled gain of the log-likelihood over what chance makes of it,
-    so that a parameter of no use brings 1; needed: the gain from which on it counts; error, without: of free runs over
-    other parts of the record with it and without it [unit of y]; verdict: "kept", "either" or the reason why not."""
+class FittedCandidate:
+    """One candidate, fitted on top of a model. gain: doubled gain of the log-likelihood, scaled so that a useless
+    parameter brings 1; needed: the gain from which on it counts; error, without: errors of free runs over other parts
+    of the record with it and without it [unit of y]; verdict: "kept", "either" or the reason why not."""
 
     candidate: Candidate
     trial: Trial | None
@@ -110,14 +111,14 @@ UNCLEAR = "its pitch is unclear: give it"
 
 @dataclass(frozen=True)
 class Terms:
-    """The search: trials, from the model to begin with to the chosen one, their errors of free runs over other parts of
-    the record [unit of y], all candidates that were fitted in each step, the chosen model without each of the terms
-    that were added, and what it may still lack."""
+    """The search: trials, from the initial model to the chosen one; their errors of free runs over other parts of the
+    record [unit of y]; all candidates that were fitted in each step; the chosen model without each of the added terms;
+    and its adequacy."""
 
     trials: tuple[Trial, ...]
     errors: tuple[float, ...]
-    steps: tuple[tuple[Step, ...], ...]
-    without: tuple[Step, ...]
+    steps: tuple[tuple[FittedCandidate, ...], ...]
+    without: tuple[FittedCandidate, ...]
     adequacy: Adequacy
 
     @property
@@ -130,7 +131,7 @@ class Terms:
         return changed_fields(self.trials[0].model, self.chosen.model)
 
     @property
-    def refused(self) -> tuple[Step, ...]:
+    def refused(self) -> tuple[FittedCandidate, ...]:
         """Terms beyond chance that were not kept, and that nothing else has taken the place of."""
         last = self.steps[-1:] if self.steps and not any(step.kept for step in self.steps[-1]) else ()
         return tuple(
@@ -141,7 +142,7 @@ class Terms:
         )
 
     @cached_property
-    def either(self) -> tuple[tuple[Step, Step], ...]:
+    def either(self) -> tuple[tuple[FittedCandidate, FittedCandidate], ...]:
         """Terms that were kept, with others that explain as much and were not."""
         pairs = []
         for tried in self.steps:
@@ -152,7 +153,7 @@ class Terms:
 
 
 def changed_fields(first: Drive, last: Drive) -> dict[str, object]:
-    """The fields of the last that differ from those of the first."""
+    """Fields in which the last model differs from the first."""
     pairs = ((field.name, getattr(first, field.name), getattr(last, field.name)) for field in fields(Drive))
     return {name: after for name, before, after in pairs if before != after}
 
@@ -160,7 +161,7 @@ def changed_fields(first: Drive, last: Drive) -> dict[str, object]:
 def search(
     bench: Bench,
     model: Drive,
-    places: Sequence[Place] = (),
+    places: Sequence[PeriodicForce] = (),
     scan: bool = True,
     done: Callable[[float], None] | None = None,
 ) -> Terms:
@@ -168,9 +169,7 @@ def search(
     force. Raises NotIdentifiableError where not even the model to begin with has a fit."""
     looking = scan and model.cogging is None and all(place.key != "cogging" for place in places)
     first = bench.first(model)
-    return _Search(
-        bench, tuple(places), looking, [first], [bench.elsewhere(first)], done or (lambda part: None)
-    ).found()
+    return _Search(bench, tuple(places), looking, [first], [bench.elsewhere(first)], done or (lambda part: None)).run()
 
 
 @dataclass
@@ -178,33 +177,35 @@ class _Search:
     """A search under way: trials and their errors as in `Terms`; done: called with the part of the work."""
 
     bench: Bench
-    places: tuple[Place, ...]
+    places: tuple[PeriodicForce, ...]
     looking: bool
     trials: list[Trial]
     errors: list[float]
     done: Callable[[float], None]
-    steps: list[tuple[Step, ...]] = field(default_factory=list)
+    steps: list[tuple[FittedCandidate, ...]] = field(default_factory=list)
 
-    def found(self) -> Terms:
-        """A term more in each step, and less where others have made it superfluous."""
-        seen, without = list[Drive](), tuple[Step, ...]()
+    def run(self) -> Terms:
+        """Adds a term in each step, and removes terms that others have made superfluous."""
+        seen, without = list[Drive](), tuple[FittedCandidate, ...]()
         while len(self.steps) < MOST_STEPS and self.trials[-1].model not in seen:
             seen.append(self.trials[-1].model)
-            tried = self._tried()
+            tried = self._try_candidates()
             self.steps.append(tried)
             best = next((step for step in tried if step.kept), None)
             if best is None or best.trial is None:
                 break
             self._take(best.trial, best.error)
-            without = self._without_superfluous()
-        self.trials[-1] = self.bench.settled(self.trials[-1])
+            without = self._drop_superfluous()
+        self.trials[-1] = self.bench.settle_fit(self.trials[-1])
         self.done(1.0)
-        adequacy = self.trials[-1].weighed(self.places)
-        return self._decided(Terms(tuple(self.trials), tuple(self.errors), tuple(self.steps), without, adequacy))
+        adequacy = self.trials[-1].weigh_forces(self.places)
+        return self._resolve_alternatives(
+            Terms(tuple(self.trials), tuple(self.errors), tuple(self.steps), without, adequacy)
+        )
 
-    def _decided(self, found: Terms) -> Terms:
-        """The same without terms that explained as much as one that was kept when others were still missing, and that
-        explain less in its place now."""
+    def _resolve_alternatives(self, found: Terms) -> Terms:
+        """Rules out alternatives that explained as much as a kept term while others were missing, and that explain less
+        in its place now."""
         less = [other for kept, other in found.either if self._is_less(found.chosen, kept.candidate, other.candidate)]
         steps = (
             tuple(replace(step, verdict=LESS) if any(step is one for one in less) else step for step in tried)
@@ -216,7 +217,7 @@ class _Search:
         first = self.trials[0].model
         change = {key: getattr(first, key) for key in kept.change} | dict(other.change)
         try:
-            swapped = self.bench.fitted(change_arguments(chosen.model, change), chosen)
+            swapped = self.bench.fit_model(change_arguments(chosen.model, change), chosen)
         except (NotIdentifiableError, UsageError):
             return True
         return 2 * (chosen.log_likelihood - swapped.log_likelihood) / kept.inflation >= ALIKE
@@ -225,77 +226,79 @@ class _Search:
         self.trials.append(trial)
         self.errors.append(error)
 
-    def _tried(self) -> tuple[Step, ...]:
-        """What is missing in a model, fitted, with a verdict on each; the best first."""
+    def _try_candidates(self) -> tuple[FittedCandidate, ...]:
+        """The candidates of a model, fitted, with a verdict on each; the best first."""
         trial = self.trials[-1]
         number = USUAL + len(self.places)
-        candidates = proposed(trial, trial.weighed(self.places))
+        candidates = propose_candidates(trial, trial.weigh_forces(self.places))
         looking = self.looking and trial.model.cogging is None and not trial.best.clean
         number += pitches(trial.best).size if looking else 0
-        again = () if trial.best.clean else (*_otherwise_late(trial), *_again(trial, self.steps, candidates))
-        judged = self._judged(self._fitted(trial, candidates[:MOST_TRIED], again, number))
+        again = () if trial.best.clean else (*_otherwise_late(trial), *_list_retries(trial, self.steps, candidates))
+        judged = self._judge_steps(self._fit_candidates(trial, candidates[:MOST_TRIED], again, number))
         if looking and not any(step.kept for step in judged):
-            judged = self._judged([*judged, *self._fitted(trial, self._scanned(trial), (), number)])
+            judged = self._judge_steps(
+                [*judged, *self._fit_candidates(trial, self._propose_pitches(trial), (), number)]
+            )
         if trial.best.clean or any(step.kept for step in judged):
             return tuple(judged)
-        return (*judged, *self._judged(self._pairs(trial, judged, number)))
+        return (*judged, *self._judge_steps(self._pairs(trial, judged, number)))
 
-    def _fitted(
+    def _fit_candidates(
         self, trial: Trial, candidates: Sequence[Candidate], again: Sequence[Candidate], number: int
-    ) -> list[Step]:
-        """Candidates, the best first, and others whose score says nothing; those that promise much less than the first
-        only where nothing explains every count."""
-        fitted = list[Step]()
+    ) -> list[FittedCandidate]:
+        """Fits candidates, the best first, and others whose score says nothing. Candidates that promise much less than
+        the first are fitted only if nothing explains every count."""
+        fitted = list[FittedCandidate]()
         for candidate in (*candidates, *again):
             known = any(step.explains_all and step.gain > step.needed for step in fitted)
             near = candidate in candidates and candidate.explains >= NEARLY * candidates[0].explains
             if known and (candidate.scanned or not near):
                 break
-            fitted.append(_fitted(self.bench, trial, candidate, number))
+            fitted.append(_fit_candidate(self.bench, trial, candidate, number))
             self.done((len(self.steps) + len(fitted) / (len(candidates) + len(again) + 1)) / (MOST_STEPS + 1))
         return fitted
 
-    def _pairs(self, trial: Trial, tried: Sequence[Step], number: int) -> list[Step]:
+    def _pairs(self, trial: Trial, tried: Sequence[FittedCandidate], number: int) -> list[FittedCandidate]:
         """Two terms at once, where no single one suffices: the two that explain most alone, and the first of them with
         a force along the travel, whose quick fit may go astray while the other is missing. That force alone, fitted as
         others are, where another term was kept before, which may be in its place."""
         best = [step.candidate for step in tried if step.trial is not None][:2]
         looking = self.looking and trial.model.cogging is None
         pairs = [tuple(best)] if len(best) == 2 else []
-        along = self._promised(trial) if looking else []
+        along = self._propose_peaks(trial) if looking else []
         pairs += [(best[0] if best and len(self.trials) == 1 else one, one) for one in along]
-        fitted = list[Step]()
+        fitted = list[FittedCandidate]()
         for one, other in pairs:
             change = {**one.change, **other.change}
             if other.change.items() <= change.items() and one.change.items() <= change.items():
                 says = other.says if one is other else f"{one.says}, and {other.says}"
                 both = replace(one, change=change, says=says, scanned="cogging" in change)
-                fitted.append(_fitted(self.bench, trial, replace(both, elsewhere=math.inf), number**2))
+                fitted.append(_fit_candidate(self.bench, trial, replace(both, elsewhere=math.inf), number**2))
             if fitted and fitted[-1].explains_all:
                 break
         return fitted
 
-    def _promised(self, trial: Trial) -> list[Candidate]:
+    def _propose_peaks(self, trial: Trial) -> list[Candidate]:
         """Cogging forces at the peaks of the scans."""
-        places = [Place("cogging", pitch) for pitch in self.bench.promised(trial)[:MOST_PAIRED]]
+        places = [PeriodicForce("cogging", pitch) for pitch in self.bench.scan_pitches(trial)[:MOST_PAIRED]]
         return [Candidate({one.key: one.period}, one.says, 0.0, 1.0, 0.0, math.inf, True) for one in places]
 
-    def _scanned(self, trial: Trial) -> list[Candidate]:
+    def _propose_pitches(self, trial: Trial) -> list[Candidate]:
         """Cogging forces of the pitches that scans end at."""
         found = []
         for gain, pitch in self.bench.pitches(trial):
-            place = Place("cogging", pitch)
-            seen = trial.weighed([place])
-            scores = [abs(z) for lack, z in zip(seen.lacks, seen.z, strict=True) if lack.name == place.key]
+            place = PeriodicForce("cogging", pitch)
+            seen = trial.weigh_forces([place])
+            scores = [abs(z) for candidate, z in zip(seen.forces, seen.z, strict=True) if candidate.name == place.key]
             z = float(max(scores, default=0.0))
             found.append(Candidate({place.key: pitch}, place.says, z, 1.0, gain, gain, True))
         return found
 
-    def _judged(self, found: Sequence[Step]) -> list[Step]:
-        """The first that is beyond chance and predicts other parts no worse is kept."""
-        judged, kept, error = list[Step](), None, self.errors[-1]
+    def _judge_steps(self, found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
+        """Keeps the first candidate that is beyond chance and predicts other parts no worse."""
+        judged, kept, error = list[FittedCandidate](), None, self.errors[-1]
         for step in _simplest_first(found):
-            if step.trial is None or (reason := against(step, found)):
+            if step.trial is None or (reason := find_objection(step, found)):
                 judged.append(step if step.trial is None else replace(step, verdict=reason, without=error))
                 continue
             own = step.error if math.isfinite(step.error) else self.bench.elsewhere(step.trial)
@@ -304,14 +307,14 @@ class _Search:
             kept = judged[-1] if judged[-1].kept else kept
         return judged
 
-    def _without_superfluous(self) -> tuple[Step, ...]:
-        """The chosen model without each of the terms that were added; goes on to one of these models where the loss is
-        one of chance, or the term worsens the prediction of other parts."""
+    def _drop_superfluous(self) -> tuple[FittedCandidate, ...]:
+        """The chosen model without each of the added terms. The search goes on to one of these models if the loss is
+        within chance, or the term worsens the prediction of other parts."""
         first = self.trials[0].model
         while True:
             last = self.trials[-1].model
-            tried = [self._removed(change) for change in removable(first, last)]
-            simpler = [self._removed(DIRECTIONAL, LOAD)] if last.friction != first.friction else []
+            tried = [self._remove_term(change) for change in removable(first, last)]
+            simpler = [self._remove_term(DIRECTIONAL, LOAD)] if last.friction != first.friction else []
             gone = [step for step in (*tried, *simpler) if step.verdict == DROPPED and step.trial is not None]
             if not gone:
                 return tuple(tried)
@@ -320,25 +323,25 @@ class _Search:
             if least.trial is not None:
                 self._take(least.trial, least.without)
 
-    def _removed(self, change: Change, instead: Change = MappingProxyType({})) -> Step:
-        """instead: a simpler term that takes the place of another."""
+    def _remove_term(self, change: Change, instead: Change = MappingProxyType({})) -> FittedCandidate:
+        """The model fitted without a term. instead: a simpler term that takes its place."""
         whole, first = self.trials[-1], self.trials[0].model
         own = {key: getattr(whole.model, key) for key in change}
         candidate = Candidate(own, " and ".join(setting(*pair) for pair in own.items()), 0.0, 1.0, 0.0, math.inf)
         try:
             back = {key: getattr(first, key) for key in change} | dict(instead)
-            found = self.bench.fitted(change_arguments(whole.model, back), whole)
+            found = self.bench.fit_model(change_arguments(whole.model, back), whole)
         except (NotIdentifiableError, UsageError):  # nothing follows the record without it
-            return Step(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
+            return FittedCandidate(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
         candidate = replace(candidate, inflation=inflation(found, whole))
-        needed, loss = _needed(whole, found, USUAL + len(self.places)), _gain(whole, found, candidate)
+        needed, loss = _compute_needed_gain(whole, found, USUAL + len(self.places)), _gain(whole, found, candidate)
         error = self.bench.elsewhere(found)
         gone = loss < needed or is_worse(self.errors[-1], error)
-        return Step(candidate, found, loss, needed, self.errors[-1], DROPPED if gone else KEPT, error)
+        return FittedCandidate(candidate, found, loss, needed, self.errors[-1], DROPPED if gone else KEPT, error)
 
 
 def is_worse(error: float, before: float) -> bool:
-    """Is an error of free runs larger than that of the model without a term?"""
+    """Is an error of free runs larger than the error of the model without a term?"""
     return error > (1 + NO_WORSE) * before
 
 
@@ -349,29 +352,29 @@ def removable(first: Drive, last: Drive) -> list[Change]:
     return [dict(together.get(key, {key: value})) for key, value in found.items() if key != "offset" or last.offset]
 
 
-def _next_to(step: Step, kept: Step) -> str:
-    """What is said of a term next to the one that is kept."""
-    return EITHER if _behind(step, kept) < ALIKE and not _within(kept, step) else LESS
+def _next_to(step: FittedCandidate, kept: FittedCandidate) -> str:
+    """The verdict on a term in comparison with the kept one."""
+    return EITHER if _measure_deficit(step, kept) < ALIKE and not _is_special_case(kept, step) else LESS
 
 
-def _behind(step: Step, best: Step) -> float:
+def _measure_deficit(step: FittedCandidate, best: FittedCandidate) -> float:
     """By how much a term explains less than the best, in units of chance."""
     if step.trial is None or best.trial is None:
         return math.inf
     return 2 * (best.trial.log_likelihood - step.trial.log_likelihood) / best.candidate.inflation
 
 
-def _simplest_first(found: Sequence[Step]) -> list[Step]:
+def _simplest_first(found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
     """The best first, but for one that has fewer parameters, is a part of it, and explains as much but for chance."""
     ordered = sorted(found, key=lambda step: step.size, reverse=True)
     for step in ordered[1:]:
-        if _within(step, ordered[0]) and _behind(step, ordered[0]) < ALIKE + PER_PARAMETER:
+        if _is_special_case(step, ordered[0]) and _measure_deficit(step, ordered[0]) < ALIKE + PER_PARAMETER:
             return [step, *(one for one in ordered if one is not step)]
     return ordered
 
 
-def _within(step: Step, other: Step) -> bool:
-    """Is a term the special case of another? A load is one of directional friction."""
+def _is_special_case(step: FittedCandidate, other: FittedCandidate) -> bool:
+    """Is a term the special case of another? A load is a special case of directional friction."""
     return step.candidate.key == "offset" and other.candidate.key == "friction"
 
 
@@ -384,9 +387,11 @@ def _otherwise_late(trial: Trial) -> list[Candidate]:
     return [Candidate({other: ESTIMATE}, "a dead time and a lag of the input", 0.0, 1.0, 0.0, math.inf)]
 
 
-def _again(trial: Trial, steps: Sequence[tuple[Step, ...]], candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """What was beyond chance in the last step, and lost: the term that won may have taken its place in part, so that
-    its score says nothing any more."""
+def _list_retries(
+    trial: Trial, steps: Sequence[tuple[FittedCandidate, ...]], candidates: Sequence[Candidate]
+) -> tuple[Candidate, ...]:
+    """Candidates that were beyond chance in the last step, and lost: the kept term may have taken up part of their
+    effect, so that their scores say nothing any more."""
     if not steps:
         return ()
     lost = [step.candidate for step in steps[-1] if step.trial and not step.kept and step.gain > step.needed]
@@ -398,25 +403,25 @@ def _has(model: Drive, change: Change) -> bool:
     return all(getattr(model, key) == value for key, value in change.items())
 
 
-def proposed(trial: Trial, found: Adequacy) -> list[Candidate]:
-    """What the counts ask for, by what it promises; of a change that several forces ask for, the best of these."""
+def propose_candidates(trial: Trial, found: Adequacy) -> list[Candidate]:
+    """Candidates that the counts ask for, ordered by promised gain; of several forces with one change, the best."""
     by_change: dict[str, Candidate] = {}
     for k in np.argsort(-found.gain).tolist():
-        lack = found.lacks[k]
-        if not _asked(trial, found, k) or (lack.positive and found.size[k] < 0):
+        candidate = found.forces[k]
+        if not _deserves_trial(trial, found, k) or (candidate.positive and found.size[k] < 0):
             continue
-        for change in (*lack.changes, *OTHERWISE.get(lack.name, ())):
+        for change in (*candidate.changes, *OTHERWISE.get(candidate.name, ())):
             if _has(trial.model, change):
                 continue
             scatter, gain = float(found.size_std[k] ** 2 * found.expected[k]), float(found.gain[k])
-            one = Candidate(change, lack.says, float(found.z[k]), scatter, gain, float(found.elsewhere[k]))
+            one = Candidate(change, candidate.says, float(found.z[k]), scatter, gain, float(found.elsewhere[k]))
             by_change.setdefault(repr(sorted(change.items())), one)
     return list(by_change.values())
 
 
-def _asked(trial: Trial, found: Adequacy, k: int) -> bool:
-    """Is a force worth a trial? Of a model that explains every count its score must be beyond chance. Beside any other
-    the scores scatter for what is missing, up to all that is to be seen of it; there the likelihood decides."""
+def _deserves_trial(trial: Trial, found: Adequacy, k: int) -> bool:
+    """Is a force worth a trial? If the model explains every count, the score must be beyond chance. Otherwise
+    unmodelled effects scatter the scores, and the likelihood decides."""
     if trial.best.clean:
         return bool(abs(found.z[k]) >= MISSED)
     return bool(abs(found.z[k]) >= WEAK and found.gain[k] >= MISSED**2)
@@ -426,24 +431,26 @@ def _gain(trial: Trial, before: Trial, candidate: Candidate) -> float:
     return 2 * (trial.log_likelihood - before.log_likelihood) / candidate.inflation
 
 
-def _needed(found: Trial, before: Trial, number: int) -> float:
+def _compute_needed_gain(found: Trial, before: Trial, number: int) -> float:
     return MISSED**2 + 2 * math.log(number) + PER_PARAMETER * (found.parameters - before.parameters - 1)
 
 
-def _fitted(bench: Bench, trial: Trial, candidate: Candidate, number: int) -> Step:
+def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int) -> FittedCandidate:
     try:
         found = bench.further(trial, candidate.change)
         if candidate.scanned:
-            found = bench.tuned(found)
+            found = bench.tune_pitch(found)
             candidate = replace(candidate, change={**candidate.change, "cogging": found.model.cogging})
     except (NotIdentifiableError, UsageError):  # or the model has no room for both
-        return Step(candidate, None, 0.0, math.inf, math.inf, "no fit")
+        return FittedCandidate(candidate, None, 0.0, math.inf, math.inf, "no fit")
     candidate = replace(candidate, inflation=inflation(trial, found))
-    return Step(candidate, found, _gain(found, trial, candidate), _needed(found, trial, number), math.inf, "")
+    return FittedCandidate(
+        candidate, found, _gain(found, trial, candidate), _compute_needed_gain(found, trial, number), math.inf, ""
+    )
 
 
-def against(step: Step, found: Sequence[Step]) -> str:
-    """What speaks against a term whatever else is there; empty where nothing does."""
+def find_objection(step: FittedCandidate, found: Sequence[FittedCandidate]) -> str:
+    """The reason against a term, whatever other terms there are; empty if there is none."""
     if step.gain < step.needed:
         return "within chance"
     if step.candidate.elsewhere <= 0 and not step.explains_all:
@@ -451,7 +458,7 @@ def against(step: Step, found: Sequence[Step]) -> str:
     return UNCLEAR if is_unclear(step, found) else ""
 
 
-def is_unclear(step: Step, found: Sequence[Step]) -> bool:
+def is_unclear(step: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
     """Is it a force along the travel of a pitch that is hardly better than another one? Neither is to be believed."""
     if step.explains_all:
         return False

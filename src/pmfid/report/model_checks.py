@@ -8,7 +8,7 @@ from dataclasses import replace
 from matplotlib.figure import Figure
 
 from pmfid.errors import PmfidError
-from pmfid.judge.balance import Balance, binned, encoder_response
+from pmfid.judge.balance import Balance, average_in_bins, encoder_response
 from pmfid.judge.correlations import make_balance
 from pmfid.judge.drive import MEMORIES
 from pmfid.judge.sentences import (
@@ -22,7 +22,7 @@ from pmfid.report.html import Section, svg
 from pmfid.session.result import DriveResult
 
 __all__ = [
-    "binned",
+    "average_in_bins",
     "correlation_figure",
     "encoder_response",
     "friction_figure",

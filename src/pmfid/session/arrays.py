@@ -28,7 +28,7 @@ from pmfid.session.model_config import SHAPES, keys_of
 from pmfid.session.record_config import NO_ENCODER
 from pmfid.session.records import Record, record_of
 from pmfid.session.result import Result
-from pmfid.session.terms import TermSearch, places_of, search_drive
+from pmfid.session.terms import TermSearch, list_periodic_forces, search_drive
 from pmfid.session.toml_file import validate_sections as axis_from
 from pmfid.session.validation import Validation, validate_parameters
 from pmfid.transfer.experiment import Experiment
@@ -175,7 +175,7 @@ def search_terms(
     or cannot identify the model to begin with.
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
-    places = places_of(turn, [pitch] if isinstance(pitch, int | float) else pitch, friction_period)
+    places = list_periodic_forces(turn, [pitch] if isinstance(pitch, int | float) else pitch, friction_period)
     second = None if other is None else _record(*other, axis)
     return search_drive(_record(u, counts, axis), axis, places, scan, second)
 

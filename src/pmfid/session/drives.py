@@ -31,7 +31,7 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.track import Track, join_tracks
 from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
-from pmfid.judge.drive import examined
+from pmfid.judge.drive import examine_estimate
 from pmfid.judge.free_run import FreeRun, drive_run
 from pmfid.judge.said import Verdict, verdict
 from pmfid.models.drive import EquationModel
@@ -285,7 +285,7 @@ def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoi
     known = estimator.equation.at_shapes(fit.theta[len(estimator.equation.names) :])
     free = like(type(estimator), estimator, model=EquationModel(known))
     with suppress(NotIdentifiableError):
-        return examined(free, record.u, record.counts, fit.theta)
+        return examine_estimate(free, record.u, record.counts, fit.theta)
     return None
 
 

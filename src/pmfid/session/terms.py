@@ -10,17 +10,17 @@ from functools import cached_property
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import MISSED, PARTS, weigh
+from pmfid.estimators.candidate_forces import PeriodicForce, setting
 from pmfid.estimators.configuration import like
 from pmfid.estimators.identifiable import check_identifiable
 from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.lacks import Place, setting
 from pmfid.estimators.ls import LS
 from pmfid.findings import Finding, codes, texts
 from pmfid.judge.matter import weigh_findings
 from pmfid.judge.said import verdict
-from pmfid.judge.term_fits import Bench, cutoff_for, shortest_part
+from pmfid.judge.term_fits import Bench, choose_cutoff, shortest_part
 from pmfid.judge.term_trials import known_shapes
-from pmfid.judge.terms import Step, Terms, search
+from pmfid.judge.terms import FittedCandidate, Terms, search
 from pmfid.models.drive import Drive
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.session.config import Axis, check_sampling
@@ -126,9 +126,9 @@ class TermSearch(Presentable):
     def columns(self) -> dict[str, object]:
         """A row for each parameter of each of the models."""
         rows = [
-            (model.label, name, *told.values())
+            (model.label, name, *estimate.values())
             for model in self.models
-            for name, told in _parameters_json(model).items()
+            for name, estimate in _parameters_json(model).items()
         ]
         return dict(zip(("model", "parameter", "value", "std"), map(list, zip(*rows, strict=True)), strict=True))
 
@@ -160,10 +160,10 @@ def _parameters_json(model: NestedModel) -> dict[str, dict[str, float | None]]:
     names = [*equation.names, *(name for name, _ in equation.further)]
     std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
     rows = zip(names, model.trial.theta.tolist(), std, strict=True)
-    return {name: {"value": value, "std": bar} for name, value, bar in rows}
+    return {name: {"value": value, "std": error} for name, value, error in rows}
 
 
-def _step_json(step: Step) -> dict[str, object]:
+def _step_json(step: FittedCandidate) -> dict[str, object]:
     return {
         "set": dict(step.candidate.change),
         "term": step.candidate.says,
@@ -178,16 +178,16 @@ def _step_json(step: Step) -> dict[str, object]:
 def search_drive(
     data: Record,
     axis: Axis,
-    places: Sequence[Place] = (),
+    places: Sequence[PeriodicForce] = (),
     scan: bool = True,
     other: Record | None = None,
     done: Progress | None = None,
 ) -> TermSearch:
     """The terms of a drive that a record asks for, beyond those of [model].
 
-    places: what may come again along the travel; scan: look for the pitch of a cogging force; other: a second record of
-    the same machine, which the models are to predict in place of parts of the first. Raises UsageError for what is no
-    drive and NotIdentifiableError where the record is too short, or cannot identify the model to begin with.
+    places: forces periodic in the position; scan: look for the pitch of a cogging force; other: a second record of the
+    same machine, which the models are to predict in place of parts of the first. Raises UsageError if the plant is no
+    drive and NotIdentifiableError if the record is too short, or cannot identify the initial model.
     """
     data, other = unbroken(data), None if other is None else unbroken(other)
     axis = match_kind(data, axis)
@@ -212,12 +212,12 @@ def search_drive(
     except NotIdentifiableError as error:
         raise explain_error(error, Drives().check_record(data, axis)) from None
     notes = tuple(filter(None, (*data.notes, known.sentence)))
-    own = None if found.added else _identified(data, axis)
-    return _told(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
+    own = None if found.added else _judge_initial_model(data, axis)
+    return _assemble_search(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
 
 
-def _identified(data: Record, axis: Axis) -> Said | None:
-    """The verdict of `pmfid identify` on the model to begin with, which the search leaves as it is."""
+def _judge_initial_model(data: Record, axis: Axis) -> Said | None:
+    """The verdict of `pmfid identify` on the initial model, which the search leaves unchanged."""
     with suppress(NotIdentifiableError):
         result = identify(data, axis)
         if isinstance(result, DriveResult):
@@ -234,7 +234,7 @@ def round_up(number: float) -> float:
 
 def _fast_enough(data: Record, axis: Axis) -> Axis:
     """With a cutoff: if none is given, one after whose filters a part of the record can be predicted."""
-    found, least = Drives().prepare_axis(data, axis), cutoff_for(data.u.size // PARTS, data.dt)
+    found, least = Drives().prepare_axis(data, axis), choose_cutoff(data.u.size // PARTS, data.dt)
     if axis.estimator.cutoff is not None or least is None or found.estimator.pole >= least:
         return found
     return found.model_copy(update={"estimator": found.estimator.model_copy(update={"cutoff": least})})
@@ -247,11 +247,11 @@ def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
 
 
 def _check(method: IntervalML, record: Record) -> None:
-    """Raises NotIdentifiableError for a record that nothing can be searched in."""
+    """Raises NotIdentifiableError for a record too short or too poor for a search."""
     n, dt = record.u.size, record.dt
     needed = PARTS * shortest_part(method)
     if n < needed:
-        cutoff = cutoff_for(n // PARTS, dt)
+        cutoff = choose_cutoff(n // PARTS, dt)
         shorter = f", or use a cutoff of at least {round_up(cutoff):g} rad/s" if cutoff else ""
         raise NotIdentifiableError(
             f"{n} samples are too few to tell terms apart on parts of them: record at least {needed} "
@@ -261,28 +261,28 @@ def _check(method: IntervalML, record: Record) -> None:
     check_identifiable(seen.columns(record.u, record.counts), seen.names, seen.least_part)
 
 
-def _told(
+def _assemble_search(
     data: Record,
     bench: Bench,
     found: Terms,
-    told: tuple[str, ...],
+    record_notes: tuple[str, ...],
     status: tuple[str, ...],
     tolerance: float,
     own_said: Said | None,
 ) -> TermSearch:
     pairs = zip(found.trials, found.errors, strict=True)
     models = compare_nested(bench, found.trials[0].model, list(pairs))
-    judged, beyond = own_said or _judged(bench, models[-1], tolerance)
+    judged, beyond = own_said or _judge_chosen_model(bench, models[-1], tolerance)
     unresolved = beyond and (not found.adequacy.adequate or bool(found.refused))
     own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * unresolved
-    notes = tuple(dict.fromkeys((*told, *_sentences(found), *texts(judged))))
+    notes = tuple(dict.fromkeys((*record_notes, *_sentences(found), *texts(judged))))
     names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
-    hidden = tuple(_hidden(found, found.trials[0].model.equation.motion.force))
+    hidden = tuple(_list_hidden(found, found.trials[0].model.equation.motion.force))
     terms = tuple(weighed_terms(found, models[-1].fit))
     return TermSearch(data.name, int(data.u.size), data.resolution, found, models, terms, hidden, names, notes)
 
 
-def _judged(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:
+def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:
     """As on an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
@@ -308,21 +308,23 @@ def _sentences(found: Terms) -> Iterator[str]:
         yield UNEXPLAINED
 
 
-def _hidden(found: Terms, force: str) -> Iterator[Hidden]:
-    """Of several forms of a term the one that is seen last."""
+def _list_hidden(found: Terms, force: str) -> Iterator[Hidden]:
+    """Terms that the chosen model does not have; of several forms of a term the one that shows last."""
     adequacy, sizes = found.adequacy, dict[str, tuple[float, str]]()
-    for lack, std in zip(adequacy.lacks, adequacy.size_std, strict=True):
-        if lack.changes and lack.name != "cogging":
-            unit = "s" if lack.name == "dead_time" else force
-            sizes[lack.says] = (max(MISSED * float(std), sizes.get(lack.says, (0.0, ""))[0]), unit)
+    for candidate, std in zip(adequacy.forces, adequacy.size_std, strict=True):
+        if candidate.changes and candidate.name != "cogging":
+            unit = "s" if candidate.name == "dead_time" else force
+            sizes[candidate.says] = (max(MISSED * float(std), sizes.get(candidate.says, (0.0, ""))[0]), unit)
     yield from (Hidden(says, size, unit) for says, (size, unit) in sizes.items())
 
 
-def places_of(turn: float | None, pitch: Sequence[float], friction_period: float | None) -> tuple[Place, ...]:
-    """What may come again along the travel. Raises UsageError for a period that is none."""
+def list_periodic_forces(
+    turn: float | None, pitch: Sequence[float], friction_period: float | None
+) -> tuple[PeriodicForce, ...]:
+    """Forces periodic in the position, from the user's periods. Raises UsageError for a period that is not positive."""
     given = [("gravity", turn), *(("cogging", value) for value in pitch), ("friction_period", friction_period)]
     known = [(key, value) for key, value in given if value is not None]
     for key, value in known:
         if not 0 < value < math.inf:
             raise UsageError(f"the period of {key} must be a length above 0 in the unit of y, got {value:g}")
-    return tuple(Place(key, float(value)) for key, value in known)
+    return tuple(PeriodicForce(key, float(value)) for key, value in known)

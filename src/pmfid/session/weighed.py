@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmfid.estimators.candidate_forces import setting
 from pmfid.estimators.configuration import change_arguments
-from pmfid.estimators.lacks import setting
 from pmfid.estimators.results import Fit
 from pmfid.judge.term_trials import Trial
-from pmfid.judge.terms import Step, Terms
+from pmfid.judge.terms import FittedCandidate, Terms
 from pmfid.models.drive import Drive
 from pmfid.session.nested import finite, fit_trial
 
@@ -38,7 +38,7 @@ class WeighedTerm:
 def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[WeighedTerm]:
     """Each term of the chosen model, with the standard errors of `fit`; then the terms that were fitted and not
     kept."""
-    first, last = found.trials[0].model, dict[str, Step]()
+    first, last = found.trials[0].model, dict[str, FittedCandidate]()
     for step in found.without:
         yield _weigh_step(step, first, found.chosen, fit)
     for step in (step for tried in found.steps for step in tried):
@@ -49,11 +49,11 @@ def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[WeighedTerm]:
             yield _weigh_step(step, first, step.trial, fit_trial(step.trial))
 
 
-def _setting(step: Step) -> str:
+def _setting(step: FittedCandidate) -> str:
     return ", ".join(setting(*pair) for pair in step.candidate.change.items())
 
 
-def _weigh_step(step: Step, first: Drive, trial: Trial, fit: Fit | None) -> WeighedTerm:
+def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | None) -> WeighedTerm:
     """The weighed term of a step; first: the first model; trial: one with the term."""
     equation = trial.model.equation
     rest = change_arguments(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation

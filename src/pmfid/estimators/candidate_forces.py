@@ -1,7 +1,7 @@
-"""What the model of a drive may lack: forces that machines have, along the simulated motion.
+"""Candidate forces: unmodelled effects that a drive may have, evaluated along the simulated motion.
 
-Each is a force per unit of one coefficient, which is zero where the model is right. It is tested whether the counts
-ask for it (`adequacy`), and how far it would move the parameters if a machine had as much of it as machines well may.
+Each candidate is a force per unit of one coefficient, which is zero if the model is right. `adequacy` tests whether the
+counts ask for the force, and bounds how far a plausible amount of it would move the parameters.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from pmfid.types import Floats
 
 #: Coulomb friction of a machine is taken for at least this part of the motor's force.
 LEAST_FRICTION = 0.02
-#: The simulated velocity changes by at most this part of a Stribeck speed within the parts of a sample that this
-#: friction is taken over, of which there are so many at most: around a reversal it turns within a fraction of a sample.
+#: Stribeck friction is averaged over parts of a sample, because it turns within a fraction of a sample at a reversal.
+#: Greatest change of velocity within a part, as a fraction of the Stribeck speed, and greatest number of parts.
 FINE, MOST_PARTS = 0.1, 16
 #: A smaller change of velocity, as a part of the Stribeck speed, is none.
 STEADY = 1e-3
@@ -45,13 +45,13 @@ ACTING = "give the input that acts, as [record] input"
 
 
 @dataclass(frozen=True)
-class Lack:
-    """One force that the model may lack.
+class CandidateForce:
+    """One force that the model leaves out.
 
-    name; says: what it is, for people; cure: what to do about it; force: (n,) against the motion, or (k n,) over the k
-    equal parts of every sample, per unit of its coefficient; plausible: coefficient that a machine may well have, 0: it
-    is tested for, but not supposed; changes: of [model], each of which lets a drive have it; positive: no machine has a
-    negative coefficient.
+    name; says: description for people; cure: what to do about it; force: (n,) against the motion, or (k n,) over the k
+    equal parts of every sample, per unit of its coefficient; plausible: coefficient that a machine may have, 0: the
+    force is tested, but not assumed; changes: changes of [model], each of which adds the force; positive: no machine
+    has a negative coefficient.
     """
 
     name: str
@@ -64,9 +64,8 @@ class Lack:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A force, or a friction, that comes again along the travel: the key of [model] that has it, and its period in the
-    unit of y."""
+class PeriodicForce:
+    """A force or a friction that is periodic in the position: its key in [model], and its period in the unit of y."""
 
     key: str
     period: float
@@ -87,8 +86,10 @@ class Place:
             yield np.asarray(side * wave.at(x))
 
 
-def lacks(difference: Difference, q: Floats, places: Sequence[Place] = ()) -> list[Lack]:
-    """What may be missing beside the motion simulated at q (q,). places: what may come again along the travel, too."""
+def list_candidate_forces(
+    difference: Difference, q: Floats, places: Sequence[PeriodicForce] = ()
+) -> list[CandidateForce]:
+    """Forces that may be missing, along the motion simulated at q (q,). places: forces periodic in the position."""
     x, v = difference.motion(q)
     moving = v != 0
     if not np.any(moving):
@@ -96,7 +97,7 @@ def lacks(difference: Difference, q: Floats, places: Sequence[Place] = ()) -> li
     return [*_frictions(difference, q, v), *_forces(difference, q, x, v), *_places(difference, places, v)]
 
 
-def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
+def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[CandidateForce]:
     values = difference.equation.role_values(q * difference.scale)
     speed, side, usual = np.abs(v), np.sign(v), rms(v[v != 0])
     coulomb = max(
@@ -109,22 +110,26 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Lack]:
         says = "friction that is larger at low speed (Stribeck)"
         change: Change = {"stribeck": ESTIMATE}
         force = _stribeck(difference, q, v, part * usual)
-        yield Lack("stribeck", says, _cure(change), force, STRIBECK * coulomb, changes=(change,), positive=True)
+        yield CandidateForce(
+            "stribeck", says, _cure(change), force, STRIBECK * coulomb, changes=(change,), positive=True
+        )
     if not any(isinstance(shape, Square) for shape in known):
         says, change = "friction that is not linear at high speed", {"quadratic": True}
         force = v * speed / usual**2
-        yield Lack("curved", says, _cure(change), force, CURVED * viscous, changes=(change,), positive=True)
-    yield Lack("drifting", "friction that changes over the record", "", side * np.linspace(-1, 1, v.size), 0.0)
+        yield CandidateForce("curved", says, _cure(change), force, CURVED * viscous, changes=(change,), positive=True)
+    yield CandidateForce(
+        "drifting", "friction that changes over the record", "", side * np.linspace(-1, 1, v.size), 0.0
+    )
     roles = difference.equation.roles
     if roles[COULOMB_FORWARD] == roles[COULOMB_BACKWARD]:
         cure = 'set friction = "directional" in [model]' + ("" if roles[OFFSET] is None else " in place of offset")
         says = "viscous friction that differs with the direction"
-        yield Lack("uneven", says, cure, speed / usual, UNEVEN * viscous, changes=(DIRECTIONAL,))
+        yield CandidateForce("uneven", says, cure, speed / usual, UNEVEN * viscous, changes=(DIRECTIONAL,))
         if roles[OFFSET] is None:
             cure += ", or offset = true for a constant load"
             says = "a constant load, or Coulomb friction that differs with the direction"
             changes = ({"offset": True}, DIRECTIONAL)
-            yield Lack("load", says, cure, np.abs(side), UNEVEN * coulomb, changes=changes)
+            yield CandidateForce("load", says, cure, np.abs(side), UNEVEN * coulomb, changes=changes)
 
 
 def _cure(change: Change) -> str:
@@ -153,43 +158,47 @@ def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floa
     return np.where(steady, np.sign(v) * np.exp(-((v / fall) ** 2)), below / np.where(steady, 1.0, step))
 
 
-def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator[Lack]:
+def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator[CandidateForce]:
     gain, u, roles = difference.equation.input_gain, difference.u, difference.equation.roles
     late = gain * np.diff(u, prepend=u[0]) / difference.dt
     if roles[LATE] is None:
         change: Change = {"dead_time": ESTIMATE}
         says, known = "a dead time, or a lag, of the input", difference.equation.dead_time
-        yield Lack(
+        yield CandidateForce(
             "dead_time", says, _cure(change), late, LATE_BY * difference.dt, changes=(change,), positive=not known
         )
     place = (x - np.mean(x)) / max(float(np.ptp(x)), np.finfo(float).tiny)
     along = {term.signal for term in difference.equation.shaped if term.shape and not term.shape.of_speed}
     if "friction" not in along:
-        yield Lack("uneven_way", "friction that differs along the travel", "", np.sign(v) * place, 0.0)
+        yield CandidateForce("uneven_way", "friction that differs along the travel", "", np.sign(v) * place, 0.0)
     if "place" not in along and roles[STIFFNESS] is None:
         change = {"spring": True}
-        yield Lack("spring", "a force that grows with the position", _cure(change), place, 0.0, changes=(change,))
-    yield Lack("bent_input", "an input that does not act in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0)
+        yield CandidateForce(
+            "spring", "a force that grows with the position", _cure(change), place, 0.0, changes=(change,)
+        )
+    yield CandidateForce(
+        "bent_input", "an input that does not act in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0
+    )
     largest = float(np.max(np.abs(u)))
     for part in KINKS:
         less = gain * np.sign(u) * np.maximum(np.abs(u) - part * largest, 0.0)
-        yield Lack(
+        yield CandidateForce(
             "saturated_input", "an input whose largest values act as smaller ones", ACTING, less, 0.0, positive=True
         )
     zone, most = gain * np.sign(u), DEAD_ZONE * largest
-    yield Lack("dead_zone", "a dead zone of the input", ACTING, zone, most)
+    yield CandidateForce("dead_zone", "a dead zone of the input", ACTING, zone, most)
     if difference.equation.roles[MASS] is not None:
         acceleration = np.diff(v, append=v[-1]) / difference.dt
-        yield Lack(
+        yield CandidateForce(
             "changing", "a mass that changes over the record", "", acceleration * np.linspace(-1, 1, v.size), 0.0
         )
 
 
-def _places(difference: Difference, places: Sequence[Place], v: Floats) -> Iterator[Lack]:
+def _places(difference: Difference, places: Sequence[PeriodicForce], v: Floats) -> Iterator[CandidateForce]:
     """At the measured places: the simulated motion may be off by more than a period."""
     middle = difference.y - difference.slack
     middle = middle + np.diff(middle, append=middle[-1]) / 2
     for place in places:
         change: Change = {place.key: place.period}
         for force in place.forces(middle, v):
-            yield Lack(place.key, place.says, _cure(change), force, 0.0, changes=(change,))
+            yield CandidateForce(place.key, place.says, _cure(change), force, 0.0, changes=(change,))
