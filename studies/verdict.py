@@ -16,7 +16,7 @@ import numpy as np
 
 import pmfid
 from pmfid.estimators.configuration import change_arguments
-from pmfid.judge.matter import BARS, NORMAL_95, TOLERANCE
+from pmfid.judge.matter import NOISE_LIMIT, NORMAL_95, TOLERANCE
 from pmfid.simulation import Machine, multisine, prbs, stop_and_go
 from pmfid.types import Floats
 from studies.machines import TONES, Axis, controlled_record, driven_counts, truth
@@ -185,7 +185,7 @@ class Told:
         """Is a parameter off by more than its bars and the tolerance allow?"""
         if self.error is None or self.std is None:
             return False
-        return bool(np.any(np.abs(self.error) > np.maximum(BARS * self.std, TOLERANCE)))
+        return bool(np.any(np.abs(self.error) > np.maximum(NOISE_LIMIT * self.std, TOLERANCE)))
 
 
 def work(wrong: str, seed: int) -> Told:
@@ -215,7 +215,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "",
         f"{seeds} machines for each row, from 1e-5 to 500 kg or kg m2, with motion and encoder at random; `identify` "
         f"without a setting, the model `Drive`. Empty: runs without a status. Matters: runs with a parameter off by "
-        f"more than {BARS:g} standard deviations and {TOLERANCE:.0%}; silent: those without a status. Covered: runs in "
+        f"more than {NOISE_LIMIT:g} standard deviations and {TOLERANCE:.0%}; silent: those without a status. Covered: runs in "
         "percent whose 95 % interval contains the parameter, by mass, viscous and Coulomb friction, and all three at "
         f"once. Length: half the interval over {NORMAL_95} errors, both root mean squares over the runs. Under a "
         "binary input a dead zone shows nowhere: every such interval holds one, and a note says so. Length leaves such "
