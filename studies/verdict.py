@@ -215,7 +215,8 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "",
         f"{seeds} machines for each row, from 1e-5 to 500 kg or kg m2, with motion and encoder at random; `identify` "
         f"without a setting, the model `Drive`. Empty: runs without a status. Matters: runs with a parameter off by "
-        f"more than {NOISE_LIMIT:g} standard deviations and {TOLERANCE:.0%}; silent: those without a status. Covered: runs in "
+        f"more than {NOISE_LIMIT:g} standard deviations and {TOLERANCE:.0%}; silent: those without a status. Covered: "
+        "runs in "
         "percent whose 95 % interval contains the parameter, by mass, viscous and Coulomb friction, and all three at "
         f"once. Length: half the interval over {NORMAL_95} errors, both root mean squares over the runs. Under a "
         "binary input a dead zone shows nowhere: every such interval holds one, and a note says so. Length leaves such "

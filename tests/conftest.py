@@ -55,7 +55,7 @@ def assert_near(theta: np.ndarray, truth: np.ndarray, within: list[float]) -> No
 
 def unjudged() -> AbstractContextManager[object]:
     """Within it, machines are identified without what is thought of the estimate: most of the time goes into that."""
-    without = {"judge": mock.Mock(return_value=()), "examined": mock.Mock(return_value=None)}
+    without = {"judge": mock.Mock(return_value=()), "examine_estimate": mock.Mock(return_value=None)}
     return mock.patch.multiple("pmfid.judge.said", **without)
 
 

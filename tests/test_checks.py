@@ -57,7 +57,7 @@ def found_in(fault: str) -> tuple[Finding, ...]:
 def plainly(record: Record, axis: Axis) -> Result | NotIdentifiableError:
     """By least squares, or why not; what is thought of the estimate is that its model lacks something."""
     doubt = Finding("unmodelled", "the model lacks something")
-    ways = {"judge": mock.Mock(return_value=(doubt,)), "examined": mock.Mock(return_value=None)}
+    ways = {"judge": mock.Mock(return_value=(doubt,)), "examine_estimate": mock.Mock(return_value=None)}
     options = axis.estimator.model_copy(update={"method": "ls", "cutoff": axis.estimator.cutoff or 1 / (5 * record.dt)})
     try:
         with mock.patch.multiple("pmfid.judge.said", **ways):
@@ -248,7 +248,7 @@ REMEDIES: dict[str, Callable[[Logged, str], Mended]] = {
 def mass_of(record: Record, axis: Axis) -> float:
     """By instrumental variables; infinite where these do not settle."""
     options = axis.estimator.model_copy(update={"method": "iv"})
-    ways = {"judge": mock.Mock(return_value=()), "examined": mock.Mock(return_value=None)}
+    ways = {"judge": mock.Mock(return_value=()), "examine_estimate": mock.Mock(return_value=None)}
     try:
         with mock.patch.multiple("pmfid.judge.said", **ways):
             return float(identify(record, axis.model_copy(update={"estimator": options})).theta[0])

@@ -12,7 +12,7 @@ import pytest
 from pmfid.fleet.marks import evidence_gaps
 from pmfid.fleet.periods import Periods, codes_of, period_rows, standing
 from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, Series
-from pmfid.fleet.verdicts import CHANGED, followed, judged
+from pmfid.fleet.verdicts import CHANGED, follow_axis, judge_axes
 from pmfid.status import Status
 from pmfid.types import Floats
 from studies.fleet_kinds import Kind, run
@@ -29,7 +29,7 @@ def seen(rng: np.random.Generator, status: np.ndarray, factors: Floats | float =
 
 
 def qualities(one: Series) -> list[object]:
-    rows = period_rows("a", "", one, NAMES, Periods.of("1min"), 60.0, ())
+    rows = period_rows("a", "", one, NAMES, Periods.from_name("1min"), 60.0, ())
     return [row["quality"] for row in rows]
 
 
@@ -83,9 +83,9 @@ def test_the_bits_are_of_counts_and_inputs() -> None:
 @pytest.mark.parametrize(("bar", "within"), [(0.002, (0.02, 0.05)), (0.2, (0.2, 3.0))])
 def test_the_step_that_would_be_seen_is_said(bar: float, within: tuple[float, float]) -> None:
     one = seen(np.random.default_rng(3), np.zeros(N, np.int64), bar=bar)
-    visible = judged([followed("a", "", one, NAMES, 0.02)], NAMES, 0.02)[0].visible
+    visible = judge_axes([follow_axis("a", "", one, NAMES, 0.02)], NAMES, 0.02)[0].visible
     assert within[0] < visible < within[1]
-    few = judged([followed("a", "", one[:3], NAMES, 0.02)], NAMES, 0.02)[0].visible
+    few = judge_axes([follow_axis("a", "", one[:3], NAMES, 0.02)], NAMES, 0.02)[0].visible
     assert few == np.inf
 
 
@@ -94,11 +94,13 @@ def test_a_step_of_what_would_be_seen_is_seen() -> None:
     for seed in range(20):
         rng = np.random.default_rng([4, seed])
         bar = 0.01
-        quiet = judged([followed("a", "", seen(rng, np.zeros(N, np.int64), bar=bar), NAMES, 0.02)], NAMES, 0.02)[0]
+        quiet = judge_axes([follow_axis("a", "", seen(rng, np.zeros(N, np.int64), bar=bar), NAMES, 0.02)], NAMES, 0.02)[
+            0
+        ]
         factors = np.ones((N, 3))
         factors[N // 2 :, 0] += 1.2 * quiet.visible
         stepped = seen(rng, np.zeros(N, np.int64), factors, bar)
-        found += judged([followed("a", "", stepped, NAMES, 0.02)], NAMES, 0.02)[0].kind == CHANGED
+        found += judge_axes([follow_axis("a", "", stepped, NAMES, 0.02)], NAMES, 0.02)[0].kind == CHANGED
     assert found >= 18
 
 

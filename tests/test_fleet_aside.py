@@ -68,13 +68,13 @@ def test_what_lies_aside_is_gone_when_its_last_shard_is_done(
     mixed: Path, config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lying: list[int] = []
-    plainly = Aside.done
+    plainly = Aside.release
 
     def done(aside: Aside, shard: object) -> None:
         plainly(aside, shard)  # type: ignore[arg-type]
         lying.append(len(list(tmp_path.rglob("*.rows"))))
 
-    monkeypatch.setattr(Aside, "done", done)
+    monkeypatch.setattr(Aside, "release", done)
     fleet.estimate(mixed, axis=config, by="machine", out=tmp_path / "out", engine=fleet.Local(1))
     assert lying == [2] * (AXES - 1) + [0]
 
@@ -120,6 +120,8 @@ def test_a_damaged_mixed_file_is_named_and_the_other_is_used(mixed: Path, config
 
 
 def test_a_disk_without_room_is_said(mixed: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pmfid.fleet.aside.Aside._packed", lambda *rest: (_ for _ in ()).throw(OSError(28, "No space")))
+    monkeypatch.setattr(
+        "pmfid.fleet.aside.Aside._pack_rows", lambda *rest: (_ for _ in ()).throw(OSError(28, "No space"))
+    )
     with pytest.raises(UsageError, match="make room"):
         fleet.estimate(mixed, axis=config, by="machine")

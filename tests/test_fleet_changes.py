@@ -7,8 +7,8 @@ import pytest
 
 from pmfid.fleet.changes import step_of, trend_of
 from pmfid.fleet.said import sentence
-from pmfid.fleet.series import Series, mean_of, widened
-from pmfid.fleet.verdicts import CHANGED, DRIFTS, Verdict, followed, judged
+from pmfid.fleet.series import Series, mean_of, widen_errors
+from pmfid.fleet.verdicts import CHANGED, DRIFTS, AxisVerdict, follow_axis, judge_axes
 from pmfid.types import Floats
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
@@ -44,7 +44,7 @@ def test_a_step_beside_friction_that_breathes_is_a_step(seed: int) -> None:
     step = step_of(one, NAMES, 0.02)
     assert step is not None
     assert step.since in (SEGMENT * (place - 1), SEGMENT * place)
-    verdict = judged([followed("a", "", one, NAMES, 0.02)], NAMES, 0.02)[0]
+    verdict = judge_axes([follow_axis("a", "", one, NAMES, 0.02)], NAMES, 0.02)[0]
     assert verdict.kind == CHANGED
     assert abs(step.relative[0] - (factor - 1)) < 0.005
 
@@ -59,9 +59,9 @@ def test_a_step_in_a_segment_that_says_nothing_came_there() -> None:
 
 
 def test_a_drift_of_minutes_is_not_told_per_day() -> None:
-    quick = Verdict(DRIFTS, 2.0, "mass", size=27.0, std=5.0, days=0.01)
+    quick = AxisVerdict(DRIFTS, 2.0, "mass", size=27.0, std=5.0, days=0.01)
     assert sentence(quick) == "mass drifts by +27 % ± 5 % within 0:14:24"
-    assert "per day" in sentence(Verdict(DRIFTS, 2.0, "mass", size=0.01, std=0.001, days=9.0))
+    assert "per day" in sentence(AxisVerdict(DRIFTS, 2.0, "mass", size=0.01, std=0.001, days=9.0))
 
 
 @pytest.mark.parametrize("cause", ["mass", "friction", "input_gain"])
@@ -86,7 +86,7 @@ def test_a_segment_too_sure_of_itself_is_no_change() -> None:
         std = np.full((n, 3), 0.02)
         std[rng.choice(n, 3, replace=False)] = 1e-4
         one = series(1 + 0.05 * rng.standard_normal((n, 3)), std)
-        named += judged([followed("a", "", widened(one), NAMES, 0.02)], NAMES, 0.02)[0].named
-        first, bar = mean_of(widened(one)[:3])
+        named += judge_axes([follow_axis("a", "", widen_errors(one), NAMES, 0.02)], NAMES, 0.02)[0].named
+        first, bar = mean_of(widen_errors(one)[:3])
         assert np.all(np.abs(first - 1) < 4 * bar)
     assert named == 0

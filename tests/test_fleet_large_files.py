@@ -11,7 +11,7 @@ from pmfid import fleet
 from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from pmfid.fleet.source import Columns, Part, parts_of
-from pmfid.fleet.survey import surveyed
+from pmfid.fleet.survey import survey_part
 from pmfid.fleet.work import TRIED
 from pmfid.session.config import load_axis
 from studies.fleet_data import AXIS_TOML, machines, rows
@@ -50,12 +50,12 @@ def estimated(data: object, config: Path) -> History:
 
 
 def test_windows_say_the_same_of_a_file_as_one_look(large: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    columns = Columns.of(load_axis(config), "machine")
+    columns = Columns.from_axis(load_axis(config), "machine")
     part = parts_of(large)[0]
     assert [one.many for one in part.windows()] == [WINDOW] * 9 + [AXES * SAMPLES - 9 * WINDOW]
-    found = surveyed(part, columns)
+    found = survey_part(part, columns)
     monkeypatch.setattr("pmfid.fleet.source.WINDOW", 10**9)
-    assert found.rows.equals(surveyed(part, columns).rows)
+    assert found.rows.equals(survey_part(part, columns).rows)
     assert found.rows["rows"].sum() == AXES * SAMPLES
 
 

@@ -8,7 +8,7 @@ import time
 import polars as pl
 import pytest
 
-from pmfid.fleet.local import Local, Room
+from pmfid.fleet.local import Local, RowBudget
 from pmfid.fleet.plan import BUDGET, shards_of, slice_length
 from pmfid.fleet.survey import DAY
 
@@ -43,12 +43,12 @@ def test_a_few_rows_close_together_shorten_no_slice() -> None:
 
 @pytest.mark.parametrize(("rows", "most"), [(4, 2), (5, 2), (30, 1)])
 def test_memory_knows_no_number_of_threads(rows: int, most: int) -> None:
-    room, lock = Room(10), threading.Lock()
+    room, lock = RowBudget(10), threading.Lock()
     inside, largest = 0, 0
 
     def work(item: int) -> int:
         nonlocal inside, largest
-        with room.of(rows):
+        with room.reserve(rows):
             with lock:
                 inside += 1
                 largest = max(largest, inside)

@@ -10,16 +10,16 @@ import polars as pl
 import pytest
 
 from pmfid.fleet.history import History
-from pmfid.fleet.verdicts import Verdict, followed, judged
+from pmfid.fleet.verdicts import AxisVerdict, follow_axis, judge_axes
 from pmfid.report.fleet import write_fleet
 from pmfid.report.fleet_figures import moving, ticks_of
 from tests.test_fleet_changes import NAMES, N, series
 
 
-def alike(axes: int) -> list[Verdict]:
+def alike(axes: int) -> list[AxisVerdict]:
     """Of so many axes whose segments have the same numbers: a spread of zero."""
     one = series(np.tile([1.0, 10.0, 2.0], (N, 1)), np.tile([0.01, 0.1, 0.02], (N, 1)))
-    return judged([followed(f"a{k}", "", one, NAMES, 0.02) for k in range(axes)], NAMES, 0.02)
+    return judge_axes([follow_axis(f"a{k}", "", one, NAMES, 0.02) for k in range(axes)], NAMES, 0.02)
 
 
 @pytest.mark.parametrize("axes", [2, 3, 12])

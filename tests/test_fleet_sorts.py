@@ -7,7 +7,7 @@ import pytest
 
 from pmfid.fleet.outcome import _sorts
 from pmfid.fleet.sorts import sorts_of
-from pmfid.fleet.verdicts import DIFFERS, Follow, followed, judged
+from pmfid.fleet.verdicts import DIFFERS, Follow, follow_axis, judge_axes
 from pmfid.types import Floats
 from tests.test_fleet_changes import NAMES, series
 
@@ -21,7 +21,7 @@ def fleet(masses: Floats, seed: int = 0) -> list[Follow]:
     theta *= np.exp(0.05 * rng.standard_normal(theta.shape))
     noise = rng.standard_normal((masses.size, 10, 3))
     return [
-        followed(f"a{k}", "press", series(own * (1 + BARS * some), np.tile(own * BARS, (10, 1))), NAMES, 0.02)
+        follow_axis(f"a{k}", "press", series(own * (1 + BARS * some), np.tile(own * BARS, (10, 1))), NAMES, 0.02)
         for k, (own, some) in enumerate(zip(theta, noise, strict=True))
     ]
 
@@ -31,7 +31,7 @@ def fleet(masses: Floats, seed: int = 0) -> list[Follow]:
 def test_two_versions_are_told_and_neither_is_named(second: int, factor: float) -> None:
     masses = np.r_[np.full(60 - second, 1.0), np.full(second, factor)]
     follows = fleet(masses)
-    assert not any(one.named for one in judged(follows, NAMES, 0.02))
+    assert not any(one.named for one in judge_axes(follows, NAMES, 0.02))
     told = _sorts(follows, NAMES, 0.02)
     assert [(one.code, one.part) for one in told] == [("several_sorts", "type press")]
     assert "2 sorts of machines, by mass" in told[0].text
@@ -43,7 +43,7 @@ def test_who_differs_from_his_own_version_is_named(odd: float) -> None:
     """The spread over both versions had hidden him."""
     masses = np.r_[np.full(30, 1.0), np.full(30, 2.0)]
     masses[7] = odd
-    found = judged(fleet(masses), NAMES, 0.02)
+    found = judge_axes(fleet(masses), NAMES, 0.02)
     assert [(k, one.kind) for k, one in enumerate(found) if one.named] == [(7, DIFFERS)]
 
 
@@ -60,4 +60,4 @@ def test_a_few_odd_ones_are_no_sort() -> None:
     masses[:6] = 1.9
     follows = fleet(masses)
     assert not _sorts(follows, NAMES, 0.02)
-    assert [k for k, one in enumerate(judged(follows, NAMES, 0.02)) if one.named] == list(range(6))
+    assert [k for k, one in enumerate(judge_axes(follows, NAMES, 0.02)) if one.named] == list(range(6))

@@ -13,9 +13,9 @@ import polars as pl
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.fleet.spark.log import Log
-from pmfid.fleet.stream.folder import Folder, Settings, opened
-from pmfid.fleet.stream.shard import Plan, Shard, shard_of
+from pmfid.fleet.spark.log import SparkLog
+from pmfid.fleet.stream.folder import Folder, StreamSettings, open_folder
+from pmfid.fleet.stream.shard import StreamPlan, StreamShard, shard_of
 from pmfid.fleet.stream.states import States
 from pmfid.fleet.stream.tables import table_of
 from pmfid.monitor.fleet import MonitorFleet
@@ -32,26 +32,26 @@ def rows() -> list[tuple[str, bytes]]:
     return rows_of(4, 12.0)
 
 
-def restarted(plan: Plan, batches: list[list[tuple[str, bytes]]]) -> tuple[dict[int, bytes], pl.DataFrame]:
+def restarted(plan: StreamPlan, batches: list[list[tuple[str, bytes]]]) -> tuple[dict[int, bytes], pl.DataFrame]:
     """As `in_one_process`, with a new shard from the bytes for each batch, whose blocks come in any order."""
     bodies, tables = dict[int, bytes](), list[pl.DataFrame]()
     for k, batch in enumerate(batches):
         mixed = Random(k).sample(batch, len(batch))
         for number in sorted({shard_of(name, plan.shards) for name, _ in mixed}):
-            shard = Shard(plan, number, bodies.get(number))
+            shard = StreamShard(plan, number, bodies.get(number))
             shard.take([data for name, data in mixed if shard_of(name, plan.shards) == number])
-            bodies[number] = shard.saved()
+            bodies[number] = shard.save_state()
             tables.append(table_of(shard))
     return bodies, pl.concat(tables)
 
 
 def test_restarts_and_other_batches_give_the_same_bits(prepared: Prepared, rows: list[tuple[str, bytes]]) -> None:
-    whole, expected = in_one_process(Plan(prepared, PACE, 1), [rows])
+    whole, expected = in_one_process(StreamPlan(prepared, PACE, 1), [rows])
     for shards, files in ((1, 7), (3, 4)):
-        bodies, table = restarted(Plan(prepared, PACE, shards), parts_of(rows, files))
+        bodies, table = restarted(StreamPlan(prepared, PACE, shards), parts_of(rows, files))
         assert estimates_of(table).equals(estimates_of(expected), null_equal=True)
-        ours = States.of(bodies, prepared.digest)
-        theirs = States.of(whole, prepared.digest)
+        ours = States.from_bodies(bodies, prepared.digest)
+        theirs = States.from_bodies(whole, prepared.digest)
         assert ours.axes == theirs.axes
         for name in ours.axes:
             one, other = (s.monitor(name, prepared, PACE).get_state() for s in (ours, theirs))
@@ -61,61 +61,61 @@ def test_restarts_and_other_batches_give_the_same_bits(prepared: Prepared, rows:
 def test_what_a_wrong_order_of_files_loses_is_counted(prepared: Prepared) -> None:
     """Spark takes files of one age in any order: in one batch that changes nothing, in a batch for each of them what
     is out of order by more than the window is counted as late."""
-    plan = Plan(prepared, PACE, 1)
+    plan = StreamPlan(prepared, PACE, 1)
     data = [encode(replace(block_of("x1", 1.0), first=first)) for first in (0, 100, 200)]
     mixed = [data[0], data[2], data[1]]
-    together = Shard(plan, 0)
+    together = StreamShard(plan, 0)
     together.take(mixed)
-    assert together.counted()["samples"] == 300
-    assert "dropped_late" not in together.counted()
+    assert together.count_samples()["samples"] == 300
+    assert "dropped_late" not in together.count_samples()
 
     counted, body = dict[str, float](), None
     for message in mixed:
-        shard = Shard(plan, 0, body)
+        shard = StreamShard(plan, 0, body)
         shard.take([message])
-        body = shard.saved()
-        for name, value in shard.counted().items():
+        body = shard.save_state()
+        for name, value in shard.count_samples().items():
             counted[name] = counted.get(name, 0) + value
     assert counted["samples"] == 200
     assert counted["dropped_late"] == counted["missing"] == 100
 
 
 def test_a_batch_that_comes_again_changes_nothing(prepared: Prepared, rows: list[tuple[str, bytes]]) -> None:
-    plan = Plan(prepared, PACE, 1)
-    first = Shard(plan, 0)
+    plan = StreamPlan(prepared, PACE, 1)
+    first = StreamShard(plan, 0)
     first.take([data for _, data in rows])
-    again = Shard(plan, 0, first.saved())
+    again = StreamShard(plan, 0, first.save_state())
     again.take([data for _, data in rows])
-    assert "samples" not in again.counted()
-    assert again.counted()["dropped_duplicate"] > 0
-    assert read_snapshot(again.saved()).groups[0].state == read_snapshot(first.saved()).groups[0].state
+    assert "samples" not in again.count_samples()
+    assert again.count_samples()["dropped_duplicate"] > 0
+    assert read_snapshot(again.save_state()).groups[0].state == read_snapshot(first.save_state()).groups[0].state
 
 
 def test_what_is_no_block_is_counted_and_the_rest_is_done(prepared: Prepared) -> None:
-    plan = Plan(prepared, PACE, 1)
-    shard = Shard(plan, 0)
+    plan = StreamPlan(prepared, PACE, 1)
+    shard = StreamShard(plan, 0)
     good = encode(block_of("good"))
     bad = bytearray(encode(block_of("bad")))
     bad[-9] ^= 1
     shard.take([b"", b"rubbish", bytes(bad), good, good[:30]])
-    counted = shard.counted()
+    counted = shard.count_samples()
     assert counted["samples"] == 100
     assert counted["unusable_crc"] == 1
     assert sum(value for name, value in counted.items() if name.startswith("unusable")) >= 3
 
 
 def test_an_axis_by_the_name_of_another_one_is_refused(prepared: Prepared) -> None:
-    plan = Plan(prepared, PACE, 5)
+    plan = StreamPlan(prepared, PACE, 5)
     own = next(f"a{k}" for k in range(99) if shard_of(f"a{k}", 5) == 2)
     other = next(f"a{k}" for k in range(99) if shard_of(f"a{k}", 5) == 3)
-    shard = Shard(plan, 2)
+    shard = StreamShard(plan, 2)
     shard.take([encode(block_of(own)), encode(block_of(other))])
-    assert shard.counted() == {"samples": 100.0, "unusable_name": 1.0}
-    assert read_snapshot(shard.saved()).groups[0].axes == (own,)
+    assert shard.count_samples() == {"samples": 100.0, "unusable_name": 1.0}
+    assert read_snapshot(shard.save_state()).groups[0].axes == (own,)
 
 
 def test_numbers_of_axes_are_those_of_no_other_shard(prepared: Prepared) -> None:
-    plan = Plan(prepared, PACE, 3)
+    plan = StreamPlan(prepared, PACE, 3)
     names = [f"a{k}" for k in range(12)]
     bodies, _ = restarted(plan, [[(n, encode(block_of(n))) for n in part] for part in (names[:5], names)])
     numbers = np.concatenate([read_snapshot(body).groups[0].seats["seat"] for body in bodies.values()])
@@ -128,18 +128,18 @@ def test_states_go_through_a_service_and_back(
 ) -> None:
     """Out of 3 shards into the folder of a service, from there into 2 others, and on: as without the moves."""
     before, after = parts_of(rows, 2)
-    straight, _ = in_one_process(Plan(prepared, PACE, 1), [before, after])
-    bodies, _ = in_one_process(Plan(prepared, PACE, 3), [before])
-    States.of(bodies, prepared.digest).write(tmp_path / "state", prepared, PACE)
+    straight, _ = in_one_process(StreamPlan(prepared, PACE, 1), [before, after])
+    bodies, _ = in_one_process(StreamPlan(prepared, PACE, 3), [before])
+    States.from_bodies(bodies, prepared.digest).write(tmp_path / "state", prepared, PACE)
     found = States.from_folder(tmp_path / "state", prepared.digest)
-    plan = Plan(prepared, PACE, 2)
+    plan = StreamPlan(prepared, PACE, 2)
     begun = found.bodies(plan)
     ended = dict[int, bytes]()
     for number in range(2):
-        shard = Shard(plan, number, begun.get(number))
+        shard = StreamShard(plan, number, begun.get(number))
         shard.take([data for name, data in after if shard_of(name, 2) == number])
-        ended[number] = shard.saved()
-    moved, stayed = States.of(ended, prepared.digest), States.of(straight, prepared.digest)
+        ended[number] = shard.save_state()
+    moved, stayed = States.from_bodies(ended, prepared.digest), States.from_bodies(straight, prepared.digest)
     assert moved.axes == stayed.axes == [f"axis-{k}" for k in range(4)]
     for name in moved.axes:
         states = [states.monitor(name, prepared, PACE).get_state() for states in (moved, stayed)]
@@ -147,8 +147,8 @@ def test_states_go_through_a_service_and_back(
 
 
 def test_some_axes_alone_are_written(prepared: Prepared, rows: list[tuple[str, bytes]], tmp_path: Path) -> None:
-    bodies, _ = in_one_process(Plan(prepared, PACE, 3), [rows])
-    states = States.of(bodies, prepared.digest)
+    bodies, _ = in_one_process(StreamPlan(prepared, PACE, 3), [rows])
+    states = States.from_bodies(bodies, prepared.digest)
     assert states.write(tmp_path / "state", prepared, PACE, ["axis-2"]) == 1
     assert States.from_folder(tmp_path / "state", prepared.digest).axes == ["axis-2"]
     with pytest.raises(UsageError, match="no axis 'axis-22'"):
@@ -158,7 +158,7 @@ def test_some_axes_alone_are_written(prepared: Prepared, rows: list[tuple[str, b
 
 
 def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> None:
-    settings = Settings("digest", 4, 0.5, 1.0, "blocks")
+    settings = StreamSettings("digest", 4, 0.5, 1.0, "blocks")
     for _ in range(2):
         begun(tmp_path, settings)
     for changed in (replace(settings, config="other"), replace(settings, shards=5), replace(settings, source="there")):
@@ -178,22 +178,22 @@ def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> Non
 
 
 def test_one_stream_at_a_time_has_a_checkpoint(tmp_path: Path) -> None:
-    settings = Settings("digest", 4, 0.5, 1.0, "blocks")
+    settings = StreamSettings("digest", 4, 0.5, 1.0, "blocks")
     with (
-        opened(tmp_path / "checkpoint", tmp_path / "out", settings),
+        open_folder(tmp_path / "checkpoint", tmp_path / "out", settings),
         pytest.raises(UsageError, match="another stream works in"),
     ):
         begun(tmp_path, settings)
     begun(tmp_path, settings)
 
 
-def begun(folder: Path, settings: Settings, checkpoint: str = "checkpoint", out: str = "out") -> Folder:
-    with opened(folder / checkpoint, folder / out, settings) as found:
+def begun(folder: Path, settings: StreamSettings, checkpoint: str = "checkpoint", out: str = "out") -> Folder:
+    with open_folder(folder / checkpoint, folder / out, settings) as found:
         return found
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
-    settings = Settings("digest", 4, 0.5, 1.0, "blocks")
+    settings = StreamSettings("digest", 4, 0.5, 1.0, "blocks")
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match=r"give|choose"):
         begun(tmp_path, settings, checkpoint="file/below")
@@ -203,7 +203,7 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
 
 def test_a_failure_of_spark_is_said_with_what_helps(tmp_path: Path) -> None:
     (tmp_path / "spark.log").write_text("java.lang.OutOfMemoryError: Java heap space\n")  # of a run before
-    log = Log(tmp_path)
+    log = SparkLog(tmp_path)
     assert "put back a copy" in log.problem(ValueError("Incomplete log file in the offset commit log"))
     said = log.problem(ValueError("[FAILED_READ_FILE] a.parquet\n  File x\njava.io.IOException: no such file\n  at y"))
     assert "stopped: java.io.IOException: no such file; mend that" in said
@@ -213,9 +213,9 @@ def test_a_failure_of_spark_is_said_with_what_helps(tmp_path: Path) -> None:
 
 
 def test_a_batch_written_again_replaces_itself(prepared: Prepared, tmp_path: Path) -> None:
-    settings = Settings("digest", 1, 0.5, 1.0, "blocks")
+    settings = StreamSettings("digest", 1, 0.5, 1.0, "blocks")
     folder = begun(tmp_path, settings)
-    shard = Shard(Plan(prepared, PACE, 1), 0)
+    shard = StreamShard(StreamPlan(prepared, PACE, 1), 0)
     shard.take([encode(block_of("a"))])
     (tmp_path / "out" / "estimates" / "batch-0000000000.parquet.7.part").write_bytes(b"half")
     for _ in range(2):

@@ -7,8 +7,8 @@ import pytest
 
 from pmfid.fleet.said import sentence
 from pmfid.fleet.series import Series
-from pmfid.fleet.verdicts import CHANGED, DRIFTS, WANDERS, Verdict, followed, judged, ranking
-from pmfid.fleet.wander import MOST, beyond
+from pmfid.fleet.verdicts import CHANGED, DRIFTS, WANDERS, AxisVerdict, follow_axis, judge_axes, ranking
+from pmfid.fleet.wander import MOST, compare_with_wander
 from pmfid.types import Floats
 from tests.test_fleet_changes import NAMES, SEGMENT, series
 
@@ -37,10 +37,10 @@ def walk(rng: np.random.Generator, n: int = N) -> Floats:
     return np.asarray(0.035 * (steps - steps.mean()) / steps.std())
 
 
-def verdicts(fleet: list[Series]) -> list[Verdict]:
+def verdicts(fleet: list[Series]) -> list[AxisVerdict]:
     """Each axis is of a type of its own, so that its past alone counts."""
-    follows = [followed(f"a{k}", str(k), one, NAMES, 0.02) for k, one in enumerate(fleet)]
-    return judged(follows, NAMES, 0.02)
+    follows = [follow_axis(f"a{k}", str(k), one, NAMES, 0.02) for k, one in enumerate(fleet)]
+    return judge_axes(follows, NAMES, 0.02)
 
 
 @pytest.mark.parametrize("wave", [sinusoid, walk])
@@ -59,7 +59,7 @@ def test_who_wanders_is_told_so_after_all_who_need_attention() -> None:
     assert which
     assert all("friction" in found[k].cause and 0.01 < found[k].size < 0.1 for k in which)
     assert "friction wanders by" in sentence(found[which[0]])
-    first = ranking([found[which[0]], Verdict(CHANGED, 2.0, "mass", 0.01)])[0]
+    first = ranking([found[which[0]], AxisVerdict(CHANGED, 2.0, "mass", 0.01)])[0]
     assert first == 1
 
 
@@ -90,4 +90,8 @@ def test_a_long_history_is_put_together_without_mixing_both_sides() -> None:
     factors = friction(sinusoid(rng, n))
     factors[place:, 0] *= 1.02
     one = seen(rng, factors)
-    assert beyond(one, float(one.start[place])).step > 10 > beyond(one, float(one.start[place + 200])).step
+    assert (
+        compare_with_wander(one, float(one.start[place])).step
+        > 10
+        > compare_with_wander(one, float(one.start[place + 200])).step
+    )

@@ -12,7 +12,7 @@ import pmfid
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
-from pmfid.fleet.stream.shard import Plan, Shard
+from pmfid.fleet.stream.shard import StreamPlan, StreamShard
 from pmfid.fleet.stream.states import States
 from pmfid.monitor import Monitor
 from pmfid.simulation import CART_DT
@@ -96,16 +96,16 @@ def watched(
     goes on from there."""
     monitor = monitor_of(prepared, estimator)
     states, found, plan = (
-        States.of_monitors({"x1": monitor}, prepared, PACE),
+        States.from_monitors({"x1": monitor}, prepared, PACE),
         list[np.ndarray](),
-        Plan(prepared, PACE, 1),
+        StreamPlan(prepared, PACE, 1),
     )
     for k, (u, counts) in enumerate(legs):
-        shard = Shard(plan, 0, states.bodies(plan)[0])
+        shard = StreamShard(plan, 0, states.bodies(plan)[0])
         shard.take([encode(Block("x1", 0, k * LEG, k * LEG * CART_DT, CART_DT, u, counts))])
-        assert shard.counted() == {"samples": LEG}
+        assert shard.count_samples() == {"samples": LEG}
         found += [rows.theta for rows in shard.outcomes.estimates]
-        States.of({0: shard.saved()}, prepared.digest).write(folder / "state", prepared, PACE)
+        States.from_bodies({0: shard.save_state()}, prepared.digest).write(folder / "state", prepared, PACE)
         states = States.from_folder(folder / "state", prepared.digest)
     return np.concatenate(found)
 

@@ -9,7 +9,7 @@ import os
 import sys
 from pathlib import Path
 
-from pmfid.fleet.stream.shard import Plan
+from pmfid.fleet.stream.shard import StreamPlan
 from pmfid.session.monitored import setup
 from pmfid.stream.groups import Pace, prepare
 
@@ -20,11 +20,11 @@ PACE = Pace(window=0.6, every=0.1)
 QUICK = {"spark.driver.memory": "700m", "spark.default.parallelism": "2"}
 
 
-def plan_of(folder: Path, shards: int) -> Plan:
+def plan_of(folder: Path, shards: int) -> StreamPlan:
     """The plan of the stream in a folder."""
     setup.simulated_hours = lambda hours: HOURS
     os.environ["PMFID_CACHE"] = str(folder / "cache")
-    return Plan(prepare(folder / "axis.toml"), PACE, shards)
+    return StreamPlan(prepare(folder / "axis.toml"), PACE, shards)
 
 
 def main(folder: Path, shards: int) -> None:

@@ -24,7 +24,7 @@ from pathlib import Path
 import polars as pl
 
 from pmfid.fleet.spark.stream import SPARK, states_of
-from pmfid.fleet.stream.shard import Plan
+from pmfid.fleet.stream.shard import StreamPlan
 from pmfid.fleet.stream.states import States
 from pmfid.stream.crash import CRASH_AT
 from studies.monitoring.pipe import write_axis
@@ -100,10 +100,10 @@ def finish(folder: Path) -> None:
     _kill(driver)
 
 
-def assert_same(folder: Path, plan: Plan, rows: Sequence[Row]) -> tuple[int, int]:
+def assert_same(folder: Path, plan: StreamPlan, rows: Sequence[Row]) -> tuple[int, int]:
     """Whether the stream ended as one process does; how many axes and estimates were compared."""
     bodies, table = in_one_process(plan, [rows])
-    expected = States.of(bodies, plan.prepared.digest)
+    expected = States.from_bodies(bodies, plan.prepared.digest)
     states = states_of(folder / "checkpoint", plan.prepared.digest, "local[2]")
     assert states.axes == expected.axes
     for name in states.axes:

@@ -11,7 +11,7 @@ from random import Random
 
 import polars as pl
 
-from pmfid.fleet.stream.shard import Plan, Shard, shard_of
+from pmfid.fleet.stream.shard import StreamPlan, StreamShard, shard_of
 from pmfid.fleet.stream.tables import table_of
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.blocks import encode
@@ -64,20 +64,20 @@ def write_parts(folder: Path, parts: Sequence[Sequence[Row]]) -> None:
         os.utime(path, (EARLIER + k, EARLIER + k))
 
 
-def in_one_process(plan: Plan, batches: Sequence[Sequence[Row]]) -> tuple[dict[int, bytes], pl.DataFrame]:
+def in_one_process(plan: StreamPlan, batches: Sequence[Sequence[Row]]) -> tuple[dict[int, bytes], pl.DataFrame]:
     """The bodies of all shards behind these batches, and all that was given out, without a restart."""
-    shards, tables = dict[int, Shard](), list[pl.DataFrame]()
+    shards, tables = dict[int, StreamShard](), list[pl.DataFrame]()
     for batch in batches:
         by_shard: dict[int, list[bytes]] = {}
         for name, data in batch:
             by_shard.setdefault(shard_of(name, plan.shards), []).append(data)
         for number, messages in by_shard.items():
-            shard = shards.setdefault(number, Shard(plan, number))
+            shard = shards.setdefault(number, StreamShard(plan, number))
             shard.take(messages)
             tables.append(table_of(shard))
             shard.outcomes.estimates.clear()
             shard.outcomes.notices.clear()
-    return {number: shard.saved() for number, shard in shards.items()}, pl.concat(tables)
+    return {number: shard.save_state() for number, shard in shards.items()}, pl.concat(tables)
 
 
 def estimates_of(table: pl.DataFrame) -> pl.DataFrame:

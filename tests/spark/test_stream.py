@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.fleet.stream.shard import Plan
+from pmfid.fleet.stream.shard import StreamPlan
 from pmfid.fleet.stream.states import States
 from pmfid.session.monitored import setup
 from pmfid.simulation import CART_DT
@@ -57,7 +57,7 @@ def streamed(folder: Path, source: str, number: int, *more: str) -> tuple[int, s
 def test_a_stream_moves_to_another_one_and_gives_what_one_process_gives(spark: SparkSession, folder: Path) -> None:
     """Parquet files through one stream, its states through the folder of a service into another one, which reads files
     of blocks that grow."""
-    plan, rows = Plan(prepare(folder / "axis.toml"), PACE, SHARDS), rows_of(4, 16.0)
+    plan, rows = StreamPlan(prepare(folder / "axis.toml"), PACE, SHARDS), rows_of(4, 16.0)
     before, after = parts_of(rows, 2)
     bodies, table = in_one_process(plan, [before, after])
     write_parts(folder / "in", parts_of(before, 2))
@@ -73,7 +73,10 @@ def test_a_stream_moves_to_another_one_and_gives_what_one_process_gives(spark: S
     assert streamed(folder, "more", 2) == (0, "")
     assert called(folder, "state", str(folder / "checkpoint-2"), "--out", str(folder / "end"))[0] == 0
 
-    ended, expected = States.from_folder(folder / "end", plan.prepared.digest), States.of(bodies, plan.prepared.digest)
+    ended, expected = (
+        States.from_folder(folder / "end", plan.prepared.digest),
+        States.from_bodies(bodies, plan.prepared.digest),
+    )
     assert ended.axes == expected.axes
     for name in ended.axes:
         one, other = (states.monitor(name, plan.prepared, PACE).get_state() for states in (ended, expected))
@@ -100,7 +103,9 @@ def test_a_state_goes_from_firmware_through_spark_and_back(spark: SparkSession, 
     estimator.set_state(state)
     second = estimator.run(*legs[1]).theta
 
-    States.of_monitors({"x1": monitor_of(prepared, estimator)}, prepared, PACE).write(folder / "state", prepared, PACE)
+    States.from_monitors({"x1": monitor_of(prepared, estimator)}, prepared, PACE).write(
+        folder / "state", prepared, PACE
+    )
     write_parts(folder / "in", [[("x1", encode(Block("x1", 3, 70, 0.7, CART_DT, *legs[2])))]])
     assert streamed(folder, "in", 1, "--state", str(folder / "state"), "--every", "0") == (0, "")
     assert called(folder, "state", str(folder / "checkpoint-1"), "--axis", "x1", "--out", str(folder / "end"))[0] == 0

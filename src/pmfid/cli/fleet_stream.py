@@ -62,13 +62,13 @@ def stream(
     Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
     """
     from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
-    from pmfid.fleet.stream.shard import Plan
+    from pmfid.fleet.stream.shard import StreamPlan
     from pmfid.fleet.stream.states import States
     from pmfid.stream.groups import Pace
 
     kind_of(source)  # before anything takes long
     prepared = _prepare(config)
-    plan = Plan(prepared, Pace(window, every), shards)
+    plan = StreamPlan(prepared, Pace(window, every), shards)
     begin = None if state is None else States.from_folder(state, prepared.digest)
     stream_files(source, plan, checkpoint, out, Pacing(interval, files, once), begin, master)
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.fleet.plan import Shard
+from pmfid.fleet.plan import RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
 from pmfid.fleet.store import ASIDE
 from pmfid.fleet.survey import EXTENT, PART, ROWS
@@ -35,7 +35,7 @@ TIMES = 3
 BATCH = 2**20
 
 
-def mixed(rows: pl.DataFrame, shards: Sequence[Shard]) -> set[str]:
+def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]:
     """Names of the parts that are put aside. rows: of the `Survey`.
 
     An axis whose rows reach over a part of the file makes its shard read that much; no shard reads more than all of it.
@@ -54,7 +54,7 @@ class _Laid:
 
     path: Path
     axes: tuple[str, ...]
-    places: Mapping[Shard, Sequence[tuple[int, int]]]
+    places: Mapping[RowShard, Sequence[tuple[int, int]]]
     error: UsageError | None = None
 
 
@@ -63,13 +63,18 @@ class Aside:
     closed. length: of a slice [s]."""
 
     def __init__(
-        self, parts: Mapping[str, Part], shards: Sequence[Shard], columns: Columns, length: float, folder: Path | None
+        self,
+        parts: Mapping[str, Part],
+        shards: Sequence[RowShard],
+        columns: Columns,
+        length: float,
+        folder: Path | None,
     ) -> None:
         self._parts, self._columns, self._length = parts, columns, length
         self._kind = _kind(columns)
         self._lock = Lock()
         self._laid: dict[str, _Laid] = {}
-        self._waiting: dict[str, list[Shard]] = defaultdict(list)
+        self._waiting: dict[str, list[RowShard]] = defaultdict(list)
         for shard in shards:
             for name in set(shard.parts) & parts.keys():
                 self._waiting[name].append(shard)
@@ -83,7 +88,7 @@ class Aside:
     def __contains__(self, name: str) -> bool:
         return name in self._waiting
 
-    def prepare(self, shard: Shard) -> None:
+    def prepare(self, shard: RowShard) -> None:
         """Puts aside what the shard needs. Raises UsageError where the disk is full; a part that cannot be read says so
         when its rows are asked for."""
         for name in shard.parts:
@@ -92,13 +97,13 @@ class Aside:
                     if name not in self._laid:
                         self._laid[name] = self._lay(name)
 
-    def only(self, shards: Sequence[Shard]) -> None:
+    def only(self, shards: Sequence[RowShard]) -> None:
         """The rows of no other shard will be asked for."""
         wanted = set(shards)
         for one in {shard for waiting in self._waiting.values() for shard in waiting} - wanted:
-            self.done(one)
+            self.release(one)
 
-    def done(self, shard: Shard) -> None:
+    def release(self, shard: RowShard) -> None:
         """Removes what this shard was the last to need."""
         for name in shard.parts:
             if name in self:
@@ -107,7 +112,7 @@ class Aside:
                     if not self._readers[name] and name in self._laid:
                         self._laid[name].path.unlink(missing_ok=True)
 
-    def read(self, name: str, shard: Shard) -> dict[str, NDArray[np.generic]]:
+    def read(self, name: str, shard: RowShard) -> dict[str, NDArray[np.generic]]:
         """The rows of a shard from one part that is put aside: the number of the axis in the shard's, and the columns
         of `source`. Raises UsageError where the part could not be read."""
         laid = self._laid[name]
@@ -132,7 +137,7 @@ class Aside:
         axes = tuple(sorted({axis for shard in waiting for axis in shard.axes}))
         path = self._folder / f"{len(self._laid)}.rows"
         target = _Target(axes, waiting, self._length)
-        places: dict[Shard, list[tuple[int, int]]] = defaultdict(list)
+        places: dict[RowShard, list[tuple[int, int]]] = defaultdict(list)
         written = 0
         try:
             with path.open("wb") as file:
@@ -144,7 +149,7 @@ class Aside:
                         if many:
                             places[shard].append((written, int(many)))
                             written += int(many)
-                    file.write(self._packed(batch, order).data)
+                    file.write(self._pack_rows(batch, order).data)
         except UsageError as error:
             path.unlink(missing_ok=True)
             return _Laid(path, axes, {}, error)
@@ -155,7 +160,7 @@ class Aside:
             ) from None
         return _Laid(path, axes, places)
 
-    def _packed(self, batch: Mapping[str, NDArray[np.generic]], order: NDArray[np.intp]) -> NDArray[np.void]:
+    def _pack_rows(self, batch: Mapping[str, NDArray[np.generic]], order: NDArray[np.intp]) -> NDArray[np.void]:
         rows = np.empty(order.size, self._kind)
         for field in self._kind.names or ():
             rows[field] = batch[field][order]
@@ -183,7 +188,7 @@ def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[dict
 class _Target:
     """Which shard a row belongs to: axes in the order of their numbers; shards; length: of a slice [s]."""
 
-    def __init__(self, axes: Sequence[str], shards: Sequence[Shard], length: float) -> None:
+    def __init__(self, axes: Sequence[str], shards: Sequence[RowShard], length: float) -> None:
         edges = np.unique([edge for shard in shards for edge in (shard.first, shard.last)])
         number = {axis: k for k, axis in enumerate(axes)}
         # a column before and after all edges belongs to nobody

@@ -74,7 +74,7 @@ def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | No
     (left, right), (left_sum, right_sum) = _sums(weight, places), _sums(weight * series.theta, places)
     apart = (right_sum / right - left_sum / left) / noise
     k = int(places[np.argmax(np.max(apart**2 / (1 / left + 1 / right), axis=1))])
-    return _sized(series, k, names, tolerance)
+    return _measure_step(series, k, names, tolerance)
 
 
 def _sums(part: Floats, places: np.ndarray) -> tuple[Floats, Floats]:
@@ -84,7 +84,7 @@ def _sums(part: Floats, places: np.ndarray) -> tuple[Floats, Floats]:
     return left, total[-1] - left
 
 
-def _sized(series: Series, k: int, names: Sequence[str], tolerance: float) -> Step:
+def _measure_step(series: Series, k: int, names: Sequence[str], tolerance: float) -> Step:
     n = series.start.size
     k = _onset(series, k)
     later = min(k + MIXED, n - SIDE)
@@ -97,15 +97,15 @@ def _sized(series: Series, k: int, names: Sequence[str], tolerance: float) -> St
     bars = np.sqrt(1 / known[0] + 1 / known[1]) * scatter
     relative = (new - old) / size
     scores = (np.abs(relative) - tolerance) / bars
-    cause, change, std = explained(relative, bars, _correlation(rest), names)
-    times = _since(series, k), float(series.end[k]), float(series.start[later])
+    cause, change, std = attribute_change(relative, bars, _correlation(rest), names)
+    times = _date_step(series, k), float(series.end[k]), float(series.start[later])
     whole = np.where(np.arange(n)[:, None] < k, old, new)
     misfit = float(np.sum(((series.theta - whole) / series.std) ** 2))
     middle = 2 / np.sqrt(known[0] + known[1]) * scatter
     return Step(cause, change, std, *times, float(np.max(scores)), relative, bars, misfit, middle)
 
 
-def _since(series: Series, k: int) -> float:
+def _date_step(series: Series, k: int) -> float:
     """From when on the step at place k may have come [s]: in the segment, or in those before that say nothing."""
     start, before = float(series.start[k]), float(series.end[k - 1])
     return before if start - before > 0.5 * (float(series.end[k]) - start) else start
@@ -121,7 +121,9 @@ def _correlation(rest: Floats) -> Floats:
     return np.asarray(np.eye(p) + (found - np.eye(p)) * n / (n + 2 * p))
 
 
-def explained(relative: Floats, bars: Floats, correlation: Floats, names: Sequence[str]) -> tuple[str, float, float]:
+def attribute_change(
+    relative: Floats, bars: Floats, correlation: Floats, names: Sequence[str]
+) -> tuple[str, float, float]:
     """The one cause that explains relative changes (p,) best, its relative size and standard deviation: a parameter,
     all friction alike, or the gain of the input, whose loss looks as if all parameters had grown alike."""
     covariance = correlation * np.outer(bars, bars) + FLOOR**2 * np.eye(bars.size)
@@ -171,5 +173,5 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     scores = (np.abs(slope) * span - tolerance * size) / (bars * span)
     slopes, bars = slope / size, bars / size
     begin = np.maximum(1 - slopes * span / 2, LEAST_BEGIN)
-    cause = explained(slopes * span / begin, bars * span / begin**2, _correlation(rest), names)
+    cause = attribute_change(slopes * span / begin, bars * span / begin**2, _correlation(rest), names)
     return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, bars)

@@ -12,7 +12,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.fleet.series import UNUSABLE
-from pmfid.fleet.settings import SEGMENTS, Chosen, forgetting_of, on_line, record_at, recursive
+from pmfid.fleet.settings import SEGMENTS, Chosen, choose_method, forgetting_of, record_at, recursive
 from pmfid.session.config import Axis
 from pmfid.session.drives import make_estimator, match_kind
 from pmfid.session.records import Record
@@ -33,7 +33,7 @@ def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
 
     Raises UsageError for a method that is not recursive, and the first table's own error where none will do.
     """
-    axis = on_line(axis)
+    axis = choose_method(axis)
     records, refused = _records(axis, tables)
     if not records:
         raise refused or UsageError("no axis has rows; check --axis and the columns of [record]")
@@ -42,7 +42,7 @@ def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
     found: list[tuple[tuple[int, float], Chosen]] = []
     for pole in poles:
         try:
-            found += [(_worth(one, records), _chosen(one)) for one in _estimators(axis, first, pole)]
+            found += [(_worth(one, records), _make_choice(one)) for one in _estimators(axis, first, pole)]
         except (UsageError, NotIdentifiableError) as error:
             refused = refused or error
     if not found:
@@ -103,7 +103,7 @@ def _estimators(axis: Axis, record: Record, pole: float) -> Iterator[RecursiveEs
         yield replace(estimator, prefilter_zeros=zeros)
 
 
-def _chosen(estimator: RecursiveEstimator) -> Chosen:
+def _make_choice(estimator: RecursiveEstimator) -> Chosen:
     zeros = estimator.prefilter_zeros
     pair = None if zeros is None else (zeros[0], zeros[1])
     return Chosen(estimator.cutoff, pair, estimator.dt, estimator.encoder.resolution)

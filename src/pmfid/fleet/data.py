@@ -10,14 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from pmfid.fleet.aside import Aside, mixed
+from pmfid.fleet.aside import Aside, find_mixed_parts
 from pmfid.fleet.keep import Keep
-from pmfid.fleet.local import Engine, Local, Room
-from pmfid.fleet.plan import BUDGET, Shard
+from pmfid.fleet.local import Engine, Local, RowBudget
+from pmfid.fleet.plan import BUDGET, RowShard
 from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import Columns, Part
 from pmfid.fleet.store import digest
-from pmfid.fleet.survey import Survey, content, joined, surveyed
+from pmfid.fleet.survey import Survey, content, join_surveys, survey_part
 from pmfid.fleet.within import Places
 from pmfid.fleet.work import TRIED, Work, check_columns, samples_of
 from pmfid.session.tables import Table
@@ -38,22 +38,22 @@ class Data(Protocol):
         """Which axes there are, and when; called first. Raises UsageError where nothing can be read."""
         ...
 
-    def prepared(
-        self, shards: Sequence[Shard], survey: Survey, length: float, folder: Path | None
+    def prepare_shards(
+        self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> AbstractContextManager[None]:
         """Around all that is asked of these shards, those of the survey; length: of a slice [s]; folder: where rows may
         lie meanwhile, None: that for temporary files."""
         ...
 
-    def stamp(self, shard: Shard, length: float) -> object:
+    def stamp(self, shard: RowShard, length: float) -> object:
         """Changes with the rows of a shard; length: of a slice [s]."""
         ...
 
-    def tables(self, shards: Sequence[Shard], length: float) -> Iterator[Table]:
+    def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
         """The longest piece of the first slice that has any, of the first axes; length: of a slice [s]."""
         ...
 
-    def segments(self, work: Work, shards: Sequence[Shard]) -> Iterator[Segments]:
+    def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
         """Of each shard, in their order."""
         ...
 
@@ -75,24 +75,26 @@ class Parts:
     def survey(self, keep: Keep) -> Survey:
         """Of all parts; those that cannot be read are problems. Raises UsageError where none can."""
         if keep.lasting:
-            self._parts = {name: self._stamped(part) for name, part in self._parts.items()}
+            self._parts = {name: self._stamp_part(part) for name, part in self._parts.items()}
         parts = list(self._parts.values())
         keys = [digest("survey", part.name, part.stamp, self._columns) for part in parts]
-        work = partial(_surveyed, self._columns)
-        kept = keep.through(keys, lambda missing: self._engine.map(work, [parts[k] for k in missing]), here=True)
-        found = joined([Survey(one.rows(), one.problems) for one in kept])
+        work = partial(_survey_part, self._columns)
+        kept = keep.fetch(keys, lambda missing: self._engine.map(work, [parts[k] for k in missing]), here=True)
+        found = join_surveys([Survey(one.rows(), one.problems) for one in kept])
         check_columns(self._columns, parts, found)
         self._places = Places({part.name for part in parts if part.sliced}, found.rows)
         return found
 
-    def _stamped(self, part: Part) -> Part:
+    def _stamp_part(self, part: Part) -> Part:
         """A frame has no date: its stamp is what stands in it."""
         return part if part.stamp else replace(part, stamp=content(part, self._columns))
 
     @contextmanager
-    def prepared(self, shards: Sequence[Shard], survey: Survey, length: float, folder: Path | None) -> Iterator[None]:
+    def prepare_shards(
+        self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
+    ) -> Iterator[None]:
         """Files that mix their axes are put aside; an engine of many machines shuffles them itself."""
-        names = mixed(survey.rows, shards) if isinstance(self._engine, Local) else set()
+        names = find_mixed_parts(survey.rows, shards) if isinstance(self._engine, Local) else set()
         if not names:
             yield
             return
@@ -101,39 +103,41 @@ class Parts:
             yield
         self._aside = None
 
-    def stamp(self, shard: Shard, length: float) -> object:
+    def stamp(self, shard: RowShard, length: float) -> object:
         """Of the parts that have its rows."""
         return [(name, self._parts[name].stamp) for name in shard.parts]
 
-    def tables(self, shards: Sequence[Shard], length: float) -> Iterator[Table]:
+    def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
         """Read here, one by one."""
         for shard in shards[:TRIED]:
-            yield from samples_of([shard], self._within(shard, length), self._columns, length, self._aside)
+            yield from samples_of([shard], self._select_rows(shard, length), self._columns, length, self._aside)
 
-    def _within(self, shard: Shard, length: float) -> dict[str, Part]:
+    def _select_rows(self, shard: RowShard, length: float) -> dict[str, Part]:
         """Of each of its parts no more rows than the shard may have some in."""
         parts = {name: self._parts[name] for name in shard.parts}
         if self._places is None:
             return parts
-        return {name: self._places.within(part, shard, length) for name, part in parts.items()}
+        return {name: self._places.narrow(part, shard, length) for name, part in parts.items()}
 
-    def segments(self, work: Work, shards: Sequence[Shard]) -> Iterator[Segments]:
+    def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
         """By the engine; no others will be asked for."""
-        items = [(shard, self._within(shard, work.length)) for shard in shards]
+        items = [(shard, self._select_rows(shard, work.length)) for shard in shards]
         if self._aside is not None:
             self._aside.only(shards)
-        room = Room(FULL * BUDGET) if isinstance(self._engine, Local) else None
-        return self._engine.map(partial(_solved, work, self._aside, room), items)
+        room = RowBudget(FULL * BUDGET) if isinstance(self._engine, Local) else None
+        return self._engine.map(partial(_solve_shard, work, self._aside, room), items)
 
 
-def _surveyed(columns: Columns, part: Part) -> Survey:
-    return surveyed(part, columns)
+def _survey_part(columns: Columns, part: Part) -> Survey:
+    return survey_part(part, columns)
 
 
-def _solved(work: Work, aside: Aside | None, room: Room | None, item: tuple[Shard, dict[str, Part]]) -> Segments:
+def _solve_shard(
+    work: Work, aside: Aside | None, room: RowBudget | None, item: tuple[RowShard, dict[str, Part]]
+) -> Segments:
     shard, parts = item
-    with nullcontext() if room is None else room.of(shard.rows):
+    with nullcontext() if room is None else room.reserve(shard.rows):
         found = work.shard(shard, parts, aside)
     if aside is not None:
-        aside.done(shard)
+        aside.release(shard)
     return found

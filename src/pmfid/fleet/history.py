@@ -18,11 +18,11 @@ from pmfid.fleet.keep import Keep, Kept
 from pmfid.fleet.local import Engine, Local
 from pmfid.fleet.outcome import Outcome, outcome_of
 from pmfid.fleet.periods import Periods
-from pmfid.fleet.plan import Shard, shards_of, slice_length
+from pmfid.fleet.plan import RowShard, shards_of, slice_length
 from pmfid.fleet.settings import Chosen, make_settings
 from pmfid.fleet.source import AXIS, TYPE, Columns, is_spark, parts_of
 from pmfid.fleet.store import Store, check_folder, digest, whole
-from pmfid.fleet.survey import Problem
+from pmfid.fleet.survey import RowProblem
 from pmfid.fleet.verdicts import UNKNOWN
 from pmfid.fleet.work import Work
 from pmfid.session.config import Axis, load_axis
@@ -150,7 +150,7 @@ def estimate(
     done. Raises UsageError where nothing can be: for other columns, methods that are not recursive, no moving axis.
     """
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
-    columns, periods = Columns.of(own, by, type), Periods.of(period)
+    columns, periods = Columns.from_axis(own, by, type), Periods.from_name(period)
     tolerance = own.monitor.tolerance if tolerance is None else tolerance
     if not 0 <= tolerance < math.inf:
         raise UsageError(f"tolerance = {tolerance}: give a relative deviation of 0 or more, for example 0.05")
@@ -181,19 +181,19 @@ class _Run:
         length = slice_length(self.survey.rows, periods.length)
         shards = shards_of(self.survey.rows, length)
         folder = None if self.store is None else self.store.folder
-        with self.data.prepared(shards, self.survey, length, folder):
+        with self.data.prepare_shards(shards, self.survey, length, folder):
             return self._outcome(shards, length, periods, segment, tolerance)
 
     def _outcome(
-        self, shards: Sequence[Shard], length: float, periods: Periods, segment: float | None, tolerance: float
+        self, shards: Sequence[RowShard], length: float, periods: Periods, segment: float | None, tolerance: float
     ) -> History:
-        chosen = self._chosen(shards, length)
+        chosen = self._choose_filters(shards, length)
         most = min(length / 2, periods.length or length)
         settings = make_settings(self.axis, chosen, most, segment)
         work = Work(settings, self.columns, length)
         before, names = self.keep.reused, settings.estimator.names
         known = str((self.axis.model_dump(warnings=False), chosen, settings.segment, length))
-        solved = self._solved(shards, work, known)
+        solved = self._solve_shards(shards, work, known)
         problems = [*self.survey.problems, *self._several(), *(told for one in solved for told in one.problems)]
         groups = self._groups(shards, solved)
         found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
@@ -204,7 +204,7 @@ class _Run:
         facts = (found.samples, settings.segment, periods.name, len(shards), reused, self.data.engine)
         return History(found.periods, found.axes, found.problems, names, units, *facts)
 
-    def _chosen(self, shards: Sequence[Shard], length: float) -> Chosen:
+    def _choose_filters(self, shards: Sequence[RowShard], length: float) -> Chosen:
         """From the first moving axis; once it is kept, that, so that new data change nothing of the old."""
         tables = self.data.tables(shards, length)
         if self.store is None:
@@ -221,21 +221,21 @@ class _Run:
         whole(path, lambda part: part.write_text(json.dumps(asdict(chosen)), encoding="utf-8"))
         return chosen
 
-    def _solved(self, shards: Sequence[Shard], work: Work, signature: str) -> list[Kept]:
+    def _solve_shards(self, shards: Sequence[RowShard], work: Work, signature: str) -> list[Kept]:
         """Of every shard, in their order; the rows stay on the disk where there is a folder."""
         found, done, rows = list[Kept](), 0, sum(shard.rows for shard in shards)
         keys = [
             digest("segments", signature, one.axes, one.first, one.last, self.data.stamp(one, work.length))
             for one in shards
         ]
-        kept = self.keep.through(keys, lambda missing: self.data.segments(work, [shards[k] for k in missing]))
+        kept = self.keep.fetch(keys, lambda missing: self.data.segments(work, [shards[k] for k in missing]))
         for shard, one in zip(shards, kept, strict=True):
             found.append(one)
             done += shard.rows
             self.tell(done / max(rows, 1))
         return found
 
-    def _groups(self, shards: Sequence[Shard], solved: Sequence[Kept]) -> Iterator[pl.DataFrame]:
+    def _groups(self, shards: Sequence[RowShard], solved: Sequence[Kept]) -> Iterator[pl.DataFrame]:
         """The segments of some axes at a time, in the order of axes and time."""
         import polars as pl
 
@@ -250,13 +250,13 @@ class _Run:
             frames = [solved[k].rows().filter(pl.col(AXIS).is_in(group)) for k in wanted]
             yield pl.concat(frames).sort(AXIS, "start")
 
-    def _several(self) -> Iterator[Problem]:
+    def _several(self) -> Iterator[RowProblem]:
         """Axes that have other types in other files, or on other days."""
         import polars as pl
 
         kinds = self.survey.rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
         for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
-            yield Problem(axis, "", "types", f"of the types {', '.join(types)}: it is judged with the first")
+            yield RowProblem(axis, "", "types", f"of the types {', '.join(types)}: it is judged with the first")
 
     def _types(self) -> dict[str, str]:
         """The type of each axis; of several the first by name."""

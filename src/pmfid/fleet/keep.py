@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Protocol
 
 from pmfid.errors import UsageError
 from pmfid.fleet.store import Store
-from pmfid.fleet.survey import Problem
+from pmfid.fleet.survey import RowProblem
 
 if TYPE_CHECKING:
     import polars as pl
 
 
-class Found(Protocol):
+class TableWithProblems(Protocol):
     """A table and its problems."""
 
     @property
@@ -24,7 +24,7 @@ class Found(Protocol):
         ...
 
     @property
-    def problems(self) -> tuple[Problem, ...]:
+    def problems(self) -> tuple[RowProblem, ...]:
         """What could not be used."""
         ...
 
@@ -35,7 +35,7 @@ class Kept:
 
     here: pl.DataFrame | None
     path: Path | None
-    problems: tuple[Problem, ...]
+    problems: tuple[RowProblem, ...]
 
     def rows(self) -> pl.DataFrame:
         """The table. Raises UsageError where it has gone from the disk since."""
@@ -61,8 +61,8 @@ class Keep:
         """Whether another call will find it."""
         return self._store is not None
 
-    def through(
-        self, keys: Sequence[str], make: Callable[[Sequence[int]], Iterator[Found]], *, here: bool = False
+    def fetch(
+        self, keys: Sequence[str], make: Callable[[Sequence[int]], Iterator[TableWithProblems]], *, here: bool = False
     ) -> Iterator[Kept]:
         """What is under each key, in their order. make: gives what is at the places that it is called with, once, in
         their order; it is kept as it comes. here: in memory, too. Raises UsageError where the disk is full."""
@@ -79,7 +79,7 @@ class Keep:
         self.reused += 1
         return Kept(found.rows if here else None, self._store.path(key), found.problems)
 
-    def _put(self, key: str, found: Found, here: bool) -> Kept:
+    def _put(self, key: str, found: TableWithProblems, here: bool) -> Kept:
         if self._store is None:
             return Kept(found.rows, None, found.problems)
         self._store.put(key, found.rows, found.problems)

@@ -29,7 +29,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Local:
-    """workers: threads; None: as many as there are processors. How many have a shard in memory is up to `Room`."""
+    """workers: threads; None: as many as there are processors. How many have a shard in memory is up to `RowBudget`."""
 
     name: ClassVar[str] = "local"
     workers: int | None = None
@@ -55,7 +55,7 @@ class Local:
                     future.cancel()
 
 
-class Room:
+class RowBudget:
     """Rows that threads may have in memory together, so that memory knows no number of processors."""
 
     def __init__(self, rows: int) -> None:
@@ -63,7 +63,7 @@ class Room:
         self._freed = Condition()
 
     @contextmanager
-    def of(self, rows: int) -> Iterator[None]:
+    def reserve(self, rows: int) -> Iterator[None]:
         """Waits for so much room; what is larger than all of it has it to itself."""
         own = min(rows, self._rows)
         with self._freed:

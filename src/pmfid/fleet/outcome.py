@@ -12,10 +12,10 @@ import numpy as np
 
 from pmfid.fleet.periods import SAME, Periods, period_rows
 from pmfid.fleet.said import sentence
-from pmfid.fleet.series import Series, series_of, widened
+from pmfid.fleet.series import Series, series_of, widen_errors
 from pmfid.fleet.source import AXIS
-from pmfid.fleet.survey import DAY, Problem
-from pmfid.fleet.verdicts import CHANGED, Follow, Verdict, followed, judged, ranking, sorts_by_type
+from pmfid.fleet.survey import DAY, RowProblem
+from pmfid.fleet.verdicts import CHANGED, AxisVerdict, Follow, follow_axis, judge_axes, ranking, sorts_by_type
 
 if TYPE_CHECKING:
     import polars as pl
@@ -38,7 +38,7 @@ class Outcome:
 def outcome_of(
     groups: Iterable[pl.DataFrame],
     types: Mapping[str, str],
-    problems: Sequence[Problem],
+    problems: Sequence[RowProblem],
     names: tuple[str, ...],
     periods: Periods,
     segment: float,
@@ -57,10 +57,10 @@ def outcome_of(
     for group in groups:
         rows: list[dict[str, object]] = []
         for part in group.partition_by(AXIS, maintain_order=True):
-            axis, series = str(part[AXIS][0]), widened(series_of(part, names))
+            axis, series = str(part[AXIS][0]), widen_errors(series_of(part, names))
             seen += int(series.samples.sum())
-            problems += _mixed(axis, series)
-            follows[axis] = followed(axis, types[axis], series, names, tolerance)
+            problems += _report_mixed_periods(axis, series)
+            follows[axis] = follow_axis(axis, types[axis], series, names, tolerance)
             step = follows[axis].step
             told = codes[axis] | ({(step.since, CHANGED)} if step is not None and follows[axis].stepped else set())
             rows += period_rows(axis, types[axis], series, names, periods, segment, told)
@@ -70,22 +70,22 @@ def outcome_of(
     frames.append(pl.DataFrame(_nothing(missing, types, codes), schema=_period_schema(names)))
     everyone = [follows.get(axis) or _unknown(axis, types[axis], len(names)) for axis in sorted(types)]
     problems += _sorts(everyone, names, tolerance)
-    axes = _axes(everyone, judged(everyone, names, tolerance), names)
+    axes = _axes(everyone, judge_axes(everyone, names, tolerance), names)
     whole = pl.concat(frames).sort(AXIS, "period")
     return Outcome(whole, axes, _problems(problems), seen)
 
 
-def _mixed(axis: str, series: Series) -> list[Problem]:
+def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
     """An axis that is sampled now so, now so."""
     low, high = float(series.dt.min()), float(series.dt.max())
     if high - low <= SAME * high:
         return []
     at = float(series.start[np.flatnonzero(series.dt != series.dt[0])[0]])
     text = f"sample periods from {low:.6g} to {high:.6g} s: each is estimated with its own"
-    return [Problem(axis, "", "mixed_dt", text, at)]
+    return [RowProblem(axis, "", "mixed_dt", text, at)]
 
 
-def _others(follows: Iterable[Follow]) -> list[Problem]:
+def _others(follows: Iterable[Follow]) -> list[RowProblem]:
     """Axes that are sampled otherwise than most."""
     known = [one for one in follows if one.segments]
     if not known:
@@ -93,13 +93,13 @@ def _others(follows: Iterable[Follow]) -> list[Problem]:
     usual = float(np.quantile([one.dt for one in known], 0.5, method="lower"))
     text = "sampled every {:.6g} s, most axes every {:.6g} s: it is estimated with its own"
     return [
-        Problem(one.axis, "", "other_dt", text.format(one.dt, usual))
+        RowProblem(one.axis, "", "other_dt", text.format(one.dt, usual))
         for one in known
         if abs(one.dt - usual) > SAME * usual
     ]
 
 
-def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[Problem]:
+def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[RowProblem]:
     """Types that hold several sorts of machines."""
     found = []
     for kind, sorts in sorts_by_type(follows, tolerance).items():
@@ -114,7 +114,7 @@ def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) ->
                 f"{len(sorts)} sorts of machines, by {names[i].replace('_', ' ')}: {each}; each axis is compared "
                 "with its own sort: give them types of their own, --type"
             )
-            found.append(Problem("", f"type {kind}" if kind else "all axes", "several_sorts", text))
+            found.append(RowProblem("", f"type {kind}" if kind else "all axes", "several_sorts", text))
     return found
 
 
@@ -151,7 +151,7 @@ def _period_schema(names: Sequence[str]) -> dict[str, pl.DataType]:
     return kinds | {"quality": pl.String(), "findings": pl.String()}
 
 
-def _axes(follows: Sequence[Follow], verdicts: Sequence[Verdict], names: Sequence[str]) -> pl.DataFrame:
+def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Sequence[str]) -> pl.DataFrame:
     """Those that need attention first."""
     import polars as pl
 
@@ -174,11 +174,11 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[Verdict], names: Sequenc
     return pl.DataFrame(rows, infer_schema_length=None)
 
 
-def _problems(problems: Sequence[Problem]) -> pl.DataFrame:
+def _problems(problems: Sequence[RowProblem]) -> pl.DataFrame:
     """Each kind once for an axis or a file, with how often and from when on."""
     import polars as pl
 
-    found: dict[tuple[str, str, str], list[Problem]] = defaultdict(list)
+    found: dict[tuple[str, str, str], list[RowProblem]] = defaultdict(list)
     for problem in problems:
         found[problem.axis, problem.part, problem.code].append(problem)
     rows = []

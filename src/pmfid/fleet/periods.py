@@ -44,7 +44,7 @@ class Periods:
     start: float = 0.0
 
     @classmethod
-    def of(cls, name: str) -> Self:
+    def from_name(cls, name: str) -> Self:
         """Of "day", "shift" (of 8 hours, from 06:00 on), "run", or a duration. Raises UsageError for anything else."""
         if name == "run":
             return cls(name, None)

@@ -30,7 +30,7 @@ BUDGET = 2**22
 
 
 @dataclass(frozen=True)
-class Shard:
+class RowShard:
     """axes in the slices first <= k < last, and the parts that have rows of them; rows: about how many."""
 
     axes: tuple[str, ...]
@@ -69,7 +69,7 @@ def _fastest(rows: pl.DataFrame) -> float:
     return float(large.select((pl.col("many") / pl.col("span")).max()).item() or 0.0)
 
 
-def shards_of(rows: pl.DataFrame, length: float) -> list[Shard]:
+def shards_of(rows: pl.DataFrame, length: float) -> list[RowShard]:
     """All shards, in the order of time and of axes; rows: of the `Survey`; length: of a slice [s]."""
     blocks: dict[int, dict[str, dict[str, float]]] = defaultdict(lambda: defaultdict(dict))
     for part, axis, count, first, last in rows.select(PART, AXIS, ROWS, FIRST, LAST).iter_rows():
@@ -77,9 +77,9 @@ def shards_of(rows: pl.DataFrame, length: float) -> list[Shard]:
             # a block may hold several days of a part
             own = blocks[block][axis]
             own[part] = own.get(part, 0.0) + count * share
-    found: list[Shard] = []
+    found: list[RowShard] = []
     for block in sorted(blocks):
-        for axes in _packed(blocks[block]):
+        for axes in _pack_axes(blocks[block]):
             found += _cut(axes, blocks[block], block * BLOCK, (block + 1) * BLOCK)
     return found
 
@@ -93,7 +93,7 @@ def _blocks(first: float, last: float, length: float) -> Iterator[tuple[int, flo
         yield block, 1.0 if low == high else max(0.0, inside / span)
 
 
-def _packed(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, ...]]:
+def _pack_axes(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, ...]]:
     """The axes of a block in groups of at most BUDGET rows, or of one axis."""
     group: list[str] = []
     total = 0.0
@@ -110,11 +110,11 @@ def _packed(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, ...
 
 def _cut(
     axes: Sequence[str], block: Mapping[str, Mapping[str, float]], first: int, last: int, share: float = 1.0
-) -> list[Shard]:
+) -> list[RowShard]:
     """The slices of a group of axes, halved until their rows fit; share: of the block's rows that they have."""
     total = share * sum(sum(block[axis].values()) for axis in axes)
     if total > BUDGET and last - first > 1:
         middle = (first + last) // 2
         return _cut(axes, block, first, middle, share / 2) + _cut(axes, block, middle, last, share / 2)
     parts = sorted({part for axis in axes for part in block[axis]})
-    return [Shard(tuple(axes), first, last, tuple(parts), round(total))]
+    return [RowShard(tuple(axes), first, last, tuple(parts), round(total))]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.fleet.aside import Aside
-from pmfid.fleet.plan import Shard
+from pmfid.fleet.plan import RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
-from pmfid.fleet.survey import Problem
+from pmfid.fleet.survey import RowProblem
 from pmfid.session.formats.safety import readable
 from pmfid.session.tables import Table
 from pmfid.types import Flags, Floats
@@ -30,7 +30,7 @@ _Columns = Mapping[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
-class Rows:
+class ShardRows:
     """n rows in order. axis: (n,) number of the axis in `axes`; time: (n,) [s]; others: (n,) by their name in the
     data."""
 
@@ -39,13 +39,13 @@ class Rows:
     time: Floats
     others: dict[str, Floats]
 
-    def __getitem__(self, kept: Flags | NDArray[np.intp] | slice) -> Rows:
+    def __getitem__(self, kept: Flags | NDArray[np.intp] | slice) -> ShardRows:
         others = {name: values[kept] for name, values in self.others.items()}
-        return Rows(self.axes, self.axis[kept], self.time[kept], others)
+        return ShardRows(self.axes, self.axis[kept], self.time[kept], others)
 
 
 @dataclass(frozen=True)
-class Piece:
+class RecordPiece:
     """Rows of one axis, one slice and no gap. start: of its first sample [s]; table: of columns by their name in the
     data, the time from the start on."""
 
@@ -55,12 +55,12 @@ class Piece:
 
 
 def read_rows(
-    shard: Shard, parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
-) -> tuple[Rows, tuple[Problem, ...]]:
+    shard: RowShard, parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
+) -> tuple[ShardRows, tuple[RowProblem, ...]]:
     """The rows of a shard in order, of those that stand twice one, and of those that contradict each other none;
     length: of a slice [s]; aside: where the rows of some parts are. Parts that cannot be read have problems in place of
     rows."""
-    frames, problems = list[_Columns](), list[Problem]()
+    frames, problems = list[_Columns](), list[RowProblem]()
     if aside is not None:
         aside.prepare(shard)
     for name in shard.parts:
@@ -71,19 +71,19 @@ def read_rows(
                 with readable("data"):
                     frames += _read(parts[name], shard, columns, length)
         except UsageError as error:
-            problems.append(Problem("", name, "unreadable", " ".join(str(error).split())))
+            problems.append(RowProblem("", name, "unreadable", " ".join(str(error).split())))
         if parts[name].rewritten:
-            problems.append(Problem("", name, "rewritten", REWRITTEN))
-    rows, found = unique(_in_order(_arrays(frames, shard.axes, columns)))
+            problems.append(RowProblem("", name, "rewritten", REWRITTEN))
+    rows, found = unique(_sort_rows(_arrays(frames, shard.axes, columns)))
     return rows, (*problems, *found)
 
 
-def _read(part: Part, shard: Shard, columns: Columns, length: float) -> list[_Columns]:
+def _read(part: Part, shard: RowShard, columns: Columns, length: float) -> list[_Columns]:
     """Whole or not at all."""
     return [_columns(_window(one, shard, columns, length)) for one in part.windows()]
 
 
-def _window(part: Part, shard: Shard, columns: Columns, length: float) -> pl.DataFrame:
+def _window(part: Part, shard: RowShard, columns: Columns, length: float) -> pl.DataFrame:
     import polars as pl
 
     axis, time = pl.col(AXIS), pl.col(TIME)
@@ -100,27 +100,27 @@ def _columns(frame: pl.DataFrame) -> _Columns:
     return {name: frame[name].to_numpy() for name in frame.columns}
 
 
-def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: Columns) -> Rows:
-    def of(name: str) -> Floats:
+def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: Columns) -> ShardRows:
+    def join(name: str) -> Floats:
         parts = [frame[name] for frame in frames]
         return np.asarray(np.concatenate(parts) if parts else np.empty(0))
 
     named = columns.named
-    others = {named[own]: of(own) for own in (INPUT, OUTPUT, *([MASK] if columns.mask else []))}
-    return Rows(axes, of(AXIS).astype(np.uint32), of(TIME), others)
+    others = {named[own]: join(own) for own in (INPUT, OUTPUT, *([MASK] if columns.mask else []))}
+    return ShardRows(axes, join(AXIS).astype(np.uint32), join(TIME), others)
 
 
-def rows_of(frame: pl.DataFrame, columns: Columns) -> tuple[Rows, tuple[Problem, ...]]:
+def rows_of(frame: pl.DataFrame, columns: Columns) -> tuple[ShardRows, tuple[RowProblem, ...]]:
     """The same of a frame with the columns of `source`, in any order."""
     import polars as pl
 
     axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
     named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
     known = frame.filter(pl.col(TIME).is_finite()).drop_nulls(AXIS).with_columns(named)
-    return unique(_in_order(_arrays([_columns(known)], axes, columns)))
+    return unique(_sort_rows(_arrays([_columns(known)], axes, columns)))
 
 
-def _in_order(rows: Rows) -> Rows:
+def _sort_rows(rows: ShardRows) -> ShardRows:
     """By axis, time, and then by all that there is, so that no order of files shows."""
     if _increasing(rows):
         return rows
@@ -131,12 +131,12 @@ def _in_order(rows: Rows) -> Rows:
     return rows[np.lexsort(keys)]
 
 
-def _increasing(rows: Rows) -> bool:
+def _increasing(rows: ShardRows) -> bool:
     same, step = np.diff(rows.axis.astype(np.int64)), np.diff(rows.time)
     return bool(np.all((same > 0) | ((same == 0) & (step > 0))))
 
 
-def unique(rows: Rows) -> tuple[Rows, tuple[Problem, ...]]:
+def unique(rows: ShardRows) -> tuple[ShardRows, tuple[RowProblem, ...]]:
     """Rows in order without those that say the same again, and without all of one time that say different things."""
     again = np.r_[False, (np.diff(rows.axis) == 0) & (np.diff(rows.time) == 0)]
     if not np.any(again):
@@ -146,21 +146,25 @@ def unique(rows: Rows) -> tuple[Rows, tuple[Problem, ...]]:
         equal[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     group = np.cumsum(~again)
     contradicted = np.isin(group, group[again & ~equal])
-    problems = _told(rows, again & ~contradicted, "duplicates", "rows stand there again, the same: one of each counts")
-    problems += _told(rows, contradicted, "contradictions", "rows have the time of another and other values: left out")
+    problems = _report_rows(
+        rows, again & ~contradicted, "duplicates", "rows stand there again, the same: one of each counts"
+    )
+    problems += _report_rows(
+        rows, contradicted, "contradictions", "rows have the time of another and other values: left out"
+    )
     return rows[~again & ~contradicted], tuple(problems)
 
 
-def _told(rows: Rows, which: Flags, code: str, text: str) -> list[Problem]:
+def _report_rows(rows: ShardRows, which: Flags, code: str, text: str) -> list[RowProblem]:
     numbers, first, count = np.unique(rows.axis[which], return_index=True, return_counts=True)
     times = rows.time[which][first]
     return [
-        Problem(rows.axes[number], "", code, f"{many} {text}", at)
+        RowProblem(rows.axes[number], "", code, f"{many} {text}", at)
         for number, many, at in zip(numbers.tolist(), count.tolist(), times.tolist(), strict=True)
     ]
 
 
-def pieces_of(rows: Rows, columns: Columns, length: float) -> Iterator[Piece]:
+def pieces_of(rows: ShardRows, columns: Columns, length: float) -> Iterator[RecordPiece]:
     """The pieces of rows in order; length: of a slice [s]."""
     if not rows.time.size:
         return
@@ -172,4 +176,4 @@ def pieces_of(rows: Rows, columns: Columns, length: float) -> Iterator[Piece]:
         for low, high in zip([first, *cuts], [*cuts, last], strict=True):
             time = rows.time[low:high]
             others = {name: values[low:high] for name, values in rows.others.items()}
-            yield Piece(rows.axes[rows.axis[low]], float(time[0]), {columns.time: time - time[0], **others})
+            yield RecordPiece(rows.axes[rows.axis[low]], float(time[0]), {columns.time: time - time[0], **others})

@@ -6,7 +6,7 @@ import math
 from datetime import UTC, datetime
 
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.fleet.verdicts import CHANGED, DIFFERS, DRIFTS, UNKNOWN, WANDERS, Verdict
+from pmfid.fleet.verdicts import CHANGED, DIFFERS, DRIFTS, UNKNOWN, WANDERS, AxisVerdict
 from pmfid.session.clock import EPOCHS
 
 #: What the parameters are in a sentence.
@@ -24,19 +24,19 @@ def when(time: float) -> str:
     return f"{hours}:{minute:02}:{second:02}"
 
 
-def between(since: float, until: float) -> str:
+def format_span(since: float, until: float) -> str:
     """From when to when, the date once."""
     first, last = when(since), when(until)
     same = " " in first and first.partition(" ")[0] == last.partition(" ")[0]
     return f"between {first} and {last.partition(' ')[2] if same else last}"
 
 
-def sentence(verdict: Verdict) -> str:
+def sentence(verdict: AxisVerdict) -> str:
     """Why the axis needs attention, or what else there is to say; empty where there is nothing."""
     what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
     size, std = 100 * verdict.size, 100 * verdict.std
     if verdict.kind == CHANGED:
-        return f"{what} {size:+.1f} % ± {std:.1f} % {between(verdict.since, verdict.until)}"
+        return f"{what} {size:+.1f} % ± {std:.1f} % {format_span(verdict.since, verdict.until)}"
     if verdict.kind == DRIFTS:
         if verdict.days >= 1:
             return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"

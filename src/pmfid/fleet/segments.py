@@ -17,12 +17,12 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.fleet.marks import MARKS, evidence_gaps, lasting_status, settled_std
-from pmfid.fleet.rows import Piece
+from pmfid.fleet.rows import RecordPiece
 from pmfid.fleet.second_look import second_looks
 from pmfid.fleet.settings import Settings, quarter_of, record_at
 from pmfid.fleet.shares import Share, shares_of
 from pmfid.fleet.stretch import Stretch
-from pmfid.fleet.survey import Problem
+from pmfid.fleet.survey import RowProblem
 from pmfid.session.records import Record
 from pmfid.types import Flags
 
@@ -44,32 +44,32 @@ class Segments:
     """
 
     rows: pl.DataFrame
-    problems: tuple[Problem, ...]
+    problems: tuple[RowProblem, ...]
 
 
-def solve(pieces: Iterable[Piece], settings: Settings) -> Segments:
+def solve(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
     """The segments of pieces; what is no record is a problem of its axis."""
     import polars as pl
 
-    problems = list[Problem]()
+    problems = list[RowProblem]()
     groups: dict[tuple[float, float], list[Stretch]] = defaultdict(list)
     for piece in pieces:
         try:
             for stretch in _stretches(piece, settings):
                 groups[stretch.dt, stretch.resolution].append(stretch)
         except (UsageError, NotIdentifiableError) as error:
-            problems.append(Problem(piece.axis, "", "no_record", " ".join(str(error).split()), piece.start))
+            problems.append(RowProblem(piece.axis, "", "no_record", " ".join(str(error).split()), piece.start))
     frames = [empty(settings)]
     for (dt, resolution), stretches in groups.items():
         try:
-            frames += _estimated(stretches, settings.at(dt, resolution))
+            frames += _estimate_batches(stretches, settings.adapt_estimator(dt, resolution))
         except UsageError as error:
             told = " ".join(str(error).split())
-            problems += [Problem(one.axis, "", "no_estimate", told, one.start) for one in stretches]
+            problems += [RowProblem(one.axis, "", "no_estimate", told, one.start) for one in stretches]
     return Segments(pl.concat(frames).sort("axis", "start"), tuple(problems))
 
 
-def _stretches(piece: Piece, settings: Settings) -> list[Stretch]:
+def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     """Raises UsageError for a piece that is no record, or too short for an estimate."""
     record = record_at(piece.table, settings.axis)
     quarter, settled = quarter_of(settings, record.dt), settings.estimator.settle_samples
@@ -88,7 +88,7 @@ def _stretches(piece: Piece, settings: Settings) -> list[Stretch]:
     return found
 
 
-def _stretch(piece: Piece, record: Record, filled: Flags, first: int, share: Share, looked_at: bool) -> Stretch:
+def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, share: Share, looked_at: bool) -> Stretch:
     """first: sample of the record that the share counts from."""
     places = share.places + first
     begin, end = int(places[0]), int(places[-1]) + 1
@@ -107,7 +107,7 @@ def _stretch(piece: Piece, record: Record, filled: Flags, first: int, share: Sha
     )
 
 
-def _estimated(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
+def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
     """In batches of the same length."""
     groups: dict[int, list[Stretch]] = defaultdict(list)
     for one in stretches:

@@ -71,7 +71,7 @@ def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
     return Series(start, end, rows["samples"].to_numpy(), lost, dt, rows["status"].to_numpy(), theta, std)
 
 
-def widened(series: Series) -> Series:
+def widen_errors(series: Series) -> Series:
     """With bars that hold what neighbours among the usable segments (n, p) differ by beyond them: a scatter that all
     share, so that none which is too sure of itself stands for the axis (random effects; DerSimonian and Laird, 1986,
     with medians, which a few steps do not move)."""

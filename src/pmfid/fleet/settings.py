@@ -39,7 +39,7 @@ class Settings:
     segment: float
     span: float
 
-    def at(self, dt: float, resolution: float) -> RecursiveEstimator:
+    def adapt_estimator(self, dt: float, resolution: float) -> RecursiveEstimator:
         """The estimator of an axis with another sample period [s] and resolution. Raises UsageError where the pole of
         the filters does not fit it."""
         check_sampling(self.axis, dt)
@@ -78,7 +78,7 @@ class Chosen:
     resolution: float
 
 
-def on_line(axis: Axis) -> Axis:
+def choose_method(axis: Axis) -> Axis:
     """With the method that "auto" is here. Raises UsageError for what a history cannot do."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator):
@@ -91,7 +91,7 @@ def on_line(axis: Axis) -> Axis:
 def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None) -> Settings:
     """most: that a segment may last [s]; segment: [s], None: by the memory of [estimator] forgetting, or by the
     filters. Raises UsageError for segments that are too short for the filters."""
-    config = on_line(axis).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
+    config = choose_method(axis).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
     axis = axis.model_copy(update={"estimator": config})
     nothing = Record(np.zeros(0), np.zeros(0, np.int64), chosen.dt, chosen.resolution, (), "")
     estimator = recursive(make_estimator(axis, nothing))

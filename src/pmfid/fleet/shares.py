@@ -61,7 +61,7 @@ def shares_of(counts: Counts, settled: int, quarter: int, span: int) -> Iterator
     middles = (edges[long] + edges[long + 1]) // 2
     for low, high in _groups(np.r_[0, middles, counts.size], kept, WHOLE * quarter, span):
         inside = np.flatnonzero(kept[low:high]) + low
-        yield from _shared(inside, counts, low, high, settled, quarter)
+        yield from _share_samples(inside, counts, low, high, settled, quarter)
 
 
 def _groups(cuts: NDArray[np.intp], kept: Flags, enough: int, span: int) -> Iterator[tuple[int, int]]:
@@ -76,7 +76,7 @@ def _groups(cuts: NDArray[np.intp], kept: Flags, enough: int, span: int) -> Iter
             first = k
 
 
-def _shared(
+def _share_samples(
     inside: NDArray[np.intp], counts: Counts, low: int, high: int, settled: int, quarter: int
 ) -> Iterator[Share]:
     """The segments of a group, low to high; inside: its samples that say something."""

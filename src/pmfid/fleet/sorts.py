@@ -20,11 +20,11 @@ def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.int
     least: axes of a sort; tolerance: spread below which there is none. One sort, all, where no gap parts them."""
     found = [np.arange(len(place))]
     for column in place.T:
-        found = [part for members in found for part in _parted(members, column, least, tolerance)]
+        found = [part for members in found for part in _split_sort(members, column, least, tolerance)]
     return found
 
 
-def _parted(members: NDArray[np.intp], column: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
+def _split_sort(members: NDArray[np.intp], column: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
     """The same by one parameter, again and again."""
     ordered = members[np.argsort(column[members], kind="stable")]
     values = column[ordered]
@@ -38,7 +38,7 @@ def _parted(members: NDArray[np.intp], column: Floats, least: int, tolerance: fl
     if high[0] - low[-1] < GAP * spread or np.median(high) - np.median(low) < APART * spread:
         return [members]
     parts = (np.sort(ordered[:k]), np.sort(ordered[k:]))
-    return [part for one in parts for part in _parted(one, column, least, tolerance)]
+    return [part for one in parts for part in _split_sort(one, column, least, tolerance)]
 
 
 def _spread(values: Floats) -> float:

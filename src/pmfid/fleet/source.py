@@ -14,7 +14,7 @@ from urllib.parse import unquote
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.fleet.lake import check_no_table, delta_files, is_delta
 from pmfid.fleet.times import seconds_of, too_coarse
-from pmfid.fleet.walk import walked
+from pmfid.fleet.walk import walk_folder
 from pmfid.session.clock import EPOCHS, UNITS, time_factor
 from pmfid.session.config import Axis
 from pmfid.session.formats.arrow_file import FILE as ARROW
@@ -54,7 +54,7 @@ class Columns:
     factor: float = 1.0
 
     @classmethod
-    def of(cls, axis: Axis, by: str, kind: str | None = None) -> Columns:
+    def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> Columns:
         """Those that AXIS.toml names, and the column `by` that tells the axes; kind: the column of their type. Raises
         UsageError where it names no time, or no axis of motion."""
         record = axis.record
@@ -205,20 +205,20 @@ def _files(source: Path, out: Path | None) -> list[Part]:
         return [_part(source, source.parent)]
     if is_delta(source):
         return [_part(path, source, said) for path, said in delta_files(source)]
-    folders, paths, closed = walked(source)
+    folders, paths, closed = walk_folder(source)
     check_no_table(folders)
     known = {*READERS, *ENDINGS}
     own = None if out is None else out.resolve()
     data = (
         path for path in paths if path.suffix.lower() in known and (own is None or own not in path.resolve().parents)
     )
-    found = sorted(path for path in data if not _hidden(path.relative_to(source)))
+    found = sorted(path for path in data if not _is_hidden(path.relative_to(source)))
     if not found and not closed:
         raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")
     return [_part(path, source) for path in (*found, *closed)]
 
 
-def _hidden(path: Path) -> bool:
+def _is_hidden(path: Path) -> bool:
     """Files that engines write beside the data."""
     return any(part.startswith((".", "_")) for part in path.parts)
 
@@ -232,7 +232,7 @@ def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part
     name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file may be named by any bytes
     said = constants | dict(said or {})
     sliced = _kind(there) == ".parquet"
-    return Part(name, stamp, lambda: _opened(there), said, lambda: _stamp(there), sliced)
+    return Part(name, stamp, lambda: _open_file(there), said, lambda: _stamp(there), sliced)
 
 
 def _kind(path: Path) -> str:
@@ -248,7 +248,7 @@ def _stamp(path: Path) -> str:
     return f"{stat.st_size}-{stat.st_mtime_ns}"
 
 
-def _opened(path: Path) -> pl.LazyFrame:
+def _open_file(path: Path) -> pl.LazyFrame:
     import polars as pl
 
     if not path.exists():

@@ -17,7 +17,7 @@ from pmfid import __version__
 from pmfid.durable.lock import NAME as LOCK
 from pmfid.durable.lock import hold
 from pmfid.errors import UsageError
-from pmfid.fleet.survey import Problem, Survey
+from pmfid.fleet.survey import RowProblem, Survey
 from pmfid.fleet.walk import RESULTS
 
 if TYPE_CHECKING:
@@ -54,20 +54,20 @@ class Store:
         import polars as pl
 
         try:
-            told = json.loads(self._told(key).read_text(encoding="utf-8"))
+            told = json.loads(self._problems_path(key).read_text(encoding="utf-8"))
             return Survey(
-                pl.read_parquet(self.path(key), hive_partitioning=False), tuple(Problem(**raw) for raw in told)
+                pl.read_parquet(self.path(key), hive_partitioning=False), tuple(RowProblem(**raw) for raw in told)
             )
         except Exception:  # not there, or damaged: made anew
             return None
 
-    def put(self, key: str, rows: pl.DataFrame, problems: Sequence[Problem]) -> None:
+    def put(self, key: str, rows: pl.DataFrame, problems: Sequence[RowProblem]) -> None:
         """Lays a table and its problems down. Raises UsageError where the disk is full."""
         text = json.dumps([asdict(one) for one in problems])
-        whole(self._told(key), lambda path: path.write_text(text, encoding="utf-8"))
+        whole(self._problems_path(key), lambda path: path.write_text(text, encoding="utf-8"))
         whole(self.path(key), lambda path: rows.write_parquet(path))
 
-    def _told(self, key: str) -> Path:
+    def _problems_path(self, key: str) -> Path:
         return self.folder / f"{key}.json"
 
     def path(self, key: str) -> Path:

@@ -26,7 +26,7 @@ _PLACE, _END = "place in the part", "end"
 
 
 @dataclass(frozen=True)
-class Problem:
+class RowProblem:
     """What could not be used. axis: empty where it concerns a file; part: empty where it concerns an axis; at: time [s]
     from which on; code: its name among the findings."""
 
@@ -44,29 +44,29 @@ class Survey:
     is odd of others."""
 
     rows: pl.DataFrame
-    problems: tuple[Problem, ...]
+    problems: tuple[RowProblem, ...]
 
 
-def surveyed(part: Part, columns: Columns) -> Survey:
+def survey_part(part: Part, columns: Columns) -> Survey:
     """What one part has; a part that cannot be read has no rows and a problem."""
     import polars as pl
 
     try:
         with readable("data"):
-            found = _together(pl.concat([_counted(one, columns) for one in part.windows()]))
+            found = _together(pl.concat([_count_window(one, columns) for one in part.windows()]))
             odd = part.other_types(columns)
     except UsageError as error:
-        return Survey(_empty(), (Problem("", part.name, "unreadable", " ".join(str(error).split())),))
+        return Survey(_empty(), (RowProblem("", part.name, "unreadable", " ".join(str(error).split())),))
     return survey_of(part.name, found, [*odd, *_otherwise(part, columns, found)], columns.factor)
 
 
-def _counted(part: Part, columns: Columns) -> pl.DataFrame:
+def _count_window(part: Part, columns: Columns) -> pl.DataFrame:
     """The same of the rows of a window, with the places of the first and the last of them in the file."""
     import polars as pl
 
     place = pl.col(_PLACE).cast(pl.Int64)
     rows = part.rows(columns).with_row_index(_PLACE, offset=part.first)
-    return counted(rows, columns, place.min().alias(START), place.max().alias(_END)).collect(engine="streaming")
+    return count_rows(rows, columns, place.min().alias(START), place.max().alias(_END)).collect(engine="streaming")
 
 
 def _together(windows: pl.DataFrame) -> pl.DataFrame:
@@ -80,7 +80,7 @@ def _together(windows: pl.DataFrame) -> pl.DataFrame:
     return rows.sort(AXIS, "day", nulls_last=True)
 
 
-def counted(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
+def count_rows(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
     """How many rows each axis has on each day, how many of them are lost, the first and last time, the type, and what
     more is asked for; rows: of `Part.rows`."""
     import polars as pl
@@ -110,17 +110,19 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float)
     is odd of its columns; factor: seconds per unit of its times."""
     import polars as pl
 
-    problems = [Problem("", name, "type", text) for text in odd]
+    problems = [RowProblem("", name, "type", text) for text in odd]
     if not found.height:
-        problems.append(Problem("", name, "empty", "it has no rows"))
+        problems.append(RowProblem("", name, "empty", "it has no rows"))
     if EXTENT not in found.columns:
         found = found.with_columns(pl.lit(0, pl.Int64).alias(START), pl.col(ROWS).alias(EXTENT))
     lost = int(found[LOST].sum())
     if lost:
-        problems.append(Problem("", name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out"))
+        problems.append(
+            RowProblem("", name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out")
+        )
     found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0))
     if found.height and (told := other_unit(cast(float, found[FIRST].min()), cast(float, found[LAST].max()), factor)):
-        problems.append(Problem("", name, "time_unit", told))
+        problems.append(RowProblem("", name, "time_unit", told))
     return Survey(found.select(pl.lit(name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, START, EXTENT), tuple(problems))
 
 
@@ -145,7 +147,7 @@ def content(part: Part, columns: Columns) -> str:
     return f"{found.item(0, 0)}-{found.item(0, 1)}"
 
 
-def joined(surveys: Sequence[Survey]) -> Survey:
+def join_surveys(surveys: Sequence[Survey]) -> Survey:
     """Of all parts."""
     import polars as pl
 

@@ -37,10 +37,10 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
         raise UsageError(f"the column {name!r} is of type {kind}, which is no time")
     number = column.cast(pl.Float64, strict=False)
     number = number if factor == 1 else number * factor
-    return number if kind != pl.String else pl.coalesce(number, _dated(column))
+    return number if kind != pl.String else pl.coalesce(number, _parse_dates(column))
 
 
-def _dated(column: pl.Expr) -> pl.Expr:
+def _parse_dates(column: pl.Expr) -> pl.Expr:
     """Of text as ISO 8601 has it."""
     import polars as pl
 

@@ -16,7 +16,7 @@ from pmfid.fleet.changes import Step, Trend, step_of, trend_of
 from pmfid.fleet.periods import codes_of, quality_of, standing
 from pmfid.fleet.series import Series, mean_of
 from pmfid.fleet.sorts import sorts_of
-from pmfid.fleet.wander import Beyond, beyond
+from pmfid.fleet.wander import Beyond, compare_with_wander
 from pmfid.types import Floats
 
 #: Axes that are named by chance, of a whole fleet in which nothing is the matter, for each way of being named.
@@ -66,7 +66,7 @@ class Follow:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AxisVerdict:
     """kind: one of the above, empty: nothing to say; score: evidence over what chance would name, from 1 on it is
     named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day, of one that wanders root
     mean square about the mean; since, until: [s], between which it came; days: of the history; deviation: (p,) relative
@@ -100,7 +100,7 @@ class Verdict:
         return self.kind in (CHANGED, DRIFTS, DIFFERS)
 
 
-def followed(axis: str, kind: str, series: Series, names: Sequence[str], tolerance: float) -> Follow:
+def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tolerance: float) -> Follow:
     """What the segments (n,) of an axis say; kind: its type; tolerance: relative change that is none."""
     used = series[series.usable]
     step, trend = step_of(used, names, tolerance), trend_of(used, names, tolerance)
@@ -108,7 +108,7 @@ def followed(axis: str, kind: str, series: Series, names: Sequence[str], toleran
     wander = None
     if step is not None and clear:
         whole = (used.start < step.since) | (used.start >= step.settled)  # not of both sides
-        wander = beyond(used[whole], step.settled)
+        wander = compare_with_wander(used[whole], step.settled)
     late = used if step is None or not step.score > 0 else used[used.start >= step.settled]
     late = late if late.start.size else used
     theta, std = mean_of(late)
@@ -117,7 +117,7 @@ def followed(axis: str, kind: str, series: Series, names: Sequence[str], toleran
     return Follow(axis, kind, int(used.start.size), theta, std, step, trend, wander, dt, codes)
 
 
-def judged(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[Verdict]:
+def judge_axes(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[AxisVerdict]:
     """The verdict on each axis, in their order."""
     deviations = _deviations(follows, tolerance)
     limit = _limit(len(follows) * max(1, len(names)), math.inf)
@@ -137,15 +137,17 @@ def _visible(one: Follow, trials: int, tolerance: float) -> float:
     return tolerance + _limit(trials * one.segments, one.segments - 2) * float(np.max(one.step.middle))
 
 
-def _verdict(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, axes: int, limit: float) -> Verdict:
+def _verdict(
+    one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, axes: int, limit: float
+) -> AxisVerdict:
     if not one.segments:
-        return Verdict(UNKNOWN, 0.0, deviation=deviation)
-    found = [_of_differing(one, names, deviation, excess, limit), *_of_past(one, names, axes)]
+        return AxisVerdict(UNKNOWN, 0.0, deviation=deviation)
+    found = [_judge_deviation(one, names, deviation, excess, limit), *_judge_past(one, names, axes)]
     best = max(found, key=lambda verdict: (verdict.named and verdict.score >= 1, verdict.score))
     return replace(best, kind=best.kind if best.score >= 1 else "", deviation=deviation)
 
 
-def _of_past(one: Follow, names: Sequence[str], axes: int) -> list[Verdict]:
+def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdict]:
     """Of its step, or of its trend: of the one that explains more, and more than that it wanders."""
     step, trend = one.step, one.trend
     if step is None or trend is None:
@@ -153,8 +155,8 @@ def _of_past(one: Follow, names: Sequence[str], axes: int) -> list[Verdict]:
     trials, free, days = axes * len(names), one.segments - 2, trend.span / 86_400.0
     least = _limit(trials * one.segments, free)
     stepped, drifted = step.score / least, trend.score / _limit(trials, free)
-    changed = Verdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)
-    drifts = Verdict(DRIFTS, drifted, trend.cause, trend.size / days, trend.std / days, days=days)
+    changed = AxisVerdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)
+    drifts = AxisVerdict(DRIFTS, drifted, trend.cause, trend.size / days, trend.std / days, days=days)
     first = drifted < 1 or step.misfit <= trend.misfit
     clear = [verdict for verdict in ((changed, drifts) if first else (drifts, changed)) if verdict.score >= 1]
     if not clear or one.wander is None:
@@ -163,17 +165,17 @@ def _of_past(one: Follow, names: Sequence[str], axes: int) -> list[Verdict]:
     return [next((verdict for verdict in clear if sure[verdict.kind]), _wandering(clear[0], one.wander, names))]
 
 
-def _wandering(verdict: Verdict, wander: Beyond, names: Sequence[str]) -> Verdict:
+def _wandering(verdict: AxisVerdict, wander: Beyond, names: Sequence[str]) -> AxisVerdict:
     """In place of a step or drift that explains no more."""
     own = [size for size, name in zip(wander.size, names, strict=True) if verdict.cause in name]
-    return Verdict(WANDERS, verdict.score, verdict.cause, float(max(own or wander.size)))
+    return AxisVerdict(WANDERS, verdict.score, verdict.cause, float(max(own or wander.size)))
 
 
-def _of_differing(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, limit: float) -> Verdict:
+def _judge_deviation(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, limit: float) -> AxisVerdict:
     if not np.any(np.isfinite(excess)):
-        return Verdict(DIFFERS, 0.0)
+        return AxisVerdict(DIFFERS, 0.0)
     i = int(np.nanargmax(excess))
-    return Verdict(DIFFERS, max(0.0, float(excess[i]) / limit), names[i], float(deviation[i]), math.nan)
+    return AxisVerdict(DIFFERS, max(0.0, float(excess[i]) / limit), names[i], float(deviation[i]), math.nan)
 
 
 def _limit(trials: float, free: float) -> float:
@@ -211,12 +213,12 @@ def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Float
     for sorts in sorts_by_type(follows, tolerance).values():
         for members in sorts:
             if len(members) >= LEAST_AXES:
-                for k, *pair in zip(members, *_apart(*_estimates(follows, members), tolerance), strict=True):
+                for k, *pair in zip(members, *_compare_axes(*_estimates(follows, members), tolerance), strict=True):
                     found[k] = (pair[0], pair[1])
     return found
 
 
-def _apart(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
+def _compare_axes(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
     """(m, p) of the axes of one sort."""
     apart, ratio, size = _logarithms(theta)
     spread = spread_of(apart)
@@ -241,7 +243,7 @@ def spread_of(apart: Floats) -> Floats:
     return np.asarray(np.max([np.quantile(sizes, part, axis=0) / ndtri((1 + part) / 2) for part in PARTS], axis=0))
 
 
-def ranking(verdicts: Iterable[Verdict]) -> list[int]:
+def ranking(verdicts: Iterable[AxisVerdict]) -> list[int]:
     """Places of the verdicts, those that need attention first."""
     order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, WANDERS: 2, "": 3}
     pairs = enumerate(verdicts)

@@ -9,7 +9,7 @@ from pathlib import Path
 RESULTS = {"work", "periods.parquet", "axes.parquet", "problems.parquet"}
 
 
-def walked(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
+def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
     """Folders, what else lies in them, pipes and links that lead nowhere among it, and folders that cannot be listed.
     The results of a history are left out.
     A folder to which several links lead counts once, by the shortest of its names, then the first."""

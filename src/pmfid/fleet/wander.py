@@ -33,7 +33,7 @@ class Beyond:
     size: Floats
 
 
-def beyond(series: Series, since: float) -> Beyond:
+def compare_with_wander(series: Series, since: float) -> Beyond:
     """Of a series (n, p) of at least three usable segments; since: start of the first after the step [s]."""
     place = int(np.searchsorted(series.start, since))
     theta, std, time = _together(series, place)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pmfid.fleet import source
-from pmfid.fleet.plan import Shard
+from pmfid.fleet.plan import RowShard
 from pmfid.fleet.source import AXIS, Part
 from pmfid.fleet.survey import EXTENT, FIRST, LAST, PART, ROWS, START
 
@@ -26,7 +26,7 @@ class Places:
         groups = found.partition_by(PART, as_dict=True, include_key=False)
         self._rows = {str(key[0]): group for key, group in groups.items()}
 
-    def within(self, part: Part, shard: Shard, length: float) -> Part:
+    def narrow(self, part: Part, shard: RowShard, length: float) -> Part:
         """The part from the first to the last row that the shard may have in it; length: of a slice [s]."""
         import polars as pl
 

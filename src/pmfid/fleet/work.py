@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
 from pmfid.fleet.aside import Aside
-from pmfid.fleet.plan import Shard
-from pmfid.fleet.rows import Piece, pieces_of, read_rows, rows_of
+from pmfid.fleet.plan import RowShard
+from pmfid.fleet.rows import RecordPiece, pieces_of, read_rows, rows_of
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Columns, Part
@@ -33,7 +33,7 @@ class Work:
     columns: Columns
     length: float
 
-    def shard(self, shard: Shard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
+    def shard(self, shard: RowShard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
         """The segments of a shard, from the files that have its rows, or from where these are put aside."""
         rows, problems = read_rows(shard, parts, self.columns, self.length, aside)
         found = solve(pieces_of(rows, self.columns, self.length), self.settings)
@@ -48,12 +48,12 @@ class Work:
 
 
 def samples_of(
-    shards: Sequence[Shard], parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
+    shards: Sequence[RowShard], parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
 ) -> Iterator[Table]:
     """The longest piece of the first slice of each of the first axes, a table for each."""
     for shard in shards[:TRIED]:
         rows, _ = read_rows(shard, parts, columns, length, aside)
-        slices: dict[str, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
+        slices: dict[str, dict[int, list[RecordPiece]]] = defaultdict(lambda: defaultdict(list))
         for piece in pieces_of(rows, columns, length):
             slices[piece.axis][math.floor(piece.start / length)].append(piece)
         for axis in sorted(slices)[:TRIED]:
@@ -72,7 +72,7 @@ def first_table(frame: pl.DataFrame, columns: Columns, length: float) -> Table |
     )
 
 
-def longest(pieces: Sequence[Piece], columns: Columns) -> Table:
+def longest(pieces: Sequence[RecordPiece], columns: Columns) -> Table:
     """The table of the longest piece."""
     return max(pieces, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
 

@@ -34,8 +34,8 @@ class BlockFiles(DataSource):  # type: ignore[misc]
     def schema(self) -> str:
         return "axis string, block binary"
 
-    def streamReader(self, schema: StructType) -> _Reader:
-        return _Reader(Path(self.options["path"]))
+    def streamReader(self, schema: StructType) -> _BlockReader:
+        return _BlockReader(Path(self.options["path"]))
 
 
 class _Range(InputPartition):  # type: ignore[misc]
@@ -45,7 +45,7 @@ class _Range(InputPartition):  # type: ignore[misc]
         self.path, self.start, self.end = path, start, end
 
 
-class _Reader(DataSourceStreamReader):  # type: ignore[misc]
+class _BlockReader(DataSourceStreamReader):  # type: ignore[misc]
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 

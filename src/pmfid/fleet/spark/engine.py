@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar, cast
 from pmfid import __version__
 from pmfid.fleet.local import Local
 from pmfid.fleet.spark.session import session_of
-from pmfid.fleet.spark.tasks import RETURNED, answered, collected, returned
+from pmfid.fleet.spark.tasks import RETURNED, answer_task, collect_answers, return_answers
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -61,7 +61,9 @@ def _job(session: SparkSession, work: Callable[[A], B], items: Sequence[A]) -> l
     from pyspark import cloudpickle
 
     packed = [cloudpickle.dumps((work, item)) for item in items]
-    found = collected(session.range(0, len(items), 1, len(items)).mapInArrow(_task(packed, __version__), RETURNED))
+    found = collect_answers(
+        session.range(0, len(items), 1, len(items)).mapInArrow(_task(packed, __version__), RETURNED)
+    )
     return cast("list[B]", [found[k] for k in range(len(items))])
 
 
@@ -71,12 +73,12 @@ def _task(packed: Sequence[bytes], version: str) -> Callable[[Iterator[pa.Record
     def task(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         for batch in batches:
             for number in batch.column(0).to_pylist():
-                yield returned([number], [answered(partial(_done, packed[number]), version)])
+                yield return_answers([number], [answer_task(partial(_run_task, packed[number]), version)])
 
     return task
 
 
-def _done(packed: bytes) -> object:
+def _run_task(packed: bytes) -> object:
     import pickle
 
     work, item = pickle.loads(packed)

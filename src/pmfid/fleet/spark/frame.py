@@ -14,13 +14,21 @@ from pmfid import __version__
 from pmfid.errors import UsageError
 from pmfid.fleet.keep import Keep
 from pmfid.fleet.local import Engine
-from pmfid.fleet.plan import Shard
+from pmfid.fleet.plan import RowShard
 from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part
 from pmfid.fleet.spark.engine import Spark
-from pmfid.fleet.spark.plan import Plan, carried, jobs_of
-from pmfid.fleet.spark.tasks import NUMBER, RETURNED, answered, arrow_of, collected, merged, returned
-from pmfid.fleet.survey import FIRST, LAST, LOST, ROWS, Survey, counted, mixture, survey_of
+from pmfid.fleet.spark.plan import RowPlan, jobs_of, list_carried_columns
+from pmfid.fleet.spark.tasks import (
+    NUMBER,
+    RETURNED,
+    answer_task,
+    arrow_of,
+    collect_answers,
+    merge_batches,
+    return_answers,
+)
+from pmfid.fleet.survey import FIRST, LAST, LOST, ROWS, Survey, count_rows, mixture, survey_of
 from pmfid.fleet.work import TRIED, Work, check_columns, first_table
 from pmfid.session.tables import Table
 
@@ -63,34 +71,34 @@ class SparkRows:
         check_columns(self._columns, [self._part], found)
         return found
 
-    def prepared(
-        self, shards: Sequence[Shard], survey: Survey, length: float, folder: Path | None
+    def prepare_shards(
+        self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> AbstractContextManager[None]:
         """Nothing is to be done."""
         return nullcontext()
 
-    def stamp(self, shard: Shard, length: float) -> object:
+    def stamp(self, shard: RowShard, length: float) -> object:
         """What stands in the days of its axes."""
         low, high = shard.first * length, shard.last * length
         days = [day for axis in shard.axes for day in self._days.get(axis, ())]
         return [day for day in days if day[0] < high and day[1] >= low]
 
-    def tables(self, shards: Sequence[Shard], length: float) -> Iterator[Table]:
+    def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
         """Shard by shard, as they are asked for."""
         for shard in shards[:TRIED]:
             yield from islice(self._first_tables(shard, length), TRIED)
 
-    def _first_tables(self, shard: Shard, length: float) -> Iterator[Table]:
+    def _first_tables(self, shard: RowShard, length: float) -> Iterator[Table]:
         """Of its axes that have any, some at a time."""
         axes, work = sorted(shard.axes), partial(first_table, columns=self._columns, length=length)
         for start in range(0, len(axes), TRIED):
-            some = [Shard((axis,), shard.first, shard.last, shard.parts, 0) for axis in axes[start : start + TRIED]]
-            yield from (cast(Table, found) for found in self._brought(some, length, work) if found is not None)
+            some = [RowShard((axis,), shard.first, shard.last, shard.parts, 0) for axis in axes[start : start + TRIED]]
+            yield from (cast(Table, found) for found in self._gather_shards(some, length, work) if found is not None)
 
-    def segments(self, work: Work, shards: Sequence[Shard]) -> Iterator[Segments]:
+    def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
         """Some blocks of time a job, each reading its times alone where the files are in their order."""
         for job in jobs_of(shards):
-            yield from (cast(Segments, found) for found in self._brought(job, work.length, work.frame))
+            yield from (cast(Segments, found) for found in self._gather_shards(job, work.length, work.frame))
 
     @cached_property
     def _days(self) -> dict[str, list[tuple[float, float, int, int]]]:
@@ -105,7 +113,9 @@ class SparkRows:
         """The columns that are needed, under their own names: Spark takes a dot in a name for something else."""
         from pyspark.sql import functions as sql
 
-        return self._whole.select([sql.col(_quoted(name)).alias(own) for own, name in self._columns.named.items()])
+        return self._whole.select(
+            [sql.col(_quote_column(name)).alias(own) for own, name in self._columns.named.items()]
+        )
 
     @cached_property
     def _part(self) -> Part:
@@ -128,20 +138,24 @@ class SparkRows:
         found = pl.from_arrow(arrow_of(partly.groupBy(AXIS, _DAY).agg(*sums, *ends)))
         return cast(pl.DataFrame, found).sort(AXIS, _DAY, nulls_last=True)
 
-    def _brought(self, shards: Sequence[Shard], length: float, work: Callable[[pl.DataFrame], object]) -> list[object]:
+    def _gather_shards(
+        self, shards: Sequence[RowShard], length: float, work: Callable[[pl.DataFrame], object]
+    ) -> list[object]:
         """What work finds in the rows of each shard; all of a shard are together, in any order."""
         if not shards:
             return []
-        plan = Plan.of(shards, length)
-        near = self._frame.where(self._within(plan.edges[0], plan.edges[-1]))
-        kinds = ", ".join(f"{name} {'string' if name == AXIS else 'double'}" for name in carried(self._columns))
+        plan = RowPlan.from_shards(shards, length)
+        near = self._frame.where(self._bound_times(plan.edges[0], plan.edges[-1]))
+        kinds = ", ".join(
+            f"{name} {'string' if name == AXIS else 'double'}" for name in list_carried_columns(self._columns)
+        )
         tagged = near.mapInArrow(_tagger(self._own, plan), f"{NUMBER} int, {kinds}")
         together = tagged.repartitionById(len(shards), NUMBER)
-        found = collected(together.mapInArrow(_worker(work, __version__), RETURNED))
-        nothing = Plan.of([], length).tagged(self._part.rows(self._columns), self._columns)
+        found = collect_answers(together.mapInArrow(_worker(work, __version__), RETURNED))
+        nothing = RowPlan.from_shards([], length).tag_rows(self._part.rows(self._columns), self._columns)
         return [found[k] if k in found else work(nothing) for k in range(len(shards))]
 
-    def _within(self, first: float, last: float) -> Column:
+    def _bound_times(self, first: float, last: float) -> Column:
         """For Spark to leave out files by their times: a margin more than what is needed, which is chosen later."""
         from pyspark.sql import functions as sql
         from pyspark.sql.types import NumericType, TimestampType
@@ -155,7 +169,7 @@ class SparkRows:
         return sql.lit(True)
 
 
-def _quoted(name: str) -> str:
+def _quote_column(name: str) -> str:
     """A column whose name may have dots in it."""
     return "`" + name.replace("`", "``") + "`"
 
@@ -184,18 +198,18 @@ def _counter(columns: Columns) -> Task:
     def count(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         import polars as pl
 
-        for table in merged(batches):
+        for table in merge_batches(batches):
             rows = _rows(table, columns).with_columns(mixture(columns).alias(MIXED))
-            found = counted(rows, columns, pl.col(MIXED).sum()).collect()
+            found = count_rows(rows, columns, pl.col(MIXED).sum()).collect()
             yield from _batches(found.select(AXIS, _DAY, ROWS, LOST, FIRST, LAST, TYPE, MIXED))
 
     return count
 
 
-def _tagger(columns: Columns, plan: Plan) -> Task:
+def _tagger(columns: Columns, plan: RowPlan) -> Task:
     def tag(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        for table in merged(batches):
-            yield from _batches(plan.tagged(_rows(table, columns), columns))
+        for table in merge_batches(batches):
+            yield from _batches(plan.tag_rows(_rows(table, columns), columns))
 
     return tag
 
@@ -210,6 +224,6 @@ def _worker(work: Callable[[pl.DataFrame], object], version: str) -> Task:
             return
         rows = cast(pl.DataFrame, pl.from_arrow(pa.Table.from_batches(there)))
         for (number,), shard in rows.partition_by(NUMBER, as_dict=True, include_key=False).items():
-            yield returned([number], [answered(partial(work, shard), version)])
+            yield return_answers([number], [answer_task(partial(work, shard), version)])
 
     return act

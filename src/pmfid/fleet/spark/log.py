@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-__all__ = ["Log"]
+__all__ = ["SparkLog"]
 
 NAME = "spark.log"
 #: A line that names the cause of a failure, in Python or Java.
@@ -27,7 +27,7 @@ NO_MEMORY = (
 )
 
 
-class Log:
+class SparkLog:
     """Of a process that uses the checkpoint in `folder`."""
 
     def __init__(self, folder: Path) -> None:
@@ -35,12 +35,12 @@ class Log:
         self._begun = self.path.stat().st_size if self.path.exists() else 0
 
     @contextmanager
-    def taken(self) -> Iterator[None]:
+    def capture(self) -> Iterator[None]:
         """A Java process that is started meanwhile writes its messages there, for its whole life: they are for those
         who look for the cause of a failure, and many."""
         sys.stderr.flush()
         kept = os.dup(2)
-        with self._opened() as log:
+        with self._open_log() as log:
             os.dup2(log.fileno(), 2)
         try:
             yield
@@ -48,7 +48,7 @@ class Log:
             os.dup2(kept, 2)
             os.close(kept)
 
-    def _opened(self) -> IO[bytes]:
+    def _open_log(self) -> IO[bytes]:
         """To be appended to; of a checkpoint that can only be read, nothing."""
         try:
             return open(self.path, "ab")
@@ -57,7 +57,7 @@ class Log:
 
     def problem(self, error: Exception) -> str:
         """What Spark says of a failure, without its traces."""
-        if "java.lang.OutOfMemoryError" in self._said():
+        if "java.lang.OutOfMemoryError" in self._read_messages():
             return NO_MEMORY
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         causes = [line for line in lines if CAUSE.match(line)]
@@ -65,7 +65,7 @@ class Log:
         damaged = any(sign in str(error) for sign in DAMAGED)
         return f"the stream stopped: {told[:400]}; {REPAIR if damaged else AGAIN} ({self.path} has more)"
 
-    def _said(self) -> str:
+    def _read_messages(self) -> str:
         with suppress(OSError), open(self.path, "rb") as file:
             file.seek(max(self._begun, file.seek(0, os.SEEK_END) - LATELY))
             return file.read().decode("utf-8", "replace")

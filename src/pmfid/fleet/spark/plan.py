@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmfid.fleet.plan import BLOCK, Shard
+from pmfid.fleet.plan import BLOCK, RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns
 from pmfid.fleet.spark.tasks import NUMBER
 from pmfid.types import Floats
@@ -23,7 +23,7 @@ _PLACE = "place"
 
 
 @dataclass(frozen=True)
-class Plan:
+class RowPlan:
     """edges: (n,) [s], all times at which shards begin or end, in order; places: which shard an axis is in, from each
     edge on."""
 
@@ -31,7 +31,7 @@ class Plan:
     places: pl.DataFrame
 
     @classmethod
-    def of(cls, shards: Sequence[Shard], length: float) -> Plan:
+    def from_shards(cls, shards: Sequence[RowShard], length: float) -> RowPlan:
         """Of shards that share no row, by their place in the sequence; length: of a slice [s]."""
         import polars as pl
 
@@ -47,27 +47,27 @@ class Plan:
         kinds = {AXIS: pl.String, _PLACE: pl.Int64, NUMBER: pl.Int32}
         return cls(edges, pl.DataFrame(rows, schema=kinds, orient="row"))
 
-    def tagged(self, rows: pl.LazyFrame, columns: Columns) -> pl.DataFrame:
+    def tag_rows(self, rows: pl.LazyFrame, columns: Columns) -> pl.DataFrame:
         """The rows that are in a shard, with its number; rows: of `Part.rows`."""
         import polars as pl
 
-        known = rows.select(carried(columns)).drop_nulls([AXIS, TIME]).collect()
+        known = rows.select(list_carried_columns(columns)).drop_nulls([AXIS, TIME]).collect()
         place = np.searchsorted(self.edges, known[TIME].to_numpy(), side="right") - 1
         joined = known.with_columns(pl.Series(_PLACE, place, pl.Int64)).join(self.places, on=[AXIS, _PLACE])
-        return joined.select(NUMBER, *carried(columns))
+        return joined.select(NUMBER, *list_carried_columns(columns))
 
 
-def carried(columns: Columns) -> list[str]:
+def list_carried_columns(columns: Columns) -> list[str]:
     """What an estimate takes of a row, by the names of `source`."""
     return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
 
 
-def jobs_of(shards: Sequence[Shard]) -> list[list[Shard]]:
+def jobs_of(shards: Sequence[RowShard]) -> list[list[RowShard]]:
     """The shards of some blocks of time together, in their order."""
-    blocks: dict[int, list[Shard]] = defaultdict(list)
+    blocks: dict[int, list[RowShard]] = defaultdict(list)
     for shard in shards:
         blocks[shard.first // BLOCK].append(shard)
-    jobs: list[list[Shard]] = []
+    jobs: list[list[RowShard]] = []
     enough = sum(shard.rows for shard in shards) / JOBS
     for block in sorted(blocks):
         if jobs and sum(shard.rows for shard in jobs[-1]) < enough:

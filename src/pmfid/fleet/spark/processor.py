@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from pyspark.sql.streaming.stateful_processor import StatefulProcessor, StatefulProcessorHandle
 
-from pmfid.fleet.stream.shard import Plan, Shard
+from pmfid.fleet.stream.shard import StreamPlan, StreamShard
 from pmfid.fleet.stream.tables import table_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["STATE", "ShardProcessor", "packed", "unpacked"]
+__all__ = ["STATE", "ShardProcessor", "pack_state", "unpack_state"]
 
-#: The name of the state, and its one column: the body of a checkpoint of `pmfid serve`, as `packed` makes it.
+#: The name of the state, and its one column: the body of a checkpoint of `pmfid serve`, as `pack_state` makes it.
 STATE, COLUMN = "shard", "body binary"
 #: Of a body [bytes].
 SIZE = Struct("<Q")
@@ -24,15 +24,15 @@ SIZE = Struct("<Q")
 MOST = 255
 
 
-def packed(body: bytes) -> bytes:
+def pack_state(body: bytes) -> bytes:
     """Its size and its bytes in a third of the room: Spark copies a state several times on its way."""
     from pyarrow import compress
 
     return SIZE.pack(len(body)) + bytes(compress(body, "lz4", asbytes=True))
 
 
-def unpacked(state: bytes) -> bytes:
-    """The body. Raises ValueError for bytes that `packed` has not made."""
+def unpack_state(state: bytes) -> bytes:
+    """The body. Raises ValueError for bytes that `pack_state` has not made."""
     from pyarrow import decompress
 
     size = SIZE.unpack_from(state)[0] if len(state) >= SIZE.size else -1
@@ -45,7 +45,7 @@ class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
     """keys: of each shard; rows: the column `block`, nowhere missing; a checkpoint's body of a shard to begin with
     where one is given."""
 
-    def __init__(self, plan: Plan, keys: Sequence[int]) -> None:
+    def __init__(self, plan: StreamPlan, keys: Sequence[int]) -> None:
         self._plan = plan
         self._numbers = {key: number for number, key in enumerate(keys)}
 
@@ -55,14 +55,14 @@ class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
     def handleInputRows(self, key: Any, rows: Iterator[pd.DataFrame], timerValues: Any) -> Iterator[pd.DataFrame]:
         """The rows of a batch: estimates, notices, counts."""
         kept = self._state.get()
-        shard = Shard(self._plan, self._numbers[int(key[0])], None if kept is None else unpacked(kept[0]))
+        shard = StreamShard(self._plan, self._numbers[int(key[0])], None if kept is None else unpack_state(kept[0]))
         shard.take([bytes(data) for frame in rows for data in frame["block"]])
-        self._state.update((packed(shard.saved()),))
+        self._state.update((pack_state(shard.save_state()),))
         yield table_of(shard).to_pandas()
 
     def handleInitialState(self, key: Any, initialState: pd.DataFrame, timerValues: Any) -> None:
         """Begins from states that came from elsewhere."""
-        self._state.update((packed(initialState["body"].iloc[0]),))
+        self._state.update((pack_state(initialState["body"].iloc[0]),))
 
     def close(self) -> None:
         """Nothing is open."""

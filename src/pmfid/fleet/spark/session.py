@@ -55,7 +55,7 @@ def session_of(master: str | None = None, settings: Mapping[str, str] | None = N
     """
     found, settings = running(), dict(settings or {})
     if found is not None:
-        return _taken(found, master, settings)
+        return _take_session(found, master, settings)
     remote = (master or os.environ.get("SPARK_REMOTE", "")).startswith("sc://")
     if not remote and not _java():
         raise UsageError(NO_JAVA)
@@ -84,7 +84,7 @@ def memory() -> int:
     return found
 
 
-def _taken(found: SparkSession, master: str | None, settings: Mapping[str, str]) -> SparkSession:
+def _take_session(found: SparkSession, master: str | None, settings: Mapping[str, str]) -> SparkSession:
     there = found.conf.get("spark.master", None)
     if master is not None and there is not None and there != master:
         raise UsageError(f"a Spark session runs already, on {there}; leave out the master {master}, or stop it first")

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
 from pmfid.fleet.spark.keys import keys_of
-from pmfid.fleet.spark.log import Log
+from pmfid.fleet.spark.log import SparkLog
 from pmfid.fleet.spark.session import is_own, memory, session_of
-from pmfid.fleet.stream.folder import Folder, Settings, opened
-from pmfid.fleet.stream.shard import Plan
+from pmfid.fleet.stream.folder import Folder, StreamSettings, open_folder
+from pmfid.fleet.stream.shard import StreamPlan
 from pmfid.fleet.stream.states import States
 from pmfid.fleet.stream.tables import columns_of
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
     from pyspark.sql.streaming.query import StreamingQuery
 
-__all__ = ["SETTINGS", "SPARK", "Pacing", "check_states", "kind_of", "states_of", "stream_files", "watched"]
+__all__ = ["SETTINGS", "SPARK", "Pacing", "check_states", "kind_of", "states_of", "stream_files", "watch_blocks"]
 
 _STORE = "spark.sql.streaming.stateStore"
 #: What the session of a stream needs.
@@ -46,7 +46,7 @@ class Pacing:
     once: bool = False
 
 
-def watched(blocks: DataFrame, plan: Plan, begin: States | None = None) -> DataFrame:
+def watch_blocks(blocks: DataFrame, plan: StreamPlan, begin: States | None = None) -> DataFrame:
     """The estimates, notices and counts (`columns_of`) of a stream of blocks: columns `axis`, its name, and `block`,
     the bytes of docs/wire.md, as Kafka's key and value. begin: states of axes that go on here."""
     from pyspark.sql import functions as f
@@ -73,7 +73,7 @@ def watched(blocks: DataFrame, plan: Plan, begin: States | None = None) -> DataF
 
 def stream_files(
     source: Path,
-    plan: Plan,
+    plan: StreamPlan,
     checkpoint: Path,
     out: Path,
     pacing: Pacing | None = None,
@@ -90,25 +90,25 @@ def stream_files(
     pacing = pacing or Pacing()
     kind = kind_of(source)
     own = {"spark.sql.shuffle.partitions": str(plan.shards), **dict(settings or {})}
-    with opened(checkpoint, out, settings_of(plan, source)) as folder:
+    with open_folder(checkpoint, out, settings_of(plan, source)) as folder:
         if (checkpoint / SPARK).exists():
             begin = None  # they are in the checkpoint already
-        log = Log(checkpoint)
+        log = SparkLog(checkpoint)
         spark = _session(log, master, own)
         from py4j.protocol import Py4JError
         from pyspark.errors import PySparkException
 
         try:
             blocks = _read(spark, source, kind, pacing)
-            _wait(_started(watched(blocks, plan, begin), folder, checkpoint / SPARK, pacing))
+            _wait(_start_query(watch_blocks(blocks, plan, begin), folder, checkpoint / SPARK, pacing))
         except (PySparkException, Py4JError) as error:
             raise UsageError(log.problem(error)) from None
 
 
-def settings_of(plan: Plan, source: Path) -> Settings:
+def settings_of(plan: StreamPlan, source: Path) -> StreamSettings:
     """What may not change between two starts."""
     pace = plan.pace
-    return Settings(plan.prepared.digest, plan.shards, pace.window, pace.every, str(source.resolve()))
+    return StreamSettings(plan.prepared.digest, plan.shards, pace.window, pace.every, str(source.resolve()))
 
 
 def kind_of(source: Path) -> str:
@@ -121,12 +121,12 @@ def kind_of(source: Path) -> str:
     return kinds.pop().lstrip(".") if kinds else "parquet"
 
 
-def _session(log: Log, master: str | None, settings: Mapping[str, str]) -> SparkSession:
+def _session(log: SparkLog, master: str | None, settings: Mapping[str, str]) -> SparkSession:
     """One of this machine alone may take a quarter of its memory, as Java does by itself, or what Spark's own variable
     says: without, it would have 1 GB, where a batch has the states of its shards in several copies."""
     own = os.environ.get("SPARK_DRIVER_MEMORY") or f"{memory() // 2**22}m"
     roomy = {"spark.driver.memory": own, "spark.driver.maxResultSize": "0"}
-    with log.taken():
+    with log.capture():
         return session_of(master, {**SETTINGS, **(roomy if is_own(master) else {}), **settings})
 
 
@@ -142,12 +142,12 @@ def _read(spark: SparkSession, source: Path, kind: str, pacing: Pacing) -> DataF
     return reader.parquet(str(source))
 
 
-def _initial(spark: SparkSession, begin: States, plan: Plan, keys: Sequence[int]) -> DataFrame:
+def _initial(spark: SparkSession, begin: States, plan: StreamPlan, keys: Sequence[int]) -> DataFrame:
     rows = [(keys[shard], bytearray(body)) for shard, body in begin.bodies(plan).items()]
     return spark.createDataFrame(rows, "shard int, body binary")
 
 
-def _started(outcomes: DataFrame, folder: Folder, checkpoint: Path, pacing: Pacing) -> StreamingQuery:
+def _start_query(outcomes: DataFrame, folder: Folder, checkpoint: Path, pacing: Pacing) -> StreamingQuery:
     def write(batch: DataFrame, number: int) -> None:
         import polars as pl
 
@@ -173,9 +173,9 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
     """The states of all axes in the checkpoint of a stream, behind its last batch. Raises UsageError where there is
     none, or of another configuration."""
     check_states(checkpoint)
-    from pmfid.fleet.spark.processor import STATE, unpacked
+    from pmfid.fleet.spark.processor import STATE, unpack_state
 
-    log = Log(checkpoint)
+    log = SparkLog(checkpoint)
     spark = _session(log, master, {})
     from py4j.protocol import Py4JError
     from pyspark.errors import PySparkException
@@ -183,12 +183,12 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
     try:
         reader = spark.read.format("statestore").option("path", str((checkpoint / SPARK).resolve()))
         rows = reader.option("stateVarName", STATE).load().selectExpr("key.shard", "value.body").toLocalIterator()
-        bodies = {row[0]: unpacked(row[1]) for row in rows}
+        bodies = {row[0]: unpack_state(row[1]) for row in rows}
     except (PySparkException, Py4JError) as error:
         raise UsageError(log.problem(error)) from None
     except ValueError as error:
         raise UsageError(f"a state cannot be read: {error}; read it with the version that wrote it") from None
-    return States.of(bodies, prepared_digest)
+    return States.from_bodies(bodies, prepared_digest)
 
 
 def check_states(checkpoint: Path) -> None:

@@ -37,7 +37,7 @@ class Answer:
     refused: PmfidError | None = None
 
 
-def answered(work: Callable[[], object], version: str) -> bytes:
+def answer_task(work: Callable[[], object], version: str) -> bytes:
     """The answer of an executor, packed; version: of the package where the answer goes."""
     try:
         if version != __version__:
@@ -48,7 +48,7 @@ def answered(work: Callable[[], object], version: str) -> bytes:
     return pickle.dumps(answer)
 
 
-def opened(packed: bytes) -> object:
+def open_answer(packed: bytes) -> object:
     """What an executor found. Raises what it refused with."""
     answer = pickle.loads(packed)
     if answer.refused is not None:
@@ -56,18 +56,18 @@ def opened(packed: bytes) -> object:
     return answer.found
 
 
-def returned(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordBatch:
+def return_answers(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordBatch:
     """Answers as Spark takes them."""
     import pyarrow as pa
 
     return pa.record_batch([pa.array(numbers, pa.int64()), pa.array(found, pa.binary())], [NUMBER, FOUND])
 
 
-def collected(frame: DataFrame) -> dict[int, object]:
+def collect_answers(frame: DataFrame) -> dict[int, object]:
     """The answers of all executors, by number. Raises UsageError where they do not have the package."""
     table = arrow_of(frame)
     pairs = zip(table.column(NUMBER).to_pylist(), table.column(FOUND).to_pylist(), strict=True)
-    return {number: opened(packed) for number, packed in pairs}
+    return {number: open_answer(packed) for number, packed in pairs}
 
 
 def arrow_of(frame: DataFrame) -> pa.Table:
@@ -80,7 +80,7 @@ def arrow_of(frame: DataFrame) -> pa.Table:
         raise
 
 
-def merged(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
+def merge_batches(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
     """The same rows in fewer tables, none of them empty."""
     import pyarrow as pa
 

@@ -22,7 +22,7 @@ from pmfid.stream.crash import crash_point
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["Folder", "Settings", "opened"]
+__all__ = ["Folder", "StreamSettings", "open_folder"]
 
 SETTINGS, STREAM = "pmfid.json", "stream.json"
 #: What a user can do where a setting is not that of the checkpoint.
@@ -37,7 +37,7 @@ REMEDIES = {
 
 
 @dataclass(frozen=True)
-class Settings:
+class StreamSettings:
     """What may not change between two starts. config: digest of the configuration; window, every: [s]; layout: of the
     state in the store, 2 since shards have keys and are packed."""
 
@@ -50,7 +50,7 @@ class Settings:
 
 
 @contextmanager
-def opened(checkpoint: Path, out: Path, settings: Settings) -> Iterator[Folder]:
+def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterator[Folder]:
     """The folder of results that belongs to a checkpoint; both begun where they are new, and for one stream at a time.
     Raises UsageError where one of them is of another stream, of one with other settings, or of one that runs, and where
     it cannot be made."""
@@ -59,7 +59,7 @@ def opened(checkpoint: Path, out: Path, settings: Settings) -> Iterator[Folder]:
     if _read(checkpoint / SETTINGS) is None and _holds(checkpoint, LOCK):
         raise UsageError(f"{checkpoint}: is no checkpoint of pmfid fleet stream; give a new or empty folder")
     with closing(hold(checkpoint, "--checkpoint", "another stream")):
-        number = _begun(checkpoint, settings)
+        number = _begin_stream(checkpoint, settings)
         try:
             _result(out, number, settings)
         except OSError as error:
@@ -67,7 +67,7 @@ def opened(checkpoint: Path, out: Path, settings: Settings) -> Iterator[Folder]:
         yield Folder(out)
 
 
-def _result(out: Path, number: str, settings: Settings) -> None:
+def _result(out: Path, number: str, settings: StreamSettings) -> None:
     """The folder of the results of the stream of this number."""
     known = _read(out / STREAM)
     if known is None and _holds(out):
@@ -94,7 +94,7 @@ def _holds(folder: Path, *known: str) -> bool:
         return True
 
 
-def _begun(checkpoint: Path, settings: Settings) -> str:
+def _begin_stream(checkpoint: Path, settings: StreamSettings) -> str:
     """The number of the stream of a checkpoint."""
     known = _read(checkpoint / SETTINGS)
     if known is None:

@@ -21,7 +21,7 @@ from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.layout import HEADER, MAGIC
 from pmfid.stream.outcome import EstimateRows, Notice
 
-__all__ = ["Outcomes", "Plan", "Shard", "shard_of"]
+__all__ = ["Outcomes", "StreamPlan", "StreamShard", "shard_of"]
 
 SOURCE = "stream"
 
@@ -32,7 +32,7 @@ def shard_of(axis: str, shards: int) -> int:
 
 
 @dataclass(frozen=True)
-class Plan:
+class StreamPlan:
     """What all shards have in common. shards: how many there are."""
 
     prepared: Prepared
@@ -54,11 +54,11 @@ class Outcomes:
         self.notices.append(notice)
 
 
-class Shard:
+class StreamShard:
     """Shard `number` of a plan behind the batch whose state is `body`, None before the first. Raises ValueError for
     bytes that no shard of this plan has saved."""
 
-    def __init__(self, plan: Plan, number: int, body: bytes | None = None) -> None:
+    def __init__(self, plan: StreamPlan, number: int, body: bytes | None = None) -> None:
         self.plan, self.number = plan, number
         self.outcomes, self.counters = Outcomes(), Counters()
         self._engine = StreamEngine(self.counters, [self.outcomes])
@@ -78,19 +78,19 @@ class Shard:
     def take(self, messages: Iterable[bytes]) -> None:
         """The blocks of a batch, each message one or several of them in binary; axes that come for the first time
         begin."""
-        items = [item for data in _in_order(messages) for item in blocks.items(data)]
-        checked = self._checked(items)
+        items = [item for data in _sort_messages(messages) for item in blocks.items(data)]
+        checked = self._check_names(items)
         self._add(checked)
         self._engine.process([Delivery(SOURCE, checked)])
         self._engine.tick(0.0)
 
-    def _checked(self, items: Sequence[Item]) -> list[Item]:
+    def _check_names(self, items: Sequence[Item]) -> list[Item]:
         """An axis that came by the name of another one would have a state in two shards."""
         wrong = {name for name in _names(items) if shard_of(name, self.plan.shards) != self.number}
         if not wrong:
             return list(items)
         single = [block for item in items for block in (item.blocks() if isinstance(item, Table) else [item])]
-        return [_misnamed(one) if isinstance(one, Block) and one.axis in wrong else one for one in single]
+        return [_refuse_name(one) if isinstance(one, Block) and one.axis in wrong else one for one in single]
 
     def _add(self, items: Sequence[Item]) -> None:
         """Numbers of new axes are those of no other shard."""
@@ -106,11 +106,11 @@ class Shard:
         self._engine.numbered = self._group.seats[-1].number
         self._engine.set_groups([self._group])
 
-    def saved(self) -> bytes:
+    def save_state(self) -> bytes:
         """The state: the body of a checkpoint of `pmfid serve`."""
         return b"".join(snapshot(self._engine))
 
-    def counted(self) -> dict[str, float]:
+    def count_samples(self) -> dict[str, float]:
         """Samples of this batch that were stepped, and that were not, by the reason."""
         found: dict[str, float] = {}
         for (name, labels), value in self.counters.values().items():
@@ -137,12 +137,12 @@ def _names(items: Sequence[Item]) -> set[str]:
     return found
 
 
-def _misnamed(block: Block) -> Unusable:
+def _refuse_name(block: Block) -> Unusable:
     problem = f"a block of {block.axis[:64]!r} came in a row of another axis; write its own name into the column axis"
     return Unusable("name", problem, block.axis[:64])
 
 
-def _in_order(messages: Iterable[bytes]) -> list[bytes]:
+def _sort_messages(messages: Iterable[bytes]) -> list[bytes]:
     """By epoch and first number, then those of one form behind one another, so that they are read at once."""
     keyed = sorted((_key(data), data) for data in messages)
     return [b"".join(data for _, data in some) for _, some in groupby(keyed, lambda pair: pair[0])]

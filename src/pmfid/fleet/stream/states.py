@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.fleet.stream.shard import Plan, shard_of
+from pmfid.fleet.stream.shard import StreamPlan, shard_of
 from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
 from pmfid.stream.moved import body_from, body_of, join_groups
 from pmfid.stream.vault import Vault
@@ -28,7 +28,7 @@ class States:
     digest: str
 
     @classmethod
-    def of(cls, bodies: Mapping[int, bytes], digest: str) -> States:
+    def from_bodies(cls, bodies: Mapping[int, bytes], digest: str) -> States:
         """Of the bodies of shards, by number. Raises UsageError where one of them is of another configuration."""
         try:
             found = cls(tuple(read_snapshot(bodies[number]) for number in sorted(bodies)), digest)
@@ -39,11 +39,11 @@ class States:
         return found
 
     @classmethod
-    def of_monitors(cls, monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> States:
+    def from_monitors(cls, monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> States:
         """Of axes that were watched one by one, or whose estimator has a state from firmware: then the watch of such an
         axis begins anew, for firmware has none. Raises UsageError for monitors of another configuration."""
         try:
-            return cls.of({0: body_from(monitors, prepared, pace)}, prepared.digest)
+            return cls.from_bodies({0: body_from(monitors, prepared, pace)}, prepared.digest)
         except ValueError as error:
             raise UsageError(f"{error}") from None
 
@@ -87,7 +87,7 @@ class States:
         group = next(group for group in self.groups if axis in group.axes)
         return group.restore_group(prepared, pace).fleet.monitor(group.axes.index(axis))
 
-    def bodies(self, plan: Plan) -> dict[int, bytes]:
+    def bodies(self, plan: StreamPlan) -> dict[int, bytes]:
         """The bodies of shards that go on with these axes."""
         parts: dict[int, set[str]] = {}
         for name in self.axes:

@@ -13,7 +13,7 @@ from pmfid.stream.notices import OF_AXIS, OWN
 if TYPE_CHECKING:
     import polars as pl
 
-    from pmfid.fleet.stream.shard import Plan, Shard
+    from pmfid.fleet.stream.shard import StreamPlan, StreamShard
     from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["COUNTS", "ESTIMATE", "NOTICE", "columns_of", "table_of"]
@@ -22,7 +22,7 @@ __all__ = ["COUNTS", "ESTIMATE", "NOTICE", "columns_of", "table_of"]
 ESTIMATE, NOTICE, COUNTS = "estimate", "notice", "counts"
 
 
-def columns_of(plan: Plan) -> dict[str, str]:
+def columns_of(plan: StreamPlan) -> dict[str, str]:
     """Name -> type of Spark of each column. number: samples of the axis so far, of a notice its number of that axis,
     0 of what is no matter of its data; told: JSON, of a notice what `pmfid monitor --json` prints."""
     names = plan.prepared.setup.monitor.names
@@ -33,7 +33,7 @@ def columns_of(plan: Plan) -> dict[str, str]:
     }
 
 
-def table_of(shard: Shard) -> pl.DataFrame:
+def table_of(shard: StreamShard) -> pl.DataFrame:
     """All that a batch of a shard gave, with these columns."""
     import polars as pl
 
@@ -41,7 +41,7 @@ def table_of(shard: Shard) -> pl.DataFrame:
     schema = {name: types[kind] for name, kind in columns_of(shard.plan).items()}
     frames = [_estimates(rows) for rows in shard.outcomes.estimates]
     frames += [_notice(one) for one in shard.outcomes.notices]
-    frames.append(pl.DataFrame({"row": [COUNTS], "axis": [""], "told": [json.dumps(shard.counted())]}))
+    frames.append(pl.DataFrame({"row": [COUNTS], "axis": [""], "told": [json.dumps(shard.count_samples())]}))
     found = pl.concat([pl.DataFrame(schema=schema), *frames], how="diagonal")
     return found.with_columns(pl.col("number", "counts", "status").fill_null(0))
 
