@@ -29,7 +29,7 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: A file is mixed if reading it shard by shard takes more than so many times its rows.
+#: A file is mixed if reading it shard by shard takes more than this multiple of its rows.
 TIMES = 3
 #: Rows that are in memory at once while a file is put aside.
 BATCH = 2**20

@@ -18,7 +18,7 @@ SIDE = 2
 MIXED = 1
 #: Relative error that segments of one axis share after a step, where the model is not quite the machine.
 FLOOR = 2e-3
-#: The first segment that has so much of a step, and is so many of its standard deviations away from before, has it.
+#: The step begins in the first segment with at least a part PART of the change and SURE standard deviations of it.
 PART, SURE = 0.05, 5.0
 #: Such segments before the place that explains most, at most.
 BACK = 2
@@ -30,7 +30,7 @@ LEAST_BEGIN = 0.1
 class Step:
     """cause: name of a parameter, FRICTION or INPUT_GAIN; size, std: relative; since, until: [s] of the segment in
     which it came; settled: [s] from which on estimates are of the time after it; score: the largest deviation
-    beyond the tolerance, in standard deviations; relative, bars: (p,) change of every parameter with its standard
+    beyond the tolerance, in standard deviations; relative, stds: (p,) change of every parameter with its standard
     deviation; misfit: sum of squares that it leaves, in standard deviations; middle: (p,) standard deviations that a
     step in the middle of the series would have."""
 
@@ -42,7 +42,7 @@ class Step:
     settled: float
     score: float
     relative: Floats
-    bars: Floats
+    stds: Floats
     misfit: float
     middle: Floats
 
@@ -51,7 +51,7 @@ class Step:
 class Trend:
     """cause: as of a `Step`; size, std: of the change over the span, relative to its begin; span: [s] of the history;
     score: of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`; slopes,
-    bars: (p,) of all parameters, relative to their means [1/s]."""
+    stds: (p,) of all parameters, relative to their means [1/s]."""
 
     cause: str
     size: float
@@ -60,7 +60,7 @@ class Trend:
     score: float
     misfit: float
     slopes: Floats
-    bars: Floats
+    stds: Floats
 
 
 def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | None:
@@ -94,15 +94,15 @@ def _measure_step(series: Series, k: int, names: Sequence[str], tolerance: float
     size = np.maximum(np.abs(old), np.finfo(float).tiny)
     known = (first.std**-2.0).sum(axis=0), (second.std**-2.0).sum(axis=0)
     scatter = np.maximum(1.0, lasting(rest)) / size
-    bars = np.sqrt(1 / known[0] + 1 / known[1]) * scatter
+    stds = np.sqrt(1 / known[0] + 1 / known[1]) * scatter
     relative = (new - old) / size
-    scores = (np.abs(relative) - tolerance) / bars
-    cause, change, std = attribute_change(relative, bars, _correlation(rest), names)
+    scores = (np.abs(relative) - tolerance) / stds
+    cause, change, std = attribute_change(relative, stds, _correlation(rest), names)
     times = _date_step(series, k), float(series.end[k]), float(series.start[later])
     whole = np.where(np.arange(n)[:, None] < k, old, new)
     misfit = float(np.sum(((series.theta - whole) / series.std) ** 2))
     middle = 2 / np.sqrt(known[0] + known[1]) * scatter
-    return Step(cause, change, std, *times, float(np.max(scores)), relative, bars, misfit, middle)
+    return Step(cause, change, std, *times, float(np.max(scores)), relative, stds, misfit, middle)
 
 
 def _date_step(series: Series, k: int) -> float:
@@ -122,11 +122,11 @@ def _correlation(rest: Floats) -> Floats:
 
 
 def attribute_change(
-    relative: Floats, bars: Floats, correlation: Floats, names: Sequence[str]
+    relative: Floats, stds: Floats, correlation: Floats, names: Sequence[str]
 ) -> tuple[str, float, float]:
     """The one cause that explains relative changes (p,) best, its relative size and standard deviation: a parameter,
     all friction alike, or the gain of the input, whose loss looks as if all parameters had grown alike."""
-    covariance = correlation * np.outer(bars, bars) + FLOOR**2 * np.eye(bars.size)
+    covariance = correlation * np.outer(stds, stds) + FLOOR**2 * np.eye(stds.size)
     friction = np.array([FRICTION in name for name in names], float)
     directions = dict(zip(names, np.eye(len(names)), strict=True)) | {INPUT_GAIN: np.ones(len(names))}
     if friction.sum() > 1:
@@ -168,10 +168,10 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     known = (weight * x**2).sum(axis=0)
     slope = (weight * x * series.theta).sum(axis=0) / known
     rest = (series.theta - mean - slope * x) / series.std
-    bars = known**-0.5 * np.maximum(1.0, lasting(rest))
+    stds = known**-0.5 * np.maximum(1.0, lasting(rest))
     span, size = float(time[-1] - time[0]), np.maximum(np.abs(mean), np.finfo(float).tiny)
-    scores = (np.abs(slope) * span - tolerance * size) / (bars * span)
-    slopes, bars = slope / size, bars / size
+    scores = (np.abs(slope) * span - tolerance * size) / (stds * span)
+    slopes, stds = slope / size, stds / size
     begin = np.maximum(1 - slopes * span / 2, LEAST_BEGIN)
-    cause = attribute_change(slopes * span / begin, bars * span / begin**2, _correlation(rest), names)
-    return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, bars)
+    cause = attribute_change(slopes * span / begin, stds * span / begin**2, _correlation(rest), names)
+    return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, stds)

@@ -21,17 +21,17 @@ from pmfid.status import Status
 
 #: Time constants of the filters that are tried [samples].
 TRIED = (10, 3, 30)
-#: Error bars longer by this factor are the price of quicker filters.
+#: Standard errors larger by this factor are an acceptable price of quicker filters.
 CHEAP = 3.0
 #: Records that are looked at, and segments of each.
 RECORDS, MOST = 8, 5
 
 
 def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
-    """The pole, and the zeros to it, with which most segments of some records have an estimate, and of these the one
-    with the least error bars; tables: of different axes.
+    """The pole, and its zeros, with which most segments of some records have an estimate, and of these the one with the
+    smallest standard errors; tables: of different axes.
 
-    Raises UsageError for a method that is not recursive, and the first table's own error where none will do.
+    Raises UsageError for a method that is not recursive, and the first table's own error if no pole fits.
     """
     axis = choose_method(axis)
     records, refused = _records(axis, tables)
@@ -54,9 +54,9 @@ def _best(found: Sequence[tuple[tuple[int, float], Chosen]]) -> Chosen:
     """Of those with most segments the quickest filters that cost little: other axes may move more slowly than these,
     and leave less to slow ones."""
     most = max(usable for (usable, _), _ in found)
-    known = [(bars, chosen) for (usable, bars), chosen in found if usable == most]
-    least = max(bars for bars, _ in known)
-    cheap = [(chosen.cutoff, bars, chosen) for bars, chosen in known if bars >= least - math.log(CHEAP) or not most]
+    known = [(stds, chosen) for (usable, stds), chosen in found if usable == most]
+    least = max(stds for stds, _ in known)
+    cheap = [(chosen.cutoff, stds, chosen) for stds, chosen in known if stds >= least - math.log(CHEAP) or not most]
     return max(cheap, key=lambda one: one[:2])[2]
 
 
@@ -110,7 +110,7 @@ def _make_choice(estimator: RecursiveEstimator) -> Chosen:
 
 
 def _worth(estimator: RecursiveEstimator, records: Sequence[Record]) -> tuple[int, float]:
-    """Segments of all records that can be used, and minus the mean logarithm of their bars."""
+    """Number of usable segments of all records, and minus the mean logarithm of their standard errors."""
     size = min([round(SEGMENTS[0] / estimator.dt), *(record.u.size for record in records)])
     cuts = [(record, k) for record in records for k in range(0, record.u.size - size + 1, size)]
     u = np.stack([record.u[k : k + size] for record, k in cuts])
@@ -118,5 +118,5 @@ def _worth(estimator: RecursiveEstimator, records: Sequence[Record]) -> tuple[in
     tracks = estimator.start().side_by_side(len(cuts), workers=1).run(u, counts)
     status, std = tracks.status[:, -1], tracks.theta_std[:, -1]
     known = ((status & (UNUSABLE | int(Status.FALLBACK))) == 0) & np.all(np.isfinite(std) & (std > 0), axis=1)
-    bars = np.log(std[known]).mean() if np.any(known) else math.inf
-    return int(np.count_nonzero(known)), -float(bars)
+    stds = np.log(std[known]).mean() if np.any(known) else math.inf
+    return int(np.count_nonzero(known)), -float(stds)

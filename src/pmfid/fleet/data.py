@@ -41,8 +41,8 @@ class Data(Protocol):
     def prepare_shards(
         self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> AbstractContextManager[None]:
-        """Around all that is asked of these shards, those of the survey; length: of a slice [s]; folder: where rows may
-        lie meanwhile, None: that for temporary files."""
+        """A context for all work on these shards of the survey; length: of a slice [s]; folder: for rows put aside
+        meanwhile, None: the folder for temporary files."""
         ...
 
     def stamp(self, shard: RowShard, length: float) -> object:
@@ -86,14 +86,14 @@ class Parts:
         return found
 
     def _stamp_part(self, part: Part) -> Part:
-        """A frame has no date: its stamp is what stands in it."""
+        """The part with a stamp: a frame has no date, so its content is the stamp."""
         return part if part.stamp else replace(part, stamp=content(part, self._columns))
 
     @contextmanager
     def prepare_shards(
         self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> Iterator[None]:
-        """Files that mix their axes are put aside; an engine of many machines shuffles them itself."""
+        """Puts aside the rows of files that mix their axes; an engine of many machines shuffles such files itself."""
         names = find_mixed_parts(survey.rows, shards) if isinstance(self._engine, Local) else set()
         if not names:
             yield
@@ -113,7 +113,7 @@ class Parts:
             yield from samples_of([shard], self._select_rows(shard, length), self._columns, length, self._aside)
 
     def _select_rows(self, shard: RowShard, length: float) -> dict[str, Part]:
-        """Of each of its parts no more rows than the shard may have some in."""
+        """The parts of a shard, each limited to the rows among which the shard may have some."""
         parts = {name: self._parts[name] for name in shard.parts}
         if self._places is None:
             return parts

@@ -194,7 +194,8 @@ class _Run:
         before, names = self.keep.reused, settings.estimator.names
         known = str((self.axis.model_dump(warnings=False), chosen, settings.segment, length))
         solved = self._solve_shards(shards, work, known)
-        problems = [*self.survey.problems, *self._several(), *(told for one in solved for told in one.problems)]
+        found = (problem for one in solved for problem in one.problems)
+        problems = [*self.survey.problems, *self._several(), *found]
         groups = self._groups(shards, solved)
         found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
         if self.store is not None:
@@ -205,7 +206,8 @@ class _Run:
         return History(found.periods, found.axes, found.problems, names, units, *facts)
 
     def _choose_filters(self, shards: Sequence[RowShard], length: float) -> Chosen:
-        """From the first moving axis; once it is kept, that, so that new data change nothing of the old."""
+        """The choice of filters, from the first moving axis; a stored choice stays, so that new data change no old
+        estimate."""
         tables = self.data.tables(shards, length)
         if self.store is None:
             return choose(self.axis, tables)
@@ -222,7 +224,7 @@ class _Run:
         return chosen
 
     def _solve_shards(self, shards: Sequence[RowShard], work: Work, signature: str) -> list[Kept]:
-        """Of every shard, in their order; the rows stay on the disk where there is a folder."""
+        """The segments of every shard, in their order; the rows stay on the disk if there is a folder."""
         found, done, rows = list[Kept](), 0, sum(shard.rows for shard in shards)
         keys = [
             digest("segments", signature, one.axes, one.first, one.last, self.data.stamp(one, work.length))

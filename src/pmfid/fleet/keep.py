@@ -64,8 +64,8 @@ class Keep:
     def fetch(
         self, keys: Sequence[str], make: Callable[[Sequence[int]], Iterator[TableWithProblems]], *, here: bool = False
     ) -> Iterator[Kept]:
-        """What is under each key, in their order. make: gives what is at the places that it is called with, once, in
-        their order; it is kept as it comes. here: in memory, too. Raises UsageError where the disk is full."""
+        """The table of each key, in their order. make: called once with the indices of the missing keys, yields their
+        tables in order, which are stored one by one. here: in memory, too. Raises UsageError if the disk is full."""
         self.keys += keys
         there = [self._there(key, here) for key in keys]
         made = make([k for k, one in enumerate(there) if one is None])

@@ -1,4 +1,4 @@
-"""Tables of a lake, whose own log says which of the files beside it still count."""
+"""Tables of a lake, whose own log determines which of its files still count."""
 
 from __future__ import annotations
 

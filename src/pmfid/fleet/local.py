@@ -64,7 +64,7 @@ class RowBudget:
 
     @contextmanager
     def reserve(self, rows: int) -> Iterator[None]:
-        """Waits for so much room; what is larger than all of it has it to itself."""
+        """Waits until this number of rows fits into the budget; a larger request waits for the whole budget."""
         own = min(rows, self._rows)
         with self._freed:
             self._freed.wait_for(lambda: self._used + own <= self._rows)

@@ -62,8 +62,8 @@ def outcome_of(
             problems += _report_mixed_periods(axis, series)
             follows[axis] = follow_axis(axis, types[axis], series, names, tolerance)
             step = follows[axis].step
-            told = codes[axis] | ({(step.since, CHANGED)} if step is not None and follows[axis].stepped else set())
-            rows += period_rows(axis, types[axis], series, names, periods, segment, told)
+            dated = codes[axis] | ({(step.since, CHANGED)} if step is not None and follows[axis].stepped else set())
+            rows += period_rows(axis, types[axis], series, names, periods, segment, dated)
         frames.append(pl.DataFrame(rows, schema=_period_schema(names)))
     problems += _others(follows.values())
     missing = [axis for axis in sorted(types) if axis not in follows]
@@ -76,7 +76,7 @@ def outcome_of(
 
 
 def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
-    """An axis that is sampled now so, now so."""
+    """A problem for an axis whose sample period changes."""
     low, high = float(series.dt.min()), float(series.dt.max())
     if high - low <= SAME * high:
         return []
@@ -168,8 +168,8 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Seq
             changed = math.nan if one.step is None else float(one.step.relative[i])
             row |= {name: float(one.theta[i]), f"{name}_std": float(one.std[i])}
             row |= {f"{name}_deviation": deviation, f"{name}_change": changed}
-            slope, bar = (math.nan, math.nan) if one.trend is None else (one.trend.slopes[i], one.trend.bars[i])
-            row |= {f"{name}_slope": float(slope) * DAY, f"{name}_slope_std": float(bar) * DAY}
+            slope, std = (math.nan, math.nan) if one.trend is None else (one.trend.slopes[i], one.trend.stds[i])
+            row |= {f"{name}_slope": float(slope) * DAY, f"{name}_slope_std": float(std) * DAY}
         rows.append(row)
     return pl.DataFrame(rows, infer_schema_length=None)
 

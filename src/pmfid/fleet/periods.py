@@ -18,9 +18,9 @@ from pmfid.status import Status
 NAMED = {"day": (86_400.0, 0.0), "shift": (28_800.0, 21_600.0)}
 #: A pause from which on a new run begins [s]; of long segments, as long as one.
 PAUSE = 60.0
-#: Status of segments that is told of a period where at least half of its segments have it.
+#: Status bits that a period reports if at least half of its segments have them.
 TOLD = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
-#: Findings with which an estimate may be further off than its bar says; a period with a change in it has two truths.
+#: Findings with which an error may exceed the standard error; a period with a change in it has two true values.
 DOUBT = {"missing", "changed", "one_way", "one_size", *(str(bit.name).lower() for bit in TOLD)}
 #: Segments that have such a status from which on it is one of the axis, not of a time, and part of them: a right model
 #: is unmodelled in one of fifty, late or under feedback in up to one of ten; a change is in one or two more.
@@ -31,7 +31,7 @@ LOOKS = 0.25
 AGREES, SAME_WAY = 4.0, 0.02
 #: Sample periods within this part of one another are the same.
 SAME = 1e-3
-#: Part of the samples that is filled in, from which on that is told.
+#: Part of imputed samples from which on a period reports them as missing.
 LOST = 0.01
 
 
@@ -45,7 +45,8 @@ class Periods:
 
     @classmethod
     def from_name(cls, name: str) -> Self:
-        """Of "day", "shift" (of 8 hours, from 06:00 on), "run", or a duration. Raises UsageError for anything else."""
+        """Periods by name: "day", "shift" (of 8 hours, from 06:00 on), "run", or a duration. Raises UsageError for
+        anything else."""
         if name == "run":
             return cls(name, None)
         return cls(name, *NAMED[name]) if name in NAMED else cls(name, seconds(name))
@@ -86,13 +87,13 @@ def _row(axis: str, kind: str, part: Series, names: Sequence[str], begin: float,
     used = part[part.usable]
     theta, std = mean_of(used)
     lost = float(np.average(part.lost, weights=part.samples))
-    told = codes | codes_of(part)
+    findings = codes | codes_of(part)
     row: dict[str, object] = {"axis": axis, "type": kind, "period": begin}
     row |= {"first": float(part.start[0]), "last": float(part.end[-1]), "samples": int(part.samples.sum())}
     row |= {"segments": int(used.start.size), "lost": lost, "dt": float(np.median(part.dt))}
     for i, name in enumerate(names):
         row |= {name: float(theta[i]), f"{name}_std": float(std[i])}
-    return row | {"quality": quality_of(int(used.start.size), told), "findings": " ".join(sorted(told))}
+    return row | {"quality": quality_of(int(used.start.size), findings), "findings": " ".join(sorted(findings))}
 
 
 def quality_of(segments: int, codes: Collection[str]) -> str:
@@ -101,25 +102,25 @@ def quality_of(segments: int, codes: Collection[str]) -> str:
 
 
 def standing(series: Series) -> set[str]:
-    """Findings of the whole of an axis: in which moves an equation that is off shows it, is chance."""
+    """Findings of a whole axis: a wrong equation shows only in some moves, by chance."""
     used = series[series.known]
     many = {bit: np.count_nonzero(used.status & int(bit)) for bit in TOLD}
     which = (bit for bit in TOLD if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
-    told = {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
+    names = {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
     looked_at, moved = (np.count_nonzero(used.status & bit) for bit in (LOOKED_AT, MOVED))
-    return told | ({"unmodelled"} if moved > LOOKS * looked_at else set())
+    return names | ({"unmodelled"} if moved > LOOKS * looked_at else set())
 
 
 def _uneven(used: Series) -> bool:
-    """Do segments of one direction contradict the others, as with a load, or are there no others to tell?"""
+    """Do segments of one direction contradict the others, as with a load, or is there only one direction?"""
     for bit in (FORWARD, BACKWARD):
         own = (used.status & bit) != 0
         if np.all(own) and own.size:
             return True
         if np.any(own):
-            (one, bar), (rest, other) = mean_of(used[own]), mean_of(used[~own])
+            (one, std), (rest, other) = mean_of(used[own]), mean_of(used[~own])
             apart = np.abs(one - rest)
-            if np.any((apart > AGREES * np.hypot(bar, other)) & (apart > SAME_WAY * np.abs(rest))):
+            if np.any((apart > AGREES * np.hypot(std, other)) & (apart > SAME_WAY * np.abs(rest))):
                 return True
     return False
 

@@ -21,9 +21,10 @@ from pmfid.types import Flags, Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: A longer step, in medians of a slice, ends a piece: what follows begins anew. Shorter gaps are the record's.
+#: A longer step, in medians of a slice, ends a piece, and the next sample starts a new one. Shorter gaps stay within a
+#: record.
 APART = 8.5
-#: Of a file whose rows may be of before or of after; the next call does it anew, for it goes by size and time.
+#: Problem of a file that changed while it was read; the next call reads the file again, because its stamp has changed.
 REWRITTEN = "was written to while it was read: call again when it is whole"
 #: Columns of rows by their name in `source`.
 _Columns = Mapping[str, NDArray[np.generic]]
@@ -121,7 +122,7 @@ def rows_of(frame: pl.DataFrame, columns: Columns) -> tuple[ShardRows, tuple[Row
 
 
 def _sort_rows(rows: ShardRows) -> ShardRows:
-    """By axis, time, and then by all that there is, so that no order of files shows."""
+    """Rows sorted by axis, time, and then by all values, so that the order of files has no effect."""
     if _increasing(rows):
         return rows
     by_axis = rows[np.argsort(rows.axis, kind="stable")]  # enough for axes that are mixed, each in order

@@ -25,7 +25,7 @@ def when(time: float) -> str:
 
 
 def format_span(since: float, until: float) -> str:
-    """From when to when, the date once."""
+    """The words for a span from `since` to `until` [s], with a common date once."""
     first, last = when(since), when(until)
     same = " " in first and first.partition(" ")[0] == last.partition(" ")[0]
     return f"between {first} and {last.partition(' ')[2] if same else last}"

@@ -43,7 +43,7 @@ TOLERANCE = 0.02
 COUNTS = 4.0
 #: Estimates with one of these are not looked at again.
 SEEN = UNUSABLE | int(Status.UNMODELLED | Status.FALLBACK | Status.DEAD_TIME)
-#: Samples of a segment that are looked at: so many show what matters, and the look takes longer than the estimate.
+#: Greatest number of samples for a second look: they show what matters, and the look takes longer than the estimate.
 MOST = 2**15
 
 

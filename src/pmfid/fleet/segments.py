@@ -1,7 +1,7 @@
 """Estimates of segments, many axes side by side: the heavy work of a history, and a function of the rows alone.
 
-Each segment starts from nothing, so its bits are those that it would have by itself, whatever runs beside it; its error
-shares nothing with that of its neighbours; and what happened in one of them harms no other.
+Each segment starts without a state, so its bits do not depend on other segments or axes. Errors of neighbouring
+segments are independent, and a disturbance in one segment harms no other.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Samples of a batch at most [axes times samples].
 BATCH = 2**22
-#: One of so many segments of a piece has a second look.
+#: One segment in ONE_OF of a piece has a second look.
 ONE_OF = 16
 
 
@@ -64,8 +64,8 @@ def solve(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
         try:
             frames += _estimate_batches(stretches, settings.adapt_estimator(dt, resolution))
         except UsageError as error:
-            told = " ".join(str(error).split())
-            problems += [RowProblem(one.axis, "", "no_estimate", told, one.start) for one in stretches]
+            reason = " ".join(str(error).split())
+            problems += [RowProblem(one.axis, "", "no_estimate", reason, one.start) for one in stretches]
     return Segments(pl.concat(frames).sort("axis", "start"), tuple(problems))
 
 
@@ -108,7 +108,7 @@ def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, shar
 
 
 def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
-    """In batches of the same length."""
+    """Estimates of stretches, in batches of the same length."""
     groups: dict[int, list[Stretch]] = defaultdict(list)
     for one in stretches:
         groups[one.u.size].append(one)

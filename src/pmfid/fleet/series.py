@@ -1,5 +1,5 @@
-"""The segments of one axis as a series: estimates with their bars, their mean, and what they scatter beyond the
-bars."""
+"""The segments of one axis as a series: estimates with standard errors, their mean, and their scatter beyond the
+standard errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)
 #: Bits of a segment that are no `Status`: it moved forward or backward alone, where a load looks like friction; its
 #: input had one size alone, where saturation or a dead zone looks like another force per input; it had a second look,
-#: by which a force that the model lacks may move it.
+#: by which an unmodelled force may move it.
 FORWARD, BACKWARD, ONE_SIZE, LOOKED_AT, MOVED = 1 << 31, 1 << 30, 1 << 29, 1 << 28, 1 << 27
 #: Batches whose means show what lasts, at least.
 BATCHES = 4
@@ -57,8 +57,8 @@ class Series:
 
     @property
     def known(self) -> Flags:
-        """(n,) which segments say something: those of the method itself where there are some, not of the simpler one
-        that it falls back on, whose bars hold less."""
+        """(n,) segments with a usable estimate: by the method itself if there are any, else by its fallback, whose
+        standard errors are less reliable."""
         known = ((self.status & UNUSABLE) == 0) & np.all(np.isfinite(self.std) & (self.std > 0), axis=1)
         own = known & ((self.status & int(Status.FALLBACK)) == 0)
         return np.asarray(own if np.any(own) else known, bool)
@@ -72,9 +72,9 @@ def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
 
 
 def widen_errors(series: Series) -> Series:
-    """With bars that hold what neighbours among the usable segments (n, p) differ by beyond them: a scatter that all
-    share, so that none which is too sure of itself stands for the axis (random effects; DerSimonian and Laird, 1986,
-    with medians, which a few steps do not move)."""
+    """The series with standard errors widened by the scatter between neighbouring usable segments (n, p) beyond them.
+    All segments share this scatter, so no segment with too small a standard error dominates (random effects;
+    DerSimonian and Laird, 1986, with medians, which a few steps do not move)."""
     used = series[series.usable]
     if used.start.size < LEAST_SHARED:
         return series
@@ -85,23 +85,23 @@ def widen_errors(series: Series) -> Series:
 
 
 def mean_of(series: Series) -> tuple[Floats, Floats]:
-    """Weighted mean (p,) and its standard deviation: by the bars, or by how batches of segments scatter, weighted or
-    all alike, if that is more. NaN and infinite of no segments."""
+    """Weighted mean (p,) and its standard deviation: by the standard errors, or by the scatter of batches of segments,
+    weighted or not, if this is larger. NaN and infinite without segments."""
     p = series.theta.shape[1]
     if not series.start.size:
         return np.full(p, np.nan), np.full(p, np.inf)
     weight = 1 / series.std**2
     total = weight.sum(axis=0)
     mean = (weight * series.theta).sum(axis=0) / total
-    bar = total**-0.5
-    by_bars = bar * np.maximum(1.0, lasting((series.theta - mean) / series.std))
+    std = total**-0.5
+    by_errors = std * np.maximum(1.0, lasting((series.theta - mean) / series.std))
     alike = lasting(series.theta - mean) / np.sqrt(series.start.size)
-    return mean, np.maximum(by_bars, alike)
+    return mean, np.maximum(by_errors, alike)
 
 
 def lasting(apart: Floats) -> Floats:
-    """(p,): root mean square of deviations (n, p), that of single ones which the means of batches would have if all
-    were independent; the largest of all lengths of batches of which there are several."""
+    """(p,): root mean square of deviations (n, p), as inferred from means of batches for independent segments; the
+    largest over all lengths with several batches."""
     found, size = np.zeros(apart.shape[1]), 1
     while apart.shape[0] // size >= BATCHES:
         many = apart.shape[0] // size
@@ -112,7 +112,7 @@ def lasting(apart: Floats) -> Floats:
 
 
 def noise_of(series: Series) -> Floats:
-    """(p,): what neighbours differ by, over what their bars say; not moved by a few steps."""
-    bars = np.hypot(series.std[1:], series.std[:-1])
-    found = np.median(np.abs(np.diff(series.theta, axis=0)) / bars, axis=0) / MEDIAN
-    return np.maximum(found, LEAST_NOISE if len(bars) >= FEW else 1.0)
+    """(p,): differences of neighbours, relative to their standard errors; not moved by a few steps."""
+    stds = np.hypot(series.std[1:], series.std[:-1])
+    found = np.median(np.abs(np.diff(series.theta, axis=0)) / stds, axis=0) / MEDIAN
+    return np.maximum(found, LEAST_NOISE if len(stds) >= FEW else 1.0)

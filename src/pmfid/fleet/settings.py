@@ -23,7 +23,7 @@ SEGMENTS = (60.0, 120.0, 300.0, 600.0, 1800.0)
 MEMORIES = 2.5
 #: Rests that are left out may lengthen a segment by this factor.
 SPAN = 10
-#: A segment has so many times the samples after which the filters have settled, and never less than so many.
+#: Length of a segment in settling times of the filters: usual and least.
 SETTLED, LEAST_SETTLED = 20, 4
 #: Part of a piece whose samples may be missing.
 MOST_MISSING = 0.2
@@ -40,8 +40,8 @@ class Settings:
     span: float
 
     def adapt_estimator(self, dt: float, resolution: float) -> RecursiveEstimator:
-        """The estimator of an axis with another sample period [s] and resolution. Raises UsageError where the pole of
-        the filters does not fit it."""
+        """The estimator of an axis with another sample period [s] and resolution. Raises UsageError if the pole of the
+        filters does not fit the axis."""
         check_sampling(self.axis, dt)
         if dt == self.estimator.dt and resolution == self.estimator.encoder.resolution:
             return self.estimator
@@ -69,8 +69,8 @@ def record_at(table: Table, axis: Axis) -> Record:
 
 @dataclass(frozen=True)
 class Chosen:
-    """What records of the fleet have told: pole of the filters [rad/s], zeros of the pre-filters [1/s], and their
-    sample period [s] and resolution."""
+    """A choice by records of the fleet: pole of the filters [rad/s], zeros of the pre-filters [1/s], and sample period
+    [s] and resolution of the records."""
 
     cutoff: float
     zeros: tuple[float, float] | None
@@ -79,7 +79,8 @@ class Chosen:
 
 
 def choose_method(axis: Axis) -> Axis:
-    """With the method that "auto" is here. Raises UsageError for what a history cannot do."""
+    """The axis with the method that "auto" stands for. Raises UsageError for settings that a history does not
+    support."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator):
         raise UsageError(f"[estimator] method = {method!r} takes a record as a whole; use riv, bcrls or auto")

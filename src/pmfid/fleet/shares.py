@@ -2,7 +2,7 @@
 
 An axis at rest is in equilibrium: a shorter rest is a motion that it might have made as well, and a longer one says no
 more. So rests take no place in a segment, and a few moves from rest to rest may follow themselves, until the method's
-model has settled; their error bars count them once.
+model has settled; the standard errors count such moves once.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _groups(cuts: NDArray[np.intp], kept: Flags, enough: int, span: int) -> Iter
 def _share_samples(
     inside: NDArray[np.intp], counts: Counts, low: int, high: int, settled: int, quarter: int
 ) -> Iterator[Share]:
-    """The segments of a group, low to high; inside: its samples that say something."""
+    """The segments of a group, low to high; inside: its samples with information."""
     whole = WHOLE * quarter
     rests = all(np.ptp(counts[part]) == 0 for part in (inside[:settled], inside[-settled:]))
     if inside.size >= whole or not rests:

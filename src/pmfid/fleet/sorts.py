@@ -25,7 +25,7 @@ def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.int
 
 
 def _split_sort(members: NDArray[np.intp], column: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
-    """The same by one parameter, again and again."""
+    """Splits the members by one parameter, repeatedly."""
     ordered = members[np.argsort(column[members], kind="stable")]
     values = column[ordered]
     least = max(least, int(np.ceil(PART * values.size)))

@@ -55,8 +55,8 @@ class Columns:
 
     @classmethod
     def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> Columns:
-        """Those that AXIS.toml names, and the column `by` that tells the axes; kind: the column of their type. Raises
-        UsageError where it names no time, or no axis of motion."""
+        """Columns that AXIS.toml names, and the column `by` of the axes' names; kind: the column of their type. Raises
+        UsageError if AXIS.toml names no time, or no axis of motion."""
         record = axis.record
         if axis.model.kind == "transfer_function":
             raise UsageError("the history of a fleet is of machines; of a transfer function use pmfid identify")
@@ -139,13 +139,13 @@ class Part:
 
         schema = self.open().collect_schema()
         texts = [name for name in (columns.time, columns.input, columns.output) if schema.get(name) == pl.String]
-        told = [
+        notes = [
             f"{name} is text, read as numbers{_DATES * (name == columns.time)}: what is none is missing"
             for name in texts
         ]
         if schema.get(columns.time) == pl.Float32:
-            told.append(f"{columns.time} has 32 bits, of a date {too_coarse(EPOCHS[0]):.0f} s: write it as float64")
-        return told
+            notes.append(f"{columns.time} has 32 bits, of a date {too_coarse(EPOCHS[0]):.0f} s: write it as float64")
+        return notes
 
 
 def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr | None = None) -> pl.Expr:
@@ -164,7 +164,7 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
 
 
 def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
-    """As text; 7.0, as tables write an integer beside missing ones, is 7, and 7.5 is not; no text is no name."""
+    """Names as text; 7.0 becomes 7, because tables with missing values write integers so; an empty text is no name."""
     import polars as pl
 
     text = column.cast(pl.String, strict=False)
@@ -219,12 +219,12 @@ def _files(source: Path, out: Path | None) -> list[Part]:
 
 
 def _is_hidden(path: Path) -> bool:
-    """Files that engines write beside the data."""
+    """Is it a file that engines write in addition to the data?"""
     return any(part.startswith((".", "_")) for part in path.parts)
 
 
 def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part:
-    """said: of all rows of the file, beside what its folders say."""
+    """One file as a part. said: constants of all its rows, in addition to those in the names of its folders."""
     inside, stamp = path.relative_to(root), _stamp(path)
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
     constants = {unquote(key): "" if value == _NOTHING else unquote(value) for key, _, value in pairs}

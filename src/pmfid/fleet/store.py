@@ -54,11 +54,11 @@ class Store:
         import polars as pl
 
         try:
-            told = json.loads(self._problems_path(key).read_text(encoding="utf-8"))
+            problems = json.loads(self._problems_path(key).read_text(encoding="utf-8"))
             return Survey(
-                pl.read_parquet(self.path(key), hive_partitioning=False), tuple(RowProblem(**raw) for raw in told)
+                pl.read_parquet(self.path(key), hive_partitioning=False), tuple(RowProblem(**raw) for raw in problems)
             )
-        except Exception:  # not there, or damaged: made anew
+        except Exception:  # not there, or damaged: computed again
             return None
 
     def put(self, key: str, rows: pl.DataFrame, problems: Sequence[RowProblem]) -> None:
@@ -121,5 +121,5 @@ def whole(path: Path, write: Callable[[Path], object]) -> None:
     except (OSError, PolarsError) as error:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-        told = getattr(error, "strerror", None) or error
-        raise UsageError(f"{path}: {told}; make room, or choose another folder") from None
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{path}: {reason}; make room, or choose another folder") from None

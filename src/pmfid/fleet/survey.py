@@ -27,8 +27,8 @@ _PLACE, _END = "place in the part", "end"
 
 @dataclass(frozen=True)
 class RowProblem:
-    """What could not be used. axis: empty where it concerns a file; part: empty where it concerns an axis; at: time [s]
-    from which on; code: its name among the findings."""
+    """Rows or a file that cannot be used. axis: empty if a file is concerned; part: empty if an axis is concerned; at:
+    time [s] from which on; code: its name among the findings."""
 
     axis: str
     part: str
@@ -48,7 +48,7 @@ class Survey:
 
 
 def survey_part(part: Part, columns: Columns) -> Survey:
-    """What one part has; a part that cannot be read has no rows and a problem."""
+    """The survey of one part; a part that cannot be read has no rows and a problem."""
     import polars as pl
 
     try:
@@ -61,7 +61,7 @@ def survey_part(part: Part, columns: Columns) -> Survey:
 
 
 def _count_window(part: Part, columns: Columns) -> pl.DataFrame:
-    """The same of the rows of a window, with the places of the first and the last of them in the file."""
+    """Numbers of rows in a window, with the places of the first and the last row in the file."""
     import polars as pl
 
     place = pl.col(_PLACE).cast(pl.Int64)
@@ -70,7 +70,7 @@ def _count_window(part: Part, columns: Columns) -> pl.DataFrame:
 
 
 def _together(windows: pl.DataFrame) -> pl.DataFrame:
-    """Of all windows of a file."""
+    """The rows of all windows of a file, by axis and day."""
     import polars as pl
 
     kind = pl.col(TYPE).filter(pl.col(TYPE) != "").min().fill_null("")
@@ -81,8 +81,8 @@ def _together(windows: pl.DataFrame) -> pl.DataFrame:
 
 
 def count_rows(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
-    """How many rows each axis has on each day, how many of them are lost, the first and last time, the type, and what
-    more is asked for; rows: of `Part.rows`."""
+    """Numbers of rows and of lost rows for each axis and day, with first and last time, type, and further columns
+    `more`; rows: of `Part.rows`."""
     import polars as pl
 
     known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
@@ -121,8 +121,8 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float)
             RowProblem("", name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out")
         )
     found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0))
-    if found.height and (told := other_unit(cast(float, found[FIRST].min()), cast(float, found[LAST].max()), factor)):
-        problems.append(RowProblem("", name, "time_unit", told))
+    if found.height and (text := other_unit(cast(float, found[FIRST].min()), cast(float, found[LAST].max()), factor)):
+        problems.append(RowProblem("", name, "time_unit", text))
     return Survey(found.select(pl.lit(name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, START, EXTENT), tuple(problems))
 
 
@@ -148,7 +148,7 @@ def content(part: Part, columns: Columns) -> str:
 
 
 def join_surveys(surveys: Sequence[Survey]) -> Survey:
-    """Of all parts."""
+    """One survey of all parts."""
     import polars as pl
 
     rows = pl.concat([_empty(), *(one.rows for one in surveys)])

@@ -41,13 +41,13 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
 
 
 def _parse_dates(column: pl.Expr) -> pl.Expr:
-    """Of text as ISO 8601 has it."""
+    """Times in text of ISO 8601."""
     import polars as pl
 
     short = pl.when(column.str.len_bytes() <= LONGEST_CELL).then(column)  # a packed file may repeat a long one
     text = short.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
     plain = text.str.replace(_OFFSET, "").str.strip_suffix("Z").str.strip_chars_end()
-    # a day ends in a sign and digits, too: an offset stands behind a time
+    # a day ends in a sign and digits, too: an offset follows a time
     plain = pl.when(text.str.contains(":")).then(plain)
     hours, minutes = (text.str.extract(_OFFSET, k).cast(pl.Float64, strict=False) for k in (2, 3))
     sign = pl.when(text.str.extract(_OFFSET, 1) == "-").then(-1.0).otherwise(1.0)

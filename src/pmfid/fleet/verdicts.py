@@ -1,5 +1,5 @@
-"""Who needs attention: who changed, who drifts, who differs from the others of its type. So few false ones that all can
-be looked at, however many axes there are. Who only wanders, up and down, is told, and needs none.
+"""Which axes need attention: axes that changed, drift, or differ from the others of their type. False ones are few
+enough to look at, however many axes there are. Axes that only wander, up and down, are reported, but need no attention.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pmfid.types import Floats
 
 #: Axes that are named by chance, of a whole fleet in which nothing is the matter, for each way of being named.
 BY_CHANCE = 0.3
-#: Standard deviations from which on a step is told of the period in which it came, whatever the fleet is like.
+#: Standard deviations from which on the period of a step reports it, whatever the fleet is like.
 CLEAR = 6.0
 #: Axes of one type whose spread says what is unusual, at least.
 LEAST_AXES = 8
@@ -101,7 +101,8 @@ class AxisVerdict:
 
 
 def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tolerance: float) -> Follow:
-    """What the segments (n,) of an axis say; kind: its type; tolerance: relative change that is none."""
+    """Step, trend and final estimate from the segments (n,) of an axis; kind: its type; tolerance: relative change that
+    is none."""
     used = series[series.usable]
     step, trend = step_of(used, names, tolerance), trend_of(used, names, tolerance)
     clear = step is not None and trend is not None and max(step.score, trend.score) > LOOKED_AT
@@ -148,7 +149,7 @@ def _verdict(
 
 
 def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdict]:
-    """Of its step, or of its trend: of the one that explains more, and more than that it wanders."""
+    """The verdict on the step or the trend of an axis, whichever explains more, if it explains more than wandering."""
     step, trend = one.step, one.trend
     if step is None or trend is None:
         return []
@@ -179,7 +180,7 @@ def _judge_deviation(one: Follow, names: Sequence[str], deviation: Floats, exces
 
 
 def _limit(trials: float, free: float) -> float:
-    """Standard deviations that chance goes beyond BY_CHANCE times in so many trials, either way; free: degrees of
+    """Standard deviations that chance exceeds BY_CHANCE times in `trials` trials, on either side; free: degrees of
     freedom of the standard deviation."""
     part = BY_CHANCE / (2 * max(trials, 1))
     return float(-ndtri(part) if math.isinf(free) else -stdtrit(max(free, 1), part))
@@ -219,11 +220,11 @@ def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Float
 
 
 def _compare_axes(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
-    """(m, p) of the axes of one sort."""
+    """Deviations of the axes of one sort, (m, p) each: relative, and beyond the tolerance in standard deviations."""
     apart, ratio, size = _logarithms(theta)
     spread = spread_of(apart)
-    bars = np.hypot(spread, std / size)
-    return ratio - 1, np.maximum(np.abs(apart) - tolerance, 0.0) / np.maximum(bars, np.finfo(float).tiny)
+    scale = np.hypot(spread, std / size)
+    return ratio - 1, np.maximum(np.abs(apart) - tolerance, 0.0) / np.maximum(scale, np.finfo(float).tiny)
 
 
 def _logarithms(theta: Floats) -> tuple[Floats, Floats, Floats]:

@@ -10,8 +10,8 @@ RESULTS = {"work", "periods.parquet", "axes.parquet", "problems.parquet"}
 
 
 def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
-    """Folders, what else lies in them, pipes and links that lead nowhere among it, and folders that cannot be listed.
-    The results of a history are left out.
+    """Folders; all else in them, pipes and broken links included; and folders that cannot be listed. The results of a
+    history are left out.
     A folder to which several links lead counts once, by the shortest of its names, then the first."""
     folders, others, closed, seen = list[Path](), list[Path](), list[Path](), set[str]()
     waiting = [folder]

@@ -15,11 +15,11 @@ import numpy as np
 from pmfid.fleet.series import Series
 from pmfid.types import Floats
 
-#: Noise of the segments, in their bars; steps of the walk from one segment to the next, in root mean squares of what
-#: neighbours differ by.
+#: Noise of the segments, in standard errors; steps of the walk from one segment to the next, in root mean square
+#: differences of neighbours.
 NOISE = np.geomspace(1, 100, 9)
 WALK = np.r_[0.0, np.geomspace(1e-3, 2, 16)]
-#: Segments are put together until there are so many at most.
+#: Greatest number of segments: more are averaged in groups.
 MOST = 128
 
 
@@ -34,7 +34,8 @@ class Beyond:
 
 
 def compare_with_wander(series: Series, since: float) -> Beyond:
-    """Of a series (n, p) of at least three usable segments; since: start of the first after the step [s]."""
+    """Evidence of step and trend beyond wandering, from a series (n, p) of at least three usable segments; since: start
+    of the first segment after the step [s]."""
     place = int(np.searchsorted(series.start, since))
     theta, std, time = _together(series, place)
     n = len(theta)
@@ -50,7 +51,7 @@ def compare_with_wander(series: Series, since: float) -> Beyond:
 
 
 def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:
-    """Means of neighbours (m, p) with their bars and middle times (m,), never of both sides of a place."""
+    """Means of neighbours (m, p) with their standard errors and middle times (m,), never across a place."""
     n = series.start.size
     many = -(-n // MOST)
     starts = np.r_[np.arange(place % many, place, many), np.arange(place, n, many)].astype(int)

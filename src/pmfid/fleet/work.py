@@ -62,7 +62,7 @@ def samples_of(
 
 
 def first_table(frame: pl.DataFrame, columns: Columns, length: float) -> Table | None:
-    """That of the rows of one axis which an engine has brought together; None: there is no piece."""
+    """The table of the longest first piece in rows of one axis that an engine has gathered; None: there is no piece."""
     rows, _ = rows_of(frame, columns)
     pieces = list(pieces_of(rows, columns, length))
     return (
@@ -86,5 +86,5 @@ def check_columns(columns: Columns, parts: Sequence[Part], found: Survey) -> Non
             part.rows(columns)
         except UsageError as error:
             raise UsageError(f"{part.name}: {error}") from None
-    told = next((f": {one.part}: {one.text}" for one in found.problems if one.code == "unreadable"), "")
-    raise UsageError(f"no file of the data set could be read{told}; run pmfid check on one")
+    reason = next((f": {one.part}: {one.text}" for one in found.problems if one.code == "unreadable"), "")
+    raise UsageError(f"no file of the data set could be read{reason}; run pmfid check on one")

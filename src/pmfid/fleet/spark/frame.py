@@ -74,7 +74,7 @@ class SparkRows:
     def prepare_shards(
         self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> AbstractContextManager[None]:
-        """Nothing is to be done."""
+        """Spark needs no preparation."""
         return nullcontext()
 
     def stamp(self, shard: RowShard, length: float) -> object:
@@ -141,7 +141,7 @@ class SparkRows:
     def _gather_shards(
         self, shards: Sequence[RowShard], length: float, work: Callable[[pl.DataFrame], object]
     ) -> list[object]:
-        """What work finds in the rows of each shard; all of a shard are together, in any order."""
+        """Results of `work` on the rows of each shard, all rows of a shard together, in any order."""
         if not shards:
             return []
         plan = RowPlan.from_shards(shards, length)
@@ -156,7 +156,8 @@ class SparkRows:
         return [found[k] if k in found else work(nothing) for k in range(len(shards))]
 
     def _bound_times(self, first: float, last: float) -> Column:
-        """For Spark to leave out files by their times: a margin more than what is needed, which is chosen later."""
+        """A condition by which Spark leaves out files: times from first to last [s] with a margin; exact rows are
+        chosen later."""
         from pyspark.sql import functions as sql
         from pyspark.sql.types import NumericType, TimestampType
 
@@ -170,7 +171,7 @@ class SparkRows:
 
 
 def _quote_column(name: str) -> str:
-    """A column whose name may have dots in it."""
+    """The name of a column in quotes, because it may have dots in it."""
     return "`" + name.replace("`", "``") + "`"
 
 

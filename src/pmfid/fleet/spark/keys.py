@@ -16,8 +16,8 @@ TRIED = 30
 def keys_of(spark: SparkSession, shards: int) -> list[int]:
     """A whole number for each shard: the least one whose hash is the number of the shard, modulo `shards`.
 
-    With as many partitions as shards each has one; numbers in order would leave a third of the partitions empty, and
-    others with several shards behind one another.
+    With as many partitions as shards, each partition has one shard. Numbers in order would leave a third of the
+    partitions empty, and put several shards into others.
     """
     numbers = spark.range(TRIED * shards).selectExpr("cast(id as int) as key", f"pmod(hash(key), {shards}) as place")
     table = numbers.toArrow().to_pydict()

@@ -1,4 +1,4 @@
-"""What Spark and its processes say goes into a file beside a checkpoint; of a failure a sentence comes out."""
+"""Messages of Spark and its processes go to a file next to a checkpoint; a failure becomes one sentence."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["SparkLog"]
 NAME = "spark.log"
 #: A line that names the cause of a failure, in Python or Java.
 CAUSE = re.compile(r"(Caused by: )?[\w.$]+(Error|Exception): .")
-#: So much of what was said is looked through at most [bytes].
+#: Greatest part of the messages that is searched [bytes].
 LATELY = 2**20
 #: What Spark says of a checkpoint that is not whole.
 DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
@@ -36,8 +36,8 @@ class SparkLog:
 
     @contextmanager
     def capture(self) -> Iterator[None]:
-        """A Java process that is started meanwhile writes its messages there, for its whole life: they are for those
-        who look for the cause of a failure, and many."""
+        """Redirects the messages of a Java process started meanwhile to the log, for its whole life. The messages are
+        many, and help to find the cause of a failure."""
         sys.stderr.flush()
         kept = os.dup(2)
         with self._open_log() as log:
@@ -49,7 +49,7 @@ class SparkLog:
             os.close(kept)
 
     def _open_log(self) -> IO[bytes]:
-        """To be appended to; of a checkpoint that can only be read, nothing."""
+        """The log, opened to append; the null device if the checkpoint can only be read."""
         try:
             return open(self.path, "ab")
         except OSError:
@@ -61,9 +61,9 @@ class SparkLog:
             return NO_MEMORY
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         causes = [line for line in lines if CAUSE.match(line)]
-        told = causes[-1] if causes else next(iter(lines), "for no reason that it tells")
+        cause = causes[-1] if causes else next(iter(lines), "without a reason given")
         damaged = any(sign in str(error) for sign in DAMAGED)
-        return f"the stream stopped: {told[:400]}; {REPAIR if damaged else AGAIN} ({self.path} has more)"
+        return f"the stream stopped: {cause[:400]}; {REPAIR if damaged else AGAIN} ({self.path} has more)"
 
     def _read_messages(self) -> str:
         with suppress(OSError), open(self.path, "rb") as file:

@@ -17,7 +17,7 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: Jobs at most: what each has found is kept when it is done, but each reads the times that it needs anew.
+#: Greatest number of jobs: the results of a job are stored at its end, but each job reads its times again.
 JOBS = 16
 _PLACE = "place"
 
@@ -32,7 +32,7 @@ class RowPlan:
 
     @classmethod
     def from_shards(cls, shards: Sequence[RowShard], length: float) -> RowPlan:
-        """Of shards that share no row, by their place in the sequence; length: of a slice [s]."""
+        """The plan of shards that share no row, by their index in the sequence; length: of a slice [s]."""
         import polars as pl
 
         ends = np.array([[one.first * length, one.last * length] for one in shards]).reshape(-1, 2)
@@ -58,7 +58,7 @@ class RowPlan:
 
 
 def list_carried_columns(columns: Columns) -> list[str]:
-    """What an estimate takes of a row, by the names of `source`."""
+    """Columns that an estimate needs, by the names of `source`."""
     return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
 
 

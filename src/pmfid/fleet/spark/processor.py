@@ -25,7 +25,7 @@ MOST = 255
 
 
 def pack_state(body: bytes) -> bytes:
-    """Its size and its bytes in a third of the room: Spark copies a state several times on its way."""
+    """The size of a body, and its compressed bytes, about a third: Spark copies a state several times on its way."""
     from pyarrow import compress
 
     return SIZE.pack(len(body)) + bytes(compress(body, "lz4", asbytes=True))

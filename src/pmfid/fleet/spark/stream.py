@@ -170,8 +170,8 @@ def _wait(query: StreamingQuery) -> None:
 
 
 def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None) -> States:
-    """The states of all axes in the checkpoint of a stream, behind its last batch. Raises UsageError where there is
-    none, or of another configuration."""
+    """The states of all axes in the checkpoint of a stream, after its last batch. Raises UsageError if there is no
+    checkpoint, or if it is of another configuration."""
     check_states(checkpoint)
     from pmfid.fleet.spark.processor import STATE, unpack_state
 

@@ -49,7 +49,7 @@ def answer_task(work: Callable[[], object], version: str) -> bytes:
 
 
 def open_answer(packed: bytes) -> object:
-    """What an executor found. Raises what it refused with."""
+    """The result of an executor. Raises the error with which the executor refused the work."""
     answer = pickle.loads(packed)
     if answer.refused is not None:
         raise answer.refused
@@ -57,7 +57,7 @@ def open_answer(packed: bytes) -> object:
 
 
 def return_answers(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordBatch:
-    """Answers as Spark takes them."""
+    """Answers as a batch for Spark."""
     import pyarrow as pa
 
     return pa.record_batch([pa.array(numbers, pa.int64()), pa.array(found, pa.binary())], [NUMBER, FOUND])

@@ -51,9 +51,9 @@ class StreamSettings:
 
 @contextmanager
 def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterator[Folder]:
-    """The folder of results that belongs to a checkpoint; both begun where they are new, and for one stream at a time.
-    Raises UsageError where one of them is of another stream, of one with other settings, or of one that runs, and where
-    it cannot be made."""
+    """The folder of results that belongs to a checkpoint; both are created if new, and locked for one stream.
+    Raises UsageError if one of them belongs to another stream, to other settings or to a running stream, or cannot be
+    created."""
     if checkpoint.resolve() == out.resolve():
         raise UsageError(f"{out}: is the checkpoint; give a folder of its own for --out")
     if _read(checkpoint / SETTINGS) is None and _holds(checkpoint, LOCK):
@@ -138,8 +138,8 @@ class Folder:
         self._put("estimates", batch, ".parquet", estimates.write_parquet)
         crash_point("stream.half")
         self._put("notices", batch, ".parquet", notices.write_parquet)
-        told = {"batch": batch, "estimates": estimates.height, "notices": notices.height, **_counts(table)}
-        self._put("batches", batch, ".json", lambda path: path.write_text(json.dumps(told)))
+        counts = {"batch": batch, "estimates": estimates.height, "notices": notices.height, **_counts(table)}
+        self._put("batches", batch, ".json", lambda path: path.write_text(json.dumps(counts)))
         crash_point("stream.written")
 
     def _put(self, kind: str, batch: int, suffix: str, write: Callable[[Path], object]) -> None:

@@ -55,7 +55,7 @@ class Outcomes:
 
 
 class StreamShard:
-    """Shard `number` of a plan behind the batch whose state is `body`, None before the first. Raises ValueError for
+    """Shard `number` of a plan after the batch whose state is `body`, None before the first. Raises ValueError for
     bytes that no shard of this plan has saved."""
 
     def __init__(self, plan: StreamPlan, number: int, body: bytes | None = None) -> None:
@@ -85,7 +85,7 @@ class StreamShard:
         self._engine.tick(0.0)
 
     def _check_names(self, items: Sequence[Item]) -> list[Item]:
-        """An axis that came by the name of another one would have a state in two shards."""
+        """Refuses blocks under the name of an axis of another shard: such an axis would have two states."""
         wrong = {name for name in _names(items) if shard_of(name, self.plan.shards) != self.number}
         if not wrong:
             return list(items)
@@ -93,7 +93,7 @@ class StreamShard:
         return [_refuse_name(one) if isinstance(one, Block) and one.axis in wrong else one for one in single]
 
     def _add(self, items: Sequence[Item]) -> None:
-        """Numbers of new axes are those of no other shard."""
+        """Adds new axes, with numbers that no other shard gives."""
         fresh = sorted(name for name in _names(items) if self._engine.seat(name) is None)
         if not fresh:
             return
@@ -111,7 +111,7 @@ class StreamShard:
         return b"".join(snapshot(self._engine))
 
     def count_samples(self) -> dict[str, float]:
-        """Samples of this batch that were stepped, and that were not, by the reason."""
+        """Numbers of samples of this batch: stepped, missing, and refused by reason."""
         found: dict[str, float] = {}
         for (name, labels), value in self.counters.values().items():
             kind = next((text for label, text in labels if label in ("reason", "event")), "")
@@ -121,7 +121,7 @@ class StreamShard:
         return found
 
 
-#: Counters that are told of a batch, and by which name.
+#: Counters that a batch reports, and their names there.
 _COUNTED = {
     "pmfid_samples_total": "samples",
     "pmfid_samples_missing_total": "missing",
@@ -143,7 +143,7 @@ def _refuse_name(block: Block) -> Unusable:
 
 
 def _sort_messages(messages: Iterable[bytes]) -> list[bytes]:
-    """By epoch and first number, then those of one form behind one another, so that they are read at once."""
+    """Messages by epoch and first number, with messages of one form joined, so that they are read at once."""
     keyed = sorted((_key(data), data) for data in messages)
     return [b"".join(data for _, data in some) for _, some in groupby(keyed, lambda pair: pair[0])]
 

@@ -29,7 +29,7 @@ class States:
 
     @classmethod
     def from_bodies(cls, bodies: Mapping[int, bytes], digest: str) -> States:
-        """Of the bodies of shards, by number. Raises UsageError where one of them is of another configuration."""
+        """States in the bodies of shards, by number. Raises UsageError if one of them is of another configuration."""
         try:
             found = cls(tuple(read_snapshot(bodies[number]) for number in sorted(bodies)), digest)
         except ValueError as error:
@@ -40,8 +40,9 @@ class States:
 
     @classmethod
     def from_monitors(cls, monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> States:
-        """Of axes that were watched one by one, or whose estimator has a state from firmware: then the watch of such an
-        axis begins anew, for firmware has none. Raises UsageError for monitors of another configuration."""
+        """States of axes with monitors of their own, or with an estimator whose state comes from firmware. Monitoring
+        of a firmware axis restarts, because firmware has no monitor. Raises UsageError for monitors of another
+        configuration."""
         try:
             return cls.from_bodies({0: body_from(monitors, prepared, pace)}, prepared.digest)
         except ValueError as error:
@@ -100,7 +101,7 @@ class States:
         chosen = self.only(names)
         vault = Vault(folder)
         try:
-            vault.load(read_snapshot, lambda told: None)  # the new one is behind those that are there
+            vault.load(read_snapshot, lambda problem: None)  # the new snapshot follows the present ones
             vault.write([self._body(prepared, pace, set(chosen))])
         except OSError as error:
             raise UsageError(f"{folder}: {error.strerror}; make room, or choose another folder") from None

@@ -24,7 +24,7 @@ ESTIMATE, NOTICE, COUNTS = "estimate", "notice", "counts"
 
 def columns_of(plan: StreamPlan) -> dict[str, str]:
     """Name -> type of Spark of each column. number: samples of the axis so far, of a notice its number of that axis,
-    0 of what is no matter of its data; told: JSON, of a notice what `pmfid monitor --json` prints."""
+    0 if it does not concern data; told: JSON, for a notice the line that `pmfid monitor --json` prints."""
     names = plan.prepared.setup.monitor.names
     return {
         **{"row": "string", "axis": "string", "number": "long", "time": "double", "u": "double", "counts": "long"},
@@ -68,6 +68,6 @@ def _notice(notice: Notice) -> pl.DataFrame:
     import polars as pl
 
     number = 0 if notice.number >= OWN else notice.number % OF_AXIS
-    told = {"row": [NOTICE], "axis": [notice.axis], "number": [number], "told": [json.dumps(notice.what)]}
+    columns = {"row": [NOTICE], "axis": [notice.axis], "number": [number], "told": [json.dumps(notice.what)]}
     time = notice.what.get("time")
-    return pl.DataFrame({**told, "time": pl.Series([time], dtype=pl.Float64)})
+    return pl.DataFrame({**columns, "time": pl.Series([time], dtype=pl.Float64)})
