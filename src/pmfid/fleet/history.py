@@ -194,8 +194,8 @@ class _Run:
         before, names = self.keep.reused, settings.estimator.names
         known = str((self.axis.model_dump(warnings=False), chosen, settings.segment, length))
         solved = self._solve_shards(shards, work, known)
-        found = (problem for one in solved for problem in one.problems)
-        problems = [*self.survey.problems, *self._several(), *found]
+        lost = (problem for one in solved for problem in one.problems)
+        problems = [*self.survey.problems, *self._several(), *lost]
         groups = self._groups(shards, solved)
         found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
         if self.store is not None:

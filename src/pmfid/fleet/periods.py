@@ -19,9 +19,9 @@ NAMED = {"day": (86_400.0, 0.0), "shift": (28_800.0, 21_600.0)}
 #: A pause from which on a new run begins [s]; of long segments, as long as one.
 PAUSE = 60.0
 #: Status bits that a period reports if at least half of its segments have them.
-TOLD = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
+REPORTED = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
 #: Findings with which an error may exceed the standard error; a period with a change in it has two true values.
-DOUBT = {"missing", "changed", "one_way", "one_size", *(str(bit.name).lower() for bit in TOLD)}
+DOUBT = {"missing", "changed", "one_way", "one_size", *(str(bit.name).lower() for bit in REPORTED)}
 #: Segments that have such a status from which on it is one of the axis, not of a time, and part of them: a right model
 #: is unmodelled in one of fifty, late or under feedback in up to one of ten; a change is in one or two more.
 SEVERAL, SHARE = 3, {Status.UNMODELLED: 0.1, Status.DEAD_TIME: 0.25, Status.FEEDBACK: 0.25, Status.FALLBACK: 0.5}
@@ -104,8 +104,8 @@ def quality_of(segments: int, codes: Collection[str]) -> str:
 def standing(series: Series) -> set[str]:
     """Findings of a whole axis: a wrong equation shows only in some moves, by chance."""
     used = series[series.known]
-    many = {bit: np.count_nonzero(used.status & int(bit)) for bit in TOLD}
-    which = (bit for bit in TOLD if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
+    many = {bit: np.count_nonzero(used.status & int(bit)) for bit in REPORTED}
+    which = (bit for bit in REPORTED if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
     names = {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
     looked_at, moved = (np.count_nonzero(used.status & bit) for bit in (LOOKED_AT, MOVED))
     return names | ({"unmodelled"} if moved > LOOKS * looked_at else set())
@@ -131,7 +131,7 @@ def codes_of(part: Series) -> set[str]:
     found = {"missing"} if np.average(part.lost, weights=part.samples) > LOST else set()
     if np.ptp(part.dt) > SAME * np.max(part.dt):
         found.add("mixed_dt")
-    status = Counter(bit for bit in TOLD for one in used.status if int(one) & bit)
+    status = Counter(bit for bit in REPORTED for one in used.status if int(one) & bit)
     found |= {str(bit.name).lower() for bit, many in status.items() if 2 * many >= used.start.size}
     found |= {"one_size"} if np.all(part.status & ONE_SIZE) else set()
     if not used.start.size:

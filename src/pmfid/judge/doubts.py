@@ -22,7 +22,7 @@ FEEDBACK = (
 IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
 DEPENDENT = (
     "the input explains some of the residual: another dead time, more poles or zeros, or another hold may explain "
-    "more; the error bars leave out what this moves the estimate by"
+    "more; the standard errors leave out what this moves the estimate by"
 )
 REPEATS = (
     "the residual does the same in every period of the input: that is an error of the model, not noise, and the error "
@@ -34,15 +34,15 @@ OTHER_HOLD = (
 )
 UNKNOWN_HOLD = (
     "the record does not tell whether its input is held between the samples or runs on, and that moves a parameter "
-    'beyond its error bar: make sure of [record] hold, "zoh" or "foh", or sample faster'
+    'beyond its standard error: make sure of [record] hold, "zoh" or "foh", or sample faster'
 )
 SURPLUS = (
-    "one pole and one zero less explain the record as well: it does not tell where they are, and their error bars mean "
-    "nothing; use a smaller n and m"
+    "one pole and one zero less explain the record as well: it does not tell where they are, and their standard errors "
+    "mean nothing; use a smaller n and m"
 )
 MOVED = (
-    "with the colour of the noise in mind the estimate is elsewhere, by more than its error bars: it has taken some of "
-    "the noise for dynamics; record longer, or use a smaller n and m"
+    "with the colour of the noise in mind the estimate is elsewhere, by more than its standard errors: it has taken "
+    "some of the noise for dynamics; record longer, or use a smaller n and m"
 )
 UNKNOWN_POLE = "a pole is not known to half its size: record longer, excite it more, or use a smaller n and m"
 #: Less of the output explained [%] is worth a sentence.
@@ -128,7 +128,7 @@ def search_notes(search: Search) -> list[str]:
         found.append("no structure settled: the order is that of unfinished fits")
     if not best.white:
         found.append(
-            "what the best structure leaves is not white noise, not even behind the filter that was made for that: the "
+            "what the best structure leaves is not white noise, not even after the whitening filter: the "
             "criterion may then prefer too many poles and zeros; take the smallest structure that fits nearly as well"
         )
     if best.fit < POOR_FIT:

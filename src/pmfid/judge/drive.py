@@ -231,7 +231,7 @@ def _model(
             severity="wrong",
         )
     if not found.adequate:
-        yield Finding("unmodelled", f"{UNMODELLED}: {found.says}; the error bars do not cover it")
+        yield Finding("unmodelled", f"{UNMODELLED}: {found.says}; the standard errors do not cover it")
         yield from late(found)
         return
     part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
@@ -304,7 +304,7 @@ def _feedback(
         yield Finding(
             "feedback",
             "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "
-            "position control: small biases beyond the error bars are possible; open-loop motion is free of them",
+            "position control: small biases beyond the standard errors are possible; open-loop motion is free of them",
         )
 
 

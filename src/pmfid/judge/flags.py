@@ -6,11 +6,11 @@ from __future__ import annotations
 FLAGS = {
     "model_spread": (
         "something that machines have, Stribeck friction or a dead time, would not show in this record, and would move "
-        "a parameter beyond its error bar and the tolerance; of a transfer function, the record does not tell the hold "
-        "of its input"
+        "a parameter beyond its standard error and the tolerance; of a transfer function, the record does not tell the "
+        "hold of its input"
     ),
-    "biased": "the method has an error of its own here, beyond its error bar; the note has the better number",
-    "std_too_small": "the error bar leaves out the method's own error; the note says how large that is",
+    "biased": "the method has an error of its own here, beyond its standard error; the note has the better number",
+    "std_too_small": "the standard error leaves out the method's own error; the note says how large that is",
     "not_followed": "the simulated motion does not follow the record: the model, a sign or a column is wrong",
     "prior_contradicted": (
         "what is known beforehand and the record are three standard deviations apart, or more: one of them is wrong"
@@ -26,7 +26,7 @@ FLAGS = {
     "reversed": "the output has the opposite sign of the input: turn one of them",
     "exchanged": "the columns of input and output are exchanged: name each by what it is",
     "velocity": "the output is a velocity and is read as a position: say so by output_kind, or integrate it",
-    "wrapped": "the counter begins anew at the end of its range, and nobody has undone that: give bits, or range",
+    "wrapped": "the counter restarts at the end of its range, and nothing has undone that: give bits, or range",
     "stuck": "the output stands still while the axis goes on: the counter, or what reads it, was stuck",
     "clipped": "the output ends while the axis goes on: the range of the counter or the sensor ends there",
     "saturated": "the input stays at its largest or smallest value: right where the drive gave no more, else cut off",

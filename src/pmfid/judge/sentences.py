@@ -114,6 +114,6 @@ def correlation_sentence(balance: Balance) -> str:
     peak, lag = abs(float(found.cross[k])), (k - found.cross.size // 2) * dt
     if peak <= SIGNIFICANT * found.cross_error or peak * part <= RELEVANT_PART:
         return text + f"It does not follow the input (correlation at most {peak:.2g})."
-    order = f"{lag:.2g} s behind" if lag > 0 else f"{-lag:.2g} s ahead of" if lag < 0 else "in step with"
+    order = f"{lag:.2g} s after" if lag > 0 else f"{-lag:.2g} s ahead of" if lag < 0 else "in step with"
     cause = "the input follows the residual, as under control" if lag < 0 else "the model misses a part of the dynamics"
     return text + f"Look here: it has a correlation of {peak:.2g} with the input, {order} it: {cause}."

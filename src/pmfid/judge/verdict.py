@@ -17,7 +17,7 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
     the residual has the input in it, is less with the other hold, or repeats with the input; unstable: a pole in the
     right half-plane that no controller is known to hold (held); uncertain: a pole is not known to half its size, not
     needed, or elsewhere with the colour of the noise in mind; model_spread: the other hold explains the record as well,
-    and moves a parameter beyond an error bar that is none of these."""
+    and moves a parameter beyond a standard error that is none of these."""
     unknown = np.any(np.hypot(*process.poles_std.T) > UNKNOWN * np.abs(process.poles))
     uncertain = checks.second.surplus or checks.second.moved or bool(unknown)
     found = {
