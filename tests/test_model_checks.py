@@ -211,7 +211,7 @@ def test_standard_errors_hold_for_correlated_forces() -> None:
     scores = []
     for _ in range(60):
         force = np.convolve(rng.standard_normal(6030), np.ones(10) / 10, "valid")[:6000]
-        found = checks.binned(np.sin(np.arange(6000) / 200), force, 30)
+        found = checks.average_in_bins(np.sin(np.arange(6000) / 200), force, 30)
         scores.append(found.mean / found.error)
     assert np.std(scores) == pytest.approx(1.0, abs=0.2)
 
