@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
-from pmfid.fleet.spark.keys import keys_of
 from pmfid.fleet.spark.log import SparkLog
 from pmfid.fleet.spark.session import is_own, memory, session_of
 from pmfid.fleet.stream.folder import Folder, StreamSettings, open_folder
@@ -32,8 +31,10 @@ SETTINGS = {
     # a state is written whole with every batch: what is older than a few of them is in nobody's way to a restart
     "spark.sql.streaming.minBatchesToRetain": "4",
 }
-#: The folder of Spark's own checkpoint within that of the stream.
+#: The folder of Spark's own checkpoint within the checkpoint of the stream.
 SPARK = "spark"
+#: Keys that are tried for each shard: one shard in e^30 has none among them.
+TRIED = 30
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def watch_blocks(blocks: DataFrame, plan: StreamPlan, begin: States | None = Non
     from pmfid.fleet.spark.processor import ShardProcessor
 
     spark = blocks.sparkSession
-    keys = keys_of(spark, plan.shards)
+    keys = _find_keys(spark, plan.shards)
     initial = None if begin is None else _initial(spark, begin, plan, keys).groupBy("shard")
     shard = f.element_at(f.lit(keys), f.expr(f"cast(pmod(crc32(encode(axis, 'UTF-8')), {plan.shards}) as int) + 1"))
     schema = ", ".join(f"`{name}` {kind}" for name, kind in columns_of(plan).items())
@@ -195,3 +196,18 @@ def check_states(checkpoint: Path) -> None:
     """Raises UsageError where no stream has kept its states."""
     if not (checkpoint / SPARK / "state").is_dir():
         raise UsageError(f"{checkpoint}: has no states yet; give the --checkpoint of a stream that has done a batch")
+
+
+def _find_keys(spark: SparkSession, shards: int) -> list[int]:
+    """A key for each shard, so that Spark gives every shard a partition of its own: the least whole number whose hash is
+    the number of the shard, modulo `shards`.
+
+    With as many partitions as shards, each partition has one shard. Numbers in order would leave a third of the
+    partitions empty, and put several shards into others.
+    """
+    numbers = spark.range(TRIED * shards).selectExpr("cast(id as int) as key", f"pmod(hash(key), {shards}) as place")
+    table = numbers.toArrow().to_pydict()
+    found: dict[int, int] = {}
+    for key, place in sorted(zip(table["key"], table["place"], strict=True)):
+        found.setdefault(place, key)
+    return [found[number] for number in range(shards)]
