@@ -199,8 +199,8 @@ def check_states(checkpoint: Path) -> None:
 
 
 def _find_keys(spark: SparkSession, shards: int) -> list[int]:
-    """A key for each shard, so that Spark gives every shard a partition of its own: the least whole number whose hash is
-    the number of the shard, modulo `shards`.
+    """A key for each shard, by which Spark gives every shard a partition of its own: the least whole number whose hash
+    is the number of the shard, modulo `shards`.
 
     With as many partitions as shards, each partition has one shard. Numbers in order would leave a third of the
     partitions empty, and put several shards into others.
