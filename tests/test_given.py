@@ -460,7 +460,7 @@ def folder(tmp_path: Path, records: dict[str, CartRecord]) -> Path:
 def invoked(*arguments: object, code: int = 0) -> str:
     result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert result.exit_code == code, result.output
-    return result.output
+    return result.output if code else result.stdout
 
 
 def test_a_result_with_a_gain_that_was_found_predicts(folder: Path) -> None:
