@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.session.clock import named_unit
+from pmfid.session.clock import even_grid, named_unit
 from pmfid.session.config import Axis, load_axis
 from pmfid.session.identify import identify
 from pmfid.session.monitored.stream import Stop, line_samples
@@ -132,3 +132,11 @@ def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
         read_experiment(record, load_axis(path))
     path.write_text(text.format('time_unit = "ms"\n'))
     assert read_experiment(record, load_axis(path)).period == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("every", [5, 10, 12])
+def test_lines_that_are_missing_in_turn_are_no_clock_of_their_own(every: int) -> None:
+    """Every tenth line of 2 ms looked like an even grid of 2.22 ms: a mass of 8.5 kg was 9.4 kg."""
+    k = np.arange(3000)
+    assert not even_grid(0.002 * k[k % every != every - 1])[1]
+    assert even_grid(0.002 * k + np.random.default_rng(1).uniform(-3e-4, 3e-4, k.size))[1]

@@ -36,6 +36,8 @@ EPOCHS = (946_684_800.0, 4_102_444_800.0)
 EVEN = 0.1
 #: Steps that differ by less than this part are an even grid without a further test.
 PLAIN = 1e-6
+#: A step is a multiple of another one within this part.
+WHOLE = 0.01
 #: Largest deviation of a stamp from an even grid by chance [sample periods].
 FURTHEST = 0.9
 #: Stamps that are averaged to detect a missing sample; largest mean by chance, in standard deviations.
@@ -112,6 +114,8 @@ def even_grid(time: Floats) -> tuple[float, bool]:
         return 0.0, False
     if _furthest(np.diff(time), period) < PLAIN * period:
         return period, True
+    if _misses_lines(time):
+        return period, False
     since -= np.mean(since)
     since /= period
     late = np.subtract(since, k, out=k)
@@ -121,6 +125,18 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(GROUP)
     even = furthest < FURTHEST and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
     return float(period), bool(even)
+
+
+def _misses_lines(time: Floats) -> bool:
+    """Whether steps of stamps (n,) are one or several median steps, and the median is no decimal unit to which stamps
+    are rounded: then lines are missing, even if every tenth is, and the rest looks like a clock of its own."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    if not median > 0 or abs(np.log10(median) - np.rint(np.log10(median))) < PLAIN:
+        return False
+    steps /= median
+    whole = np.rint(steps)
+    return bool(np.all(whole >= 1) and np.any(whole > 1) and np.max(np.abs(steps - whole)) < WHOLE)
 
 
 def _furthest(values: Floats, middle: float) -> float:
