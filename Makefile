@@ -113,7 +113,7 @@ check: .venv/tools
 	.venv/bin/clang-format --dry-run --Werror $(KERNEL)
 	.venv/bin/ruff check .
 	.venv/bin/mypy
-	.venv/bin/python -m pytest -q tests/test_architecture.py
+	.venv/bin/python -m pytest -q tests/test_architecture.py tests/test_names.py
 
 format: .venv/tools
 	.venv/bin/ruff format .
