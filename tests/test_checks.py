@@ -293,13 +293,37 @@ def test_a_check_needs_whole_counts() -> None:
         pmfid.check(np.ones(50), np.linspace(0, 1, 50), model=pmfid.Drive(1.0), dt=0.01, encoder=pmfid.Encoder(1e-3))
 
 
-def test_a_pendulum_under_slow_position_control_is_no_velocity() -> None:
-    """Gravity takes most of the input, and a plain drive explains a third; its gravity explains nearly all."""
+def pendulum(gravity: bool, torque: float) -> tuple[Record, Axis]:
+    """Under slow position control, and an AXIS.toml for it; torque: of the load [N m]."""
     drive = DriveParameters(0.02, 0.05, 0.1, 1.0)
     t, dt, resolution = np.arange(3000) * 0.01, 0.01, 2 * np.pi / 4096
     reference = 1.2 * np.sin(0.7 * t) + 0.5 * np.sin(2.9 * t + 1) + 0.2 * np.sin(7.1 * t)
-    machine = Machine(drive, gravity=0.8, gravity_angle=0.3)
+    machine = Machine(drive, gravity=torque, gravity_angle=0.3)
     run = control_machine(machine, reference, dt, resolution, kp=8.0, kd=0.8, u_max=5.0)
     raw = {"record": {"input": "u", "output": "y", "dt": dt}, "encoder": {"resolution": resolution}}
-    axis = Axis.model_validate(raw | {"model": {"kind": "drive", "input_gain": 1.0, "axis": "rotary", "gravity": True}})
-    assert check_record(Record(run.u, run.counts, dt, resolution, (), "pendulum"), axis) == ()
+    model = {"kind": "drive", "input_gain": 1.0, "axis": "rotary", "gravity": gravity}
+    return Record(run.u, run.counts, dt, resolution, (), "pendulum"), Axis.model_validate(raw | {"model": model})
+
+
+def test_a_pendulum_under_slow_position_control_is_no_velocity() -> None:
+    """Gravity takes most of the input, and a plain drive explains a third; its gravity explains nearly all."""
+    assert check_record(*pendulum(True, 0.8)) == ()
+
+
+def test_gravity_that_the_model_leaves_out_is_named() -> None:
+    """The remedies were a shorter sample period and a dead time of 21 samples."""
+    assert [finding.code for finding in check_record(*pendulum(False, 0.8))] == ["gravity"]
+    assert "gravity" not in [finding.code for finding in check_record(*pendulum(False, 1e-9))]
+
+
+def test_an_input_that_is_logged_late_is_moved_and_no_dead_time() -> None:
+    """`dead_time = "estimate"` found 0 there, and the status stayed."""
+    run = make_scenario("prbs", seed=1, increments=1024, duration=10.0)
+    u, counts, encoder = run.motion.u, run.counts, pmfid.Encoder(run.resolution)
+    late = pmfid.identify(np.roll(u, 1)[1:], counts[1:], model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)
+    text = " ".join(finding.text for finding in late.findings)
+    assert "before the time of its row" in text
+    assert "move the input's column earlier" in text
+    assert 'dead_time = "estimate"' not in text
+    right = pmfid.identify(u[1:], counts[1:], model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)
+    assert right.status == ()

@@ -116,13 +116,21 @@ class Adequacy:
         """What is wrong with the model, for people; empty where nothing is."""
         if self.missed:
             asked = list(dict.fromkeys(self._describe_force(k) for k in self.named))[:MOST_SAID]
-            cure = self.forces[self.missed[0]].cure
+            first = self.missed[0]
+            cure = "move the input's column earlier by that time" if self._is_early(first) else self.forces[first].cure
             like_it = f"the motion asks for {'; or for '.join(asked)}; or for something like it"
             return f"{like_it}: {cure}" if cure else like_it
         return "" if self.follows else "no single force explains what is left"
 
+    def _is_early(self, k: int) -> bool:
+        """Does force k stand for a negative dead time of a model without one?"""
+        none = self.difference.equation.dead_time == 0
+        return bool(none and self.forces[k].name == "dead_time" and self.size[k] < 0)
+
     def _describe_force(self, k: int) -> str:
         candidate = self.forces[k]
+        if self._is_early(k):
+            return f"an input that acts about {-self.size[k]:.2g} s before the time of its row"
         return f"{candidate.says} of about {self.size[k]:.2g} s" if candidate.name == "dead_time" else candidate.says
 
     @cached_property

@@ -25,6 +25,7 @@ FLAGS = {
     "unresolved": "no term that was searched explains all that the record shows",
     "reversed": "the output has the opposite sign of the input: turn one of them",
     "exchanged": "the columns of input and output are exchanged: name each by what it is",
+    "gravity": "gravity turns the load of a rotary axis, and the model has none: set gravity = true in [model]",
     "velocity": "the output is a velocity and is read as a position: say so by output_kind, or integrate it",
     "wrapped": "the counter restarts at the end of its range, and nothing has undone that: give bits, or range",
     "stuck": "the output stands still while the axis goes on: the counter, or what reads it, was stuck",

@@ -13,7 +13,7 @@ from pmfid.session.checks.counter import find_frozen_counts, forgotten_bits, hel
 from pmfid.session.checks.inputs import find_saturation, held_input
 from pmfid.session.checks.log import CheckedLog
 from pmfid.session.checks.motion import no_inertia, no_motion
-from pmfid.session.checks.readings import read_as
+from pmfid.session.checks.readings import find_gravity, read_as
 from pmfid.session.checks.timing import drifts, too_fast, too_slow
 from pmfid.session.config import Axis
 from pmfid.session.gaps.longest import unbroken
@@ -26,6 +26,7 @@ Check = Callable[[CheckedLog], Iterator[Finding]]
 #: Families of checks, in this order. A fault of one family would look like faults of later ones, so it ends the search.
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
+    (find_gravity,),
     (read_as,),
     (held_output, find_frozen_counts, held_input, find_saturation),
     (too_slow, jump),

@@ -8,14 +8,17 @@ reading fails and another one holds, the other reading names the mistake.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.findings import Finding
+from pmfid.models.drive import Drive
 from pmfid.session.checks.log import CheckedLog, hasty, liveliest
 from pmfid.session.checks.timing import drifts, too_slow
-from pmfid.session.checks.view import MASS, VISCOUS, View, best_view
+from pmfid.session.checks.view import MASS, PLAIN, VISCOUS, View, best_view
+from pmfid.session.known import set_any_gain
 from pmfid.types import Counts, Floats
 
 __all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
@@ -39,6 +42,8 @@ LASTING = 10.0
 #: Change of the velocity from row to row, in parts of the velocity: of a column that is no position, and of one that
 #: may be.
 ROUGH, SMOOTH = 0.6, 0.1
+#: Least travel that shows gravity [rad]: on a shorter one a spring does the same.
+TURNED = 1.0
 RATE = 'give [record] output_kind = "velocity"'
 INTEGRATE = (
     "name the column of the position or the counts, or integrate this one, its cumulative sum times the sample period"
@@ -55,6 +60,20 @@ def read_as(log: CheckedLog) -> Iterator[Finding]:
     elif log.view is not None and log.knows_sign and is_turned(log.view):
         mistake = "the output has the opposite sign of the input"
         yield _make_finding("reversed", mistake, suggest_sign(log), log.view.unexplained)
+
+
+def find_gravity(log: CheckedLog) -> Iterator[Finding]:
+    """A rotary axis whose load is out of balance, under a model without gravity."""
+    model = set_any_gain(log.axis).model.make()
+    if not (log.is_machine and isinstance(model, Drive) and model.axis == "rotary" and model.gravity is False):
+        return
+    counts = log.known.counts[log.part]
+    if np.ptp(counts) * log.encoder.resolution < TURNED:
+        return
+    hanging = best_view(log.force[log.part], counts, log.encoder, log.record.dt, model=replace(PLAIN, gravity=True))
+    left = _measure_rest(hanging)
+    if hanging is not None and left < min(FOLLOWS, BETTER * _measure_rest(log.closest_view)) and _is_one_body(hanging):
+        yield _make_finding("gravity", "gravity turns the load", "set gravity = true in [model]", left)
 
 
 def _other_reading(log: CheckedLog) -> Finding | None:

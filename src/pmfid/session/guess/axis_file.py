@@ -63,7 +63,10 @@ def guess(path: Path, ask: Ask | None = None) -> AxisGuess:
     pair = pair_of(rest, dt)
     if pair is None:
         listed = ", ".join(table) or "none"
-        raise UsageError(f"{path}: no two columns can be input and output of an axis, of these: {listed}; name them")
+        raise UsageError(
+            f"{path}: no two columns can be input and output of an axis, of these: {listed}; "
+            "rename them, for example to t, u and counts, or write [record] input and output into an AXIS.toml yourself"
+        )
     result = AxisGuess(path.name)
     _record(result, pair, found, dt)
     _encoder(result, pair, columns[pair.output], dt, ask)

@@ -39,6 +39,8 @@ def role_of(name: str) -> Role:
     output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
     split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # MotorTorque
     words = [word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
+    if len(words) > 1 and re.search(r"[\s_.,:/-][AVN]$", bare):
+        words = words[:-1]  # "i_A", "u_V": a unit, as "a" and "v" alone are none
     if output is not None or driven is not None:  # with any name, except for set points
         set_point = any(re.fullmatch(_WORDS[0][1], word) for word in words)
         return "other" if set_point else "input" if output is None else _MEASURED[output.of]
