@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pmfid.kernel.save_state import configuration as configuration_of
 
 import pmfid
 from pmfid import _kernel32, _kernel64
 from pmfid.kernel import configuration
+from pmfid.kernel.saved import configuration as configuration_of
 from pmfid.kernel.structures import constants_of, resize_structure, structures
 from pmfid.status import Status
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from pmfid.kernel.save_state import configuration
 
 import pmfid
 from pmfid.cli.main import main
@@ -18,6 +17,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import OFF_LINE, RECURSIVE
 from pmfid.export.initializer import literal
 from pmfid.export.samples import record_run
+from pmfid.kernel.saved import configuration
 from pmfid.kernel.structures import structures
 from tests.conftest import EMPS, cart_run, needs_emps
 from tests.firmware.build import (

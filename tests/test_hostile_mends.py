@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from pmfid.kernel.save_state import configuration
 
 from pmfid.cli.main import main
 from pmfid.design.search.ascent import _subtract_least
@@ -21,6 +20,7 @@ from pmfid.estimators import encoder_noise
 from pmfid.estimators.difference import invert_information
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.known_step import RKnownStep
+from pmfid.kernel.saved import configuration
 from pmfid.models.drive import Drive
 from pmfid.monitor.calibration import calibrate, simulated_counts
 from pmfid.monitor.reference import LENGTHS, powers

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from pmfid.kernel.save_state import MOST_WEIGHT, configuration, shape_of
 
 import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.kernel.saved import MOST_WEIGHT, configuration, shape_of
 from pmfid.kernel.structures import structures
 from pmfid.simulation import CART, CART_DT
 from pmfid.simulation.drive import quantize, simulate_drive

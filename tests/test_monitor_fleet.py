@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pmfid.monitor.save_state import AxisStates, seal_parts, write_states
 
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, UsageError
 from pmfid.estimators.configuration import like
@@ -19,6 +18,7 @@ from pmfid.monitor.calibration import Calibration, Tail
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, SUSPICIOUS, WATCHING, Event, Settled, StateChange
 from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.rows import STATES
+from pmfid.monitor.saved import AxisStates, seal_parts, write_states
 from pmfid.monitor.scores import make_scale, scores
 from pmfid.monitor.work import NormalWork
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pmfid.kernel.save_state import FLEET_HEAD, _checksum, configuration, shape_of
 
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.kernel.saved import FLEET_HEAD, _checksum, configuration, shape_of
 from pmfid.kernel.structures import structures
 from tests.firmware.build import GCC
 from tests.hostile.crafted import LAGS, attack, estimators, folder_of, leaves, program

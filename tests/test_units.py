@@ -194,7 +194,7 @@ def test_a_row_of_units_tells_a_rotary_axis(tmp_path: Path) -> None:
     record = read_record(tmp_path / "run.csv", plain)
     assert "the file has u in V and y in rad" in record.notes
     assert identify(record, plain).names[0] == "inertia"
-    with pytest.raises(UsageError, match=r'write .model. axis = "rotary", and inertia where a mass is known'):
+    with pytest.raises(UsageError, match=r'write .model. axis = "rotary", and inertia in place of a known mass'):
         kind_of(plain).prepare_axis(record, axis("y", estimator_given={"mass": 1.0}, model_input_gain="estimate"))
     with pytest.raises(UsageError, match=r'axis = "linear" of a linear one'):
         read_record(tmp_path / "run.csv", axis("y", model_axis="linear"))
