@@ -1,1 +1,7 @@
 """The service under load, for an hour, and under faults: broker, machines and `pmfid serve` as processes."""
+
+import os
+
+# as the command does, before NumPy is there: another number of threads adds in another order
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
