@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.design_peers import Tried, casadi_starts
-from pmfid.design.problem.problem import Limits, Problem
-from pmfid.design.search.ascent import Climber
-from pmfid.design.search.bounds import upper_bound
-from pmfid.design.search.evaluation import setting
-from pmfid.design.search.oracle import Oracle
-from pmfid.design.search.solver import solve
+from pmfid.design.ascent import Climber
+from pmfid.design.bounds import upper_bound
+from pmfid.design.oracle import Oracle
+from pmfid.design.problem import Limits, Problem
+from pmfid.design.solver import setting, solve
 from pmfid.models.drive import Drive
 
 NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}

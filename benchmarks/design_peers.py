@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.design.problem.fisher import affine
-from pmfid.design.problem.problem import Problem
+from pmfid.design.fisher import affine
+from pmfid.design.problem import Problem
 from pmfid.types import Floats
 
 
@@ -44,7 +44,7 @@ def casadi_starts(problem: Problem, criterion: str, starts: int, seed: int) -> T
 
 class _Program:
     def __init__(self, casadi: Any, problem: Problem, criterion: str) -> None:
-        from pmfid.design.problem.dynamics import discretise, drive_regime
+        from pmfid.design.fisher import discretise, drive_regime
 
         self.problem, self.criterion, self.maps = problem, criterion, affine(problem)
         step = discretise(drive_regime(problem.drive, problem.nominal, problem.names, 1), problem.dt)
@@ -118,7 +118,7 @@ class _Program:
         found = self.solver(x0=guess, lbx=self.low, ubx=self.high, lbg=0, ubg=0)
         if not self.solver.stats()["success"]:
             return 0.0
-        from pmfid.design.problem.criteria import criterion_of
+        from pmfid.design.fisher import criterion_of
 
         u = np.asarray(found["x"]).ravel()[: self.K]
         return criterion_of(self.problem, self.criterion).value(self.maps.information(u))

@@ -14,8 +14,8 @@ import numpy as np
 import polars as pl
 
 import pmfid
-from pmfid.session.config import Axis
-from pmfid.session.records import read_record
+from pmfid.config.axis import Axis
+from pmfid.records.record import read_record
 from pmfid.simulation.drive import quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT
 from pmfid.simulation.signals import prbs

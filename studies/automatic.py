@@ -16,7 +16,7 @@ from pmfid.estimators.auto import choose
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.registry import OFF_LINE
 from pmfid.models.drive import Drive, Model
-from pmfid.simulation.control import position_control
+from pmfid.simulation.drive import position_control
 from pmfid.simulation.scenarios import CART, CART_DT, make_scenario, resolution_of
 from pmfid.status import Status
 from studies.paper.truth import table

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from pmfid.encoder import Encoder
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.bcls import BCLS
-from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import IV
-from pmfid.estimators.ls import LS
+from pmfid.estimators.ls import BCLS, LS
+from pmfid.estimators.recursive import BCRLS
 from pmfid.models.drive import Drive
 from pmfid.simulation.drive import quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, make_scenario, resolution_of

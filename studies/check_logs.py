@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.session.config import Axis as Configuration
-from pmfid.session.records import Record, record_of
+from pmfid.config.axis import Axis as Configuration
+from pmfid.records.record import Record, record_of
 from pmfid.simulation import Machine, control_machine, stop_and_go
 from studies import machines
 from studies.friction_axes import BENCHES, FRICTIONS

@@ -12,7 +12,7 @@ from typing import Any
 
 from pmfid.errors import UsageError
 from pmfid.findings import codes
-from pmfid.session.identify import check
+from pmfid.pipeline.identify import check
 from studies.check_logs import ALL, FAULTS, clean, faulty, limited
 from studies.friction_axes import BENCHES
 from studies.paper.truth import Study, Task, table

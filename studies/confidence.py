@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from pmfid.diagnostics.drives import judge
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy, weigh
 from pmfid.estimators.auto import AUTO, first_choice
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.results import Fit
 from pmfid.findings import codes
-from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.status import status_names
 from studies.machines import AXES, MOTIONS, WRONG, machine_record, truth

@@ -61,8 +61,8 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "",
         f"Percent of runs with |estimate - truth| < {QUANTILE} std, mass, viscous and Coulomb friction; Tf = 3 T, "
         f"forgetting 1. 95 is right; with {RUNS_PER_SEED * seeds} runs it scatters by {scatter:.1f}. Flags are those "
-        f"of `pmfid.judge.drive.judge`. For each condition: {'; '.join(few)}. On stop-and-go the seeds differ in "
-        "the start phase on the lattice alone.",
+        f"of `pmfid.diagnostics.drives.judge`. For each condition: {'; '.join(few)}. On stop-and-go the seeds differ "
+        "in the start phase on the lattice alone.",
         "",
         *table(
             [

@@ -11,16 +11,15 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pmfid.diagnostics.drives import late
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import examine
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.judge.late import late
 from pmfid.models.drive import Drive, Late
 from pmfid.models.equation import ESTIMATE
 from pmfid.simulation import Machine, control_machine, drive_machine, prbs, stop_and_go

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.design.problem.problem import Limits, Problem
-from pmfid.design.search.evaluation import setting
-from pmfid.design.search.solver import solve
-from pmfid.design.trial.appraisal import appraise, worth_of
+from pmfid.design.appraisal import appraise, worth_of
+from pmfid.design.problem import Limits, Problem
+from pmfid.design.solver import setting, solve
 from pmfid.models.drive import Drive
 
 NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}

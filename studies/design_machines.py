@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.design.problem.problem import Limits, Problem
-from pmfid.design.search.solver import solve
-from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import DesignedRun, RunsEstimate, calibrate
-from pmfid.design.trial.choice import USUAL, Choice, choose
-from pmfid.design.trial.simulated import drive_of, simulate
+from pmfid.design.appraisal import USUAL, Choice, choose
+from pmfid.design.calibration import DesignedRun, RunsEstimate, calibrate
+from pmfid.design.problem import Limits, Problem
+from pmfid.design.simulated import drive_of, simulate
+from pmfid.design.solver import solve
+from pmfid.design.standard import standard_inputs
 from pmfid.encoder import quantize
 from pmfid.models.drive import Drive
-from pmfid.simulation.machine import Machine, drive_machine
+from pmfid.simulation.drive import Machine, drive_machine
 from pmfid.types import Flags, Floats
 from studies.paper.truth import table
 

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.design.problem.fisher import affine
-from pmfid.design.problem.problem import Problem
-from pmfid.design.search.solver import solve
-from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import DesignedRun, calibrate
-from pmfid.design.trial.encoder_error import encoder_covariance, squares_covariance, start_free
-from pmfid.design.trial.simulated import simulate
+from pmfid.design.calibration import DesignedRun, calibrate
+from pmfid.design.encoder_error import encoder_covariance, squares_covariance, start_free
+from pmfid.design.fisher import affine
+from pmfid.design.problem import Problem
+from pmfid.design.simulated import simulate
+from pmfid.design.solver import solve
+from pmfid.design.standard import standard_inputs
 from pmfid.encoder import Encoder, quantize
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.output_error import IntervalML
 from pmfid.simulation.scenarios import resolution_of
 from pmfid.types import Floats
 from studies.design_case import STARTS, case, known

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from pmfid.design.problem.problem import Problem
-from pmfid.design.problem.result import Design
-from pmfid.design.search.solver import solve
-from pmfid.design.trial.sequential import sequential, simulated_experiment
-from pmfid.design.trial.simulated import simulate, simulated_information
+from pmfid.design.problem import Design, Problem
+from pmfid.design.sequential import sequential, simulated_experiment
+from pmfid.design.simulated import simulate, simulated_information
+from pmfid.design.solver import solve
 from pmfid.report.figures import COLOURS, MAGENTA, WIDTH, figure_style
 from pmfid.types import Floats
 from studies.design_case import NOMINAL, STARTS, case

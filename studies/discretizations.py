@@ -10,8 +10,7 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.exact import refine_estimate
-from pmfid.estimators.ls import LS
+from pmfid.estimators.ls import LS, refine_estimate
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import SimulatedProcess, simulate_process
 from pmfid.simulation.signals import prbs

@@ -26,7 +26,7 @@ import numpy as np
 import polars as pl
 
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.stream.layout import MAGIC, VERSION, block_type
+from pmfid.stream.blocks import MAGIC, VERSION, block_type
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
 

@@ -19,9 +19,9 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
-from pmfid.monitor.lost import guess, longest
-from pmfid.session.gaps.motion import doubt, fill_by_motion
-from pmfid.session.gaps.standing import ALWAYS, fill_gaps, gaps_of, is_held
+from pmfid.monitor.monitor import guess, longest
+from pmfid.records.filling import doubt, fill_by_motion
+from pmfid.records.gaps import ALWAYS, fill_gaps, gaps_of, is_held
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats

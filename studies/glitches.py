@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
-from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import RIV
-from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.rls import RLS
-from pmfid.estimators.track import Track
+from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
+from pmfid.estimators.results import Track
 from pmfid.models.drive import Drive
 from pmfid.status import Status
 from pmfid.types import Counts, Floats

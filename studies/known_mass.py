@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import pmfid
-from pmfid.judge.matter import NORMAL_95
-from pmfid.session.result import Result
+from pmfid.diagnostics.matter import NORMAL_95
+from pmfid.pipeline.result import Result
 from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
-from pmfid.simulation.changes import slipping_belt
+from pmfid.simulation.scenarios import slipping_belt
 from studies.friction_axes import BENCHES
 from studies.machines import Axis, machine_record
 from studies.paper.truth import CartRecord, Study, Task, table

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pmfid.config.axis import Axis
+from pmfid.config.toml_file import validate_sections
+from pmfid.config.units import Quantity, gain
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.session.config import Axis
-from pmfid.session.guess.axis_file import guess
-from pmfid.session.identify import identify, kind_of
-from pmfid.session.toml_file import validate_sections
-from pmfid.session.units import Quantity, gain
+from pmfid.pipeline.guess.axis_file import guess
+from pmfid.pipeline.identify import identify, kind_of
 from pmfid.types import Floats
 from studies.log_bench import BENCHES, Keys, Log
 from studies.log_folder import clean, logs

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from pmfid.diagnostics.drives import examine_estimate
+from pmfid.diagnostics.matter import NORMAL_95
+from pmfid.diagnostics.verdict import model_spread
 from pmfid.encoder import Encoder
 from pmfid.estimators.auto import AUTO
-from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
-from pmfid.estimators.output_error import OE
-from pmfid.judge.drive import examine_estimate
-from pmfid.judge.matter import NORMAL_95
-from pmfid.judge.spread import model_spread
+from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.models.drive import Drive
 from pmfid.types import Floats
 from studies.confidence import estimates
@@ -182,7 +181,7 @@ model has not moves the value by the same amount in every record. `interval_95` 
   lacks. Of Coulomb friction beside Stribeck friction that is the level to which it falls.
 - **What nothing here can see**: a wrong input gain scales every parameter alike and leaves no trace in any motion; no
   interval contains that. Nor is there anything in it for a force that none of those in
-  `pmfid/estimators/candidate_forces.py` resembles and the counts do not show.
+  `pmfid/estimators/adequacy.py` resembles and the counts do not show.
 - **null, or a dash**: not known, where no motion of the model can be simulated.
 """
 PAGE = Page(

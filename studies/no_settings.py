@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import pmfid
+from pmfid.diagnostics.matter import NORMAL_95
 from pmfid.errors import NotIdentifiableError
-from pmfid.judge.matter import NORMAL_95
 from pmfid.simulation import Machine
 from studies.machines import MOTIONS, record_of, truth
 from studies.paper.truth import Study, Task, table, triple

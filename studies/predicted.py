@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.diagnostics.free_run import FreeRun, drive_run
 from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.estimators.batch import BatchEstimator
@@ -14,7 +15,6 @@ from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
-from pmfid.judge.free_run import FreeRun, drive_run
 from pmfid.models.drive import Drive
 from pmfid.types import Floats
 

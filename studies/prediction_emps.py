@@ -12,8 +12,8 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.models.drive import Drive
-from pmfid.session.arrays import search_terms
-from pmfid.session.nested import format_terms
+from pmfid.pipeline.arrays import search_terms
+from pmfid.pipeline.terms import format_terms
 from studies.paper.truth import Study, Task, table
 from studies.predicted import EXPLAINED, METHODS, Motion, Predicted, free_run, predicted
 

@@ -11,16 +11,15 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import ndtr, ndtri
 
+from pmfid.diagnostics.processes import FALSE_ALARM, assess, flags_on
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.srivc import SRIVC, make_problem, spread
-from pmfid.judge.assess import FALSE_ALARM, assess
-from pmfid.judge.verdict import flags_on
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.order import UNSTABLE, OrderCandidate, accepted_first, search_structure
+from pmfid.linear.process import Process
+from pmfid.linear.solve import visit
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.transfer.experiment import Experiment
-from pmfid.transfer.order import UNSTABLE, OrderCandidate, accepted_first, search_structure
-from pmfid.transfer.process import Process
-from pmfid.transfer.solve import visit
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
 from studies.process_records import (

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.responses import companion
 from pmfid.simulation.process import simulate_process
-from pmfid.transfer.experiment import Experiment
-from pmfid.transfer.sensitivity import companion
 from pmfid.types import Floats
 
 INPUTS = ("prbs", "steps", "sweep", "multisine", "white")

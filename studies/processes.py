@@ -14,9 +14,9 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
+from pmfid.linear.process import polynomial
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
-from pmfid.transfer.written import polynomial
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
 

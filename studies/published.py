@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from pmfid.encoder import fine_counts
-from pmfid.estimators.bcls import BCLS
 from pmfid.estimators.iv import IV
-from pmfid.estimators.ls import LS
+from pmfid.estimators.ls import BCLS, LS
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import PLANTS, simulate_process

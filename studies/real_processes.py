@@ -11,11 +11,11 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.estimators.srivc import SRIVC, make_problem
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.solve import visit
 from pmfid.models.equation import ESTIMATE
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop
-from pmfid.transfer.experiment import Experiment
-from pmfid.transfer.solve import visit
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
 

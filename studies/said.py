@@ -9,7 +9,7 @@ import numpy as np
 
 import pmfid
 from pmfid.errors import NotIdentifiableError
-from pmfid.session.result import DriveResult
+from pmfid.pipeline.result import DriveResult
 from pmfid.simulation import CART, CART_DT
 from studies.paper.truth import TRUTH, Study, Task, table, triple
 from studies.wrong_models import FORGETTING, INCREMENTS, SCENARIOS

@@ -13,10 +13,8 @@ from types import MappingProxyType
 import numpy as np
 
 from pmfid.encoder import Encoder
-from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import RIV
-from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.rls import RLS
+from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
 from pmfid.models.drive import Drive
 from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
 from studies.machines import AXES, Axis

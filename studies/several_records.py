@@ -12,8 +12,8 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.iv import IV
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.models.drive import Drive
-from pmfid.session.gaps.joining import join_records
-from pmfid.session.records import Record
+from pmfid.records.joining import join_records
+from pmfid.records.record import Record
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.types import Floats
 from studies.gap_information import sensitivities

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.order import DELAYS, ORDERS, search_structure
 from pmfid.simulation.process import PLANTS, simulate_process
-from pmfid.transfer.experiment import Experiment
-from pmfid.transfer.order import DELAYS, ORDERS, search_structure
 from studies.paper.truth import Study, Task, table
 
 #: Ratio of the powers of output and noise.

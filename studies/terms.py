@@ -12,7 +12,7 @@ import numpy as np
 
 import pmfid
 from pmfid.estimators.results import Fit
-from pmfid.session.terms import AMBIGUOUS, UNRESOLVED, TermSearch
+from pmfid.pipeline.terms import AMBIGUOUS, UNRESOLVED, TermSearch
 from pmfid.simulation import Machine
 from studies.paper.truth import Study, Task, table
 from studies.sections import Page, by_name

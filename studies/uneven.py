@@ -9,9 +9,9 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.estimators.srivc import SRIVC
+from pmfid.linear.experiment import Experiment
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
-from pmfid.transfer.experiment import Experiment
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
 

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from pmfid.encoder import fine_counts
-from pmfid.estimators.bcrls import BCRLS
-from pmfid.estimators.rls import RLS
-from pmfid.estimators.rsrivc import RSRIVC
+from pmfid.estimators.recursive import BCRLS, RLS
+from pmfid.estimators.srivc import RSRIVC
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import simulate_varying
 from pmfid.simulation.signals import prbs

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import pmfid
+from pmfid.diagnostics.matter import NOISE_LIMIT, NORMAL_95, TOLERANCE
 from pmfid.estimators.configuration import change_arguments
-from pmfid.judge.matter import NOISE_LIMIT, NORMAL_95, TOLERANCE
 from pmfid.simulation import Machine, multisine, prbs, stop_and_go
 from pmfid.types import Floats
 from studies.machines import TONES, Axis, controlled_record, driven_counts, truth

@@ -56,7 +56,7 @@ def assert_near(theta: np.ndarray, truth: np.ndarray, within: list[float]) -> No
 def unjudged() -> AbstractContextManager[object]:
     """Within it, machines are identified without what is thought of the estimate: most of the time goes into that."""
     without = {"judge": mock.Mock(return_value=()), "examine_estimate": mock.Mock(return_value=None)}
-    return mock.patch.multiple("pmfid.judge.said", **without)
+    return mock.patch.multiple("pmfid.diagnostics.verdict", **without)
 
 
 @pytest.fixture(scope="session")
@@ -72,7 +72,7 @@ def plant_folder(plant_place: Path) -> Iterator[Path]:
     """The same, and calibrations of a few minutes, which are kept there, for as long as a file of tests runs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(plant_place / "cache"))
-        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: HOURS)
+        patch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: HOURS)
         yield plant_place
 
 

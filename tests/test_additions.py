@@ -15,17 +15,17 @@ import pytest
 import pmfid
 from pmfid.cli.main import identify
 from pmfid.cli.monitor import monitor
+from pmfid.config.axis import Axis, MonitorConfig, load_axis
+from pmfid.io import FORMATS, SPOKEN
+from pmfid.io.reading import READERS
 from pmfid.models.signals import SIGNALS, Signal
 from pmfid.monitor.calibration import Calibration, Tail
 from pmfid.monitor.detectors import Cusum, Detector, make_detectors
 from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.scores import Scale
-from pmfid.report.monitored_figures import calibration_figure
-from pmfid.session import arrays
-from pmfid.session.config import Axis, MonitorConfig, load_axis
-from pmfid.session.formats import FORMATS, SPOKEN
-from pmfid.session.formats.reading import READERS
-from pmfid.session.monitored import cache
+from pmfid.pipeline import arrays
+from pmfid.pipeline.monitored import setup as cache
+from pmfid.report.monitored import calibration_figure
 from tests.hostile import records
 
 REPOSITORY = Path(__file__).parents[1]

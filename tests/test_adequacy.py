@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.diagnostics.drives import judge
 from pmfid.estimators.adequacy import examine
 from pmfid.estimators.auto import first_choice
-from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.output_error import OE
-from pmfid.estimators.phases import phase_scatter
-from pmfid.estimators.scatter import block_scatter, scatter
+from pmfid.estimators.output_error import OE, IntervalML
+from pmfid.estimators.uncertainty import block_scatter, phase_scatter, scatter
 from pmfid.findings import codes
-from pmfid.judge.drive import judge
 from pmfid.simulation import (
     CART,
     DriveParameters,
@@ -231,10 +229,10 @@ def test_a_record_that_begins_at_rest_keeps_its_first_motion(rest):
 
 
 def test_a_record_of_another_machine_is_no_estimate(tmp_path):
+    from pmfid.config.axis import load_axis
     from pmfid.errors import NotIdentifiableError
-    from pmfid.session.config import load_axis
-    from pmfid.session.identify import identify
-    from pmfid.session.records import Record
+    from pmfid.pipeline.identify import identify
+    from pmfid.records.record import Record
 
     text = '[record]\ninput = "u"\noutput = "c"\noutput_kind = "counts"\ndt = 0.01\n[encoder]\nresolution = 1e-4\n'
     (tmp_path / "axis.toml").write_text(text + "[model]\ninput_gain = 2.0\n[estimator]\ncutoff = 30.0\n")

@@ -24,9 +24,12 @@ CSRC = REPOSITORY / "csrc"
 KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
 GROUND = {"errors", "types", "findings", "status", "presentation", "durable"} | KERNELS
 FILTERS = GROUND | {"models", "encoder"}
-ESTIMATORS = FILTERS | {"filters", "transfer"}
-JUDGE = ESTIMATORS | {"estimators"}
-SESSION = JUDGE | {"judge", "monitor", "design", "export"}
+ESTIMATORS = FILTERS | {"filters", "linear"}
+DIAGNOSTICS = ESTIMATORS | {"estimators"}
+CONFIG = DIAGNOSTICS | {"diagnostics", "monitor"}
+RECORDS = CONFIG | {"config", "io"}
+PIPELINE = RECORDS | {"records", "design"}
+WINGS = PIPELINE | {"pipeline", "export"}
 #: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
@@ -47,21 +50,24 @@ MAY_IMPORT: dict[str, set[str]] = {
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
-    "transfer": {"errors", "types", "presentation", "_stage"},
+    "linear": {"errors", "types", "presentation", "_stage"},
+    "io": {"errors", "types"},
     "estimators": ESTIMATORS,
-    "judge": JUDGE,
-    "monitor": JUDGE | {"lazy_imports"},
-    "testing": JUDGE,
+    "diagnostics": DIAGNOSTICS,
+    "config": CONFIG,
+    "records": RECORDS,
+    "monitor": DIAGNOSTICS | {"lazy_imports"},
+    "testing": DIAGNOSTICS,
     "simulation": {"errors", "types"},
     "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
-    "export": JUDGE | {"pmfid"},
-    "session": SESSION,
-    "stream": SESSION | {"session"},
-    "service": SESSION | {"session", "stream"},
-    "fleet": SESSION | {"session", "stream", "lazy_imports", "pmfid"},
-    "report": SESSION | {"session", "fleet"},
-    "cli": SESSION | {"session", "stream", "service", "fleet", "report", "simulation", "pmfid"},
-    "pmfid": SESSION | {"session"},
+    "export": DIAGNOSTICS | {"pmfid"},
+    "pipeline": PIPELINE,
+    "stream": WINGS,
+    "service": WINGS | {"stream"},
+    "fleet": WINGS | {"stream", "lazy_imports", "pmfid"},
+    "report": WINGS | {"fleet"},
+    "cli": WINGS | {"stream", "service", "fleet", "report", "simulation", "pmfid"},
+    "pmfid": WINGS,
 }
 
 PUBLIC = [
@@ -249,7 +255,7 @@ def test_what_kind_of_plant_it_is_is_asked_in_three_files() -> None:
 BAD_FILTER = """\
 import numpy as np
 from pmfid.errors import UsageError
-from pmfid.session.config import Axis
+from pmfid.config.axis import Axis
 import pmfid.report.html
 from pmfid import simulation, __version__
 from ..estimators import base
@@ -273,7 +279,7 @@ def test_the_checker_finds_what_it_is_for(tmp_path: Path) -> None:
     (root / "_kernel.pxi").write_text("cimport numpy as cnp\ncdef int x\nfrom pmfid.encoder cimport Encoder\n")
     (root / "simulation.py").write_text("from pmfid.errors import UsageError\nfrom pmfid.status import Status\n")
     (root / "__init__.py").write_text("from importlib import import_module\nimport_module('pmfid.encoder')\n")
-    lines = ["3: {} session", "4: {} report", "5: {} pmfid", "5: {} simulation", "6: {} estimators", "7: {} report"]
+    lines = ["3: {} config", "4: {} report", "5: {} pmfid", "5: {} simulation", "6: {} estimators", "7: {} report"]
     lines += ["11: {} simulation", "13: {} ?", "15: {} cli"]
     assert violations(root) == [
         "_kernel.pxi:3: _kernel imports encoder",
@@ -337,7 +343,7 @@ def test_the_command_starts_without_the_heavy_libraries() -> None:
 
 def test_the_way_to_the_estimate_of_a_drive_needs_no_library_of_filters() -> None:
     """scipy.signal brings scipy.stats, and took a third of the time of `pmfid identify`."""
-    loaded = modules_after("import pmfid.session.identify, pmfid.estimators.registry, pmfid.judge.drive")
+    loaded = modules_after("import pmfid.pipeline.identify, pmfid.estimators.registry, pmfid.diagnostics.drives")
     assert "pmfid.estimators.iv" in loaded
     assert not {"scipy.signal", "scipy.stats"} & loaded
 

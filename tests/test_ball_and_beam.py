@@ -9,7 +9,7 @@ import pytest
 
 from pmfid import SRIVC, Encoder, Experiment, TransferFunction
 from pmfid.estimators.srivc import make_structure
-from pmfid.transfer.sensitivity import channels
+from pmfid.linear.responses import channels
 
 PLACE = Path("shared", "data", "real", "daisy", "ball-and-beam.csv")
 RECORD = next((parent / PLACE for parent in Path(__file__).parents if (parent / PLACE).exists()), None)

@@ -5,9 +5,8 @@ import pytest
 
 import pmfid
 from pmfid.estimators import output_error
-from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.output_error import OE
-from pmfid.estimators.scatter import block_scatter
+from pmfid.estimators.output_error import OE, IntervalML
+from pmfid.estimators.uncertainty import block_scatter
 from studies.machines import AXES, machine_record, truth
 
 SEEDS = 8
@@ -66,9 +65,9 @@ def test_noise_that_cancels_over_a_block_is_no_scatter():
 
 
 def test_the_motion_that_fits_is_looked_for_once(tmp_path, monkeypatch):
-    from pmfid.session.config import load_axis
-    from pmfid.session.identify import identify
-    from pmfid.session.records import Record
+    from pmfid.config.axis import load_axis
+    from pmfid.pipeline.identify import identify
+    from pmfid.records.record import Record
 
     searches, search = [], output_error.best_of
     monkeypatch.setattr(output_error, "best_of", lambda *args: searches.append(1) or search(*args))

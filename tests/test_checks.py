@@ -18,15 +18,15 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.config.axis import Axis
+from pmfid.diagnostics.matter import OF_LOG
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.findings import Finding, codes, sort_findings
-from pmfid.judge.matter import OF_LOG
+from pmfid.pipeline.checks import check_record
+from pmfid.pipeline.identify import check, identify
+from pmfid.pipeline.result import Result
+from pmfid.records.record import Record, record_of
 from pmfid.report.result import write_result
-from pmfid.session.checks import check_record
-from pmfid.session.config import Axis
-from pmfid.session.identify import check, identify
-from pmfid.session.records import Record, record_of
-from pmfid.session.result import Result
 from pmfid.simulation import DriveParameters, Machine, control_machine, make_scenario
 from studies.check_logs import FAULTS, Logged, clean, faulty
 from studies.friction_axes import BENCHES
@@ -60,7 +60,7 @@ def plainly(record: Record, axis: Axis) -> Result | NotIdentifiableError:
     ways = {"judge": mock.Mock(return_value=(doubt,)), "examine_estimate": mock.Mock(return_value=None)}
     options = axis.estimator.model_copy(update={"method": "ls", "cutoff": axis.estimator.cutoff or 1 / (5 * record.dt)})
     try:
-        with mock.patch.multiple("pmfid.judge.said", **ways):
+        with mock.patch.multiple("pmfid.diagnostics.verdict", **ways):
             return identify(record, axis.model_copy(update={"estimator": options}))
     except NotIdentifiableError as error:
         return error
@@ -123,7 +123,7 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
         one for one in shown["findings"] if f"{one['sentence']}: {one['remedy']}" in sentences
     ]
     assert all(sentence in str(result) for sentence in sentences)
-    with mock.patch("pmfid.report.record.model_checks", return_value=[]):
+    with mock.patch("pmfid.report.result.model_checks", return_value=[]):
         write_result(tmp_path / "out", result)
     page = html.unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
     assert all(sentence in page for sentence in sentences)
@@ -250,7 +250,7 @@ def mass_of(record: Record, axis: Axis) -> float:
     options = axis.estimator.model_copy(update={"method": "iv"})
     ways = {"judge": mock.Mock(return_value=()), "examine_estimate": mock.Mock(return_value=None)}
     try:
-        with mock.patch.multiple("pmfid.judge.said", **ways):
+        with mock.patch.multiple("pmfid.diagnostics.verdict", **ways):
             return float(identify(record, axis.model_copy(update={"estimator": options})).theta[0])
     except PmfidError:
         return np.inf

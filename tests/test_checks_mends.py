@@ -11,10 +11,10 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.findings import Finding, codes
-from pmfid.session.checks import check_record
-from pmfid.session.checks.readings import convert_velocity
-from pmfid.session.checks.stops import long_stops, sudden
-from pmfid.session.outliers import repair_record
+from pmfid.pipeline.checks import check_record
+from pmfid.pipeline.checks.readings import convert_velocity
+from pmfid.pipeline.checks.view import long_stops, sudden
+from pmfid.records.outliers import repair_record
 from studies.check_logs import ALL, Logged, clean, faulty, limited
 from tests.test_checks import written
 

@@ -22,11 +22,11 @@ from click.testing import CliRunner, Result
 
 from pmfid import Drive
 from pmfid.cli.main import main
+from pmfid.config.axis import load_axis
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.session.config import load_axis
-from pmfid.session.formats import SUFFIXES
-from pmfid.session.records import read_record
+from pmfid.io import SUFFIXES
+from pmfid.records.record import read_record
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 

@@ -14,11 +14,11 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.config.axis import Axis
 from pmfid.estimators.registry import methods_for
+from pmfid.pipeline.identify import Comparison, compare
+from pmfid.pipeline.kinds import Progress, Records
 from pmfid.report.comparison import _fit
-from pmfid.session.compare import Comparison, compare
-from pmfid.session.config import Axis
-from pmfid.session.kinds import Progress, Records
 from pmfid.simulation import CART, make_scenario, write_csv
 from studies.second_order import write
 
@@ -45,7 +45,7 @@ def compared() -> Iterator[None]:
             known[key] = compare(data, axis, done)
         return known[key]
 
-    with mock.patch("pmfid.session.compare.compare", once):
+    with mock.patch("pmfid.pipeline.identify.compare", once):
         yield
 
 

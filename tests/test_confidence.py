@@ -10,15 +10,14 @@ from scipy.linalg import expm, toeplitz
 from scipy.signal import lfilter
 
 from pmfid import OE, SRIVC, Encoder, Experiment, NotIdentifiableError, TransferFunction
+from pmfid.diagnostics.causality import ResidualStretch, find_feedback, find_unmodelled_response
+from pmfid.diagnostics.processes import assess
 from pmfid.estimators.srivc import fit_process, make_problem, solve_by_descent
-from pmfid.judge.assess import assess
-from pmfid.judge.causality import ResidualStretch, find_feedback, find_unmodelled_response
+from pmfid.linear.order import UNSTABLE, OrderCandidate, Search, accepted_first
+from pmfid.linear.process import Process
+from pmfid.linear.residuals import Noise, fit_noise, score_covariance
+from pmfid.linear.solve import Solution
 from pmfid.simulation.process import simulate_process
-from pmfid.transfer.confidence import score_covariance
-from pmfid.transfer.noise import Noise, fit_noise
-from pmfid.transfer.order import UNSTABLE, OrderCandidate, Search, accepted_first
-from pmfid.transfer.process import Process
-from pmfid.transfer.solve import Solution
 from studies.process_confidence import estimator_of, identified
 from studies.process_records import INPUTS, NOISES, open_record, random_plant
 
@@ -223,7 +222,7 @@ def _scaled_theta(estimator: SRIVC, record: Experiment) -> np.ndarray:
 
 
 def test_an_iteration_that_has_not_settled_is_no_estimate(monkeypatch):
-    monkeypatch.setattr("pmfid.transfer.solve.DESCENTS", 1)
+    monkeypatch.setattr("pmfid.linear.solve.DESCENTS", 1)
     monkeypatch.setattr("pmfid.estimators.srivc.refine", lambda problem, start: Solution(start, False, 1))
     u = sweep(400)
     y = simulate_process((1.0,), (1.0, 0.3, 4.0, 0.5), u, DT) + 0.05 * coloured(np.random.default_rng(1), 400)

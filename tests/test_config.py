@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from pmfid.config.axis import Axis, check_sampling, load_axis
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError, did_you_mean
-from pmfid.session.config import Axis, check_sampling, load_axis
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MINIMAL = """\

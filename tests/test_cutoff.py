@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.config.axis import load_axis
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.cutoff import TRIED, choose_cutoff
-from pmfid.session.config import load_axis
-from pmfid.session.monitored.setup import set_up
-from pmfid.session.result import Result
+from pmfid.pipeline.monitored.setup import set_up
+from pmfid.pipeline.result import Result
 from pmfid.simulation import Machine
 from pmfid.status import Status
 from pmfid.types import Floats

@@ -16,8 +16,7 @@ from pmfid.estimators.instruments import Instruments
 from pmfid.kernel.structures import constants_of
 from pmfid.models import equation
 from pmfid.models.equation import Equation, Term
-from pmfid.simulation.drive import DriveParameters
-from pmfid.simulation.machine import Machine, MachineRun, control_machine, drive_machine
+from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, control_machine, drive_machine
 
 #: Gain, mass, viscous and Coulomb friction, sample period, input, travel per count, cutoff.
 CART = (2.0, 1.07, 12.8, 0.8, 0.01, 3.0, 9.2e-5, 20.0)

@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
-from pmfid.design.trial.simulated import simulate
-from pmfid.session.design_spec import load_spec, make_problem
+from pmfid.design.simulated import simulate
+from pmfid.pipeline.designs import load_spec, make_problem
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
 FEW = ("--starts", "3", "--certify", "0")

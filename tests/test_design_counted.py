@@ -9,18 +9,16 @@ from itertools import product
 import numpy as np
 import pytest
 
-from pmfid.design.problem.criteria import Criterion
-from pmfid.design.problem.fisher import affine
-from pmfid.design.search.evaluation import evaluate, violations
-from pmfid.design.search.polytope import polytope
-from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import DesignedRun, calibrate
-from pmfid.design.trial.choice import SURELY, USUAL, best_input, choose
-from pmfid.design.trial.encoder_error import encoder_covariance, expected_covariance, log_of_room, start_free
-from pmfid.design.trial.sequential import Commissioning, redesign, sequential, simulated_experiment
-from pmfid.design.trial.simulated import drive_of, simulate
-from pmfid.design.trial.walkers import inside, walk
-from pmfid.simulation.machine import Machine, drive_machine
+from pmfid.design.appraisal import SURELY, USUAL, best_input, choose
+from pmfid.design.calibration import DesignedRun, calibrate
+from pmfid.design.encoder_error import encoder_covariance, expected_covariance, inside, log_of_room, start_free, walk
+from pmfid.design.fisher import Criterion, affine
+from pmfid.design.polytope import polytope
+from pmfid.design.sequential import Commissioning, redesign, sequential, simulated_experiment
+from pmfid.design.simulated import drive_of, simulate
+from pmfid.design.solver import evaluate, violations
+from pmfid.design.standard import standard_inputs
+from pmfid.simulation.drive import Machine, drive_machine
 from studies.design_case import case
 from studies.design_machines import MACHINES, NAMES, Claims, claims
 

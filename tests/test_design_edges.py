@@ -10,10 +10,9 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.design.problem.problem import Limits, Problem
-from pmfid.design.search.evaluation import setting, violations
-from pmfid.design.search.solver import solve
-from pmfid.design.search.standard import standard_inputs
+from pmfid.design.problem import Limits, Problem
+from pmfid.design.solver import setting, solve, violations
+from pmfid.design.standard import standard_inputs
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
 NAMES = ("mass", "viscous_friction", "coulomb_friction")

@@ -11,10 +11,19 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import pmfid
-from pmfid.design.problem.criteria import CRITERIA, Criterion, criterion_of, eliminate
-from pmfid.design.problem.fisher import affine, check_identifiable, information, motion, sensitivities
-from pmfid.design.problem.problem import Limits, Problem
-from pmfid.design.search.mixture import proportions, share
+from pmfid.design.ascent import proportions, share
+from pmfid.design.fisher import (
+    CRITERIA,
+    Criterion,
+    affine,
+    check_identifiable,
+    criterion_of,
+    eliminate,
+    information,
+    motion,
+    sensitivities,
+)
+from pmfid.design.problem import Limits, Problem
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 

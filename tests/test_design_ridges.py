@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid.design.trial.ridges import Allowed, spread_along_ridges
+from pmfid.design.encoder_error import Allowed, spread_along_ridges
 from studies.design_machines import MACHINES, commissioned
 
 LOWER, NO_PRIOR = np.zeros(2), np.zeros((2, 2))

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.problem.fisher import affine
-from pmfid.design.problem.problem import InfeasibleError
-from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.calibration import DesignedRun, calibrate, correlation_time
-from pmfid.design.trial.encoder_error import start_free
-from pmfid.design.trial.sequential import redesign, sequential, simulated_experiment
-from pmfid.design.trial.simulated import simulate
+from pmfid.design.calibration import DesignedRun, calibrate, correlation_time
+from pmfid.design.encoder_error import start_free
+from pmfid.design.fisher import affine
+from pmfid.design.problem import InfeasibleError
+from pmfid.design.sequential import redesign, sequential, simulated_experiment
+from pmfid.design.simulated import simulate
+from pmfid.design.standard import standard_inputs
 from pmfid.errors import NotIdentifiableError, UsageError
 from studies.design_case import NOMINAL, case
 

@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.problem.criteria import criterion_of
-from pmfid.design.problem.fisher import affine, information
-from pmfid.design.problem.result import Design
-from pmfid.design.search.evaluation import setting
-from pmfid.design.search.solver import solve
-from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.appraisal import accumulate_value, appraise, worth_of
-from pmfid.design.trial.calibration import DesignedRun, calibrate
-from pmfid.design.trial.encoder_error import encoder_covariance, squares_covariance, start_free
-from pmfid.design.trial.simulated import both_ways, simulate, simulated_information
+from pmfid.design.appraisal import accumulate_value, appraise, worth_of
+from pmfid.design.calibration import DesignedRun, calibrate
+from pmfid.design.encoder_error import encoder_covariance, squares_covariance, start_free
+from pmfid.design.fisher import affine, criterion_of, information
+from pmfid.design.problem import Design
+from pmfid.design.simulated import both_ways, simulate, simulated_information
+from pmfid.design.solver import setting, solve
+from pmfid.design.standard import standard_inputs
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
 from studies.design_case import case, known

@@ -11,14 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pmfid
-from pmfid.design.problem.fisher import information, motion
-from pmfid.design.problem.problem import InfeasibleError, Limits, Problem
-from pmfid.design.search.bounds import upper_bound
-from pmfid.design.search.campaign import campaign
-from pmfid.design.search.diagnosis import minimum_time, relaxations
-from pmfid.design.search.evaluation import setting
-from pmfid.design.search.oracle import Oracle, SolverError
-from pmfid.design.search.solver import evaluate, price_of_robustness, solve
+from pmfid.design.bounds import upper_bound
+from pmfid.design.campaign import campaign
+from pmfid.design.fisher import information, motion
+from pmfid.design.oracle import Oracle, SolverError
+from pmfid.design.problem import InfeasibleError, Limits, Problem
+from pmfid.design.solver import evaluate, minimum_time, price_of_robustness, relaxations, setting, solve
 
 NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
 NAMES = tuple(NOMINAL)
@@ -112,7 +110,7 @@ def test_bounds_are_proved_and_hold() -> None:
 
 def _slow(intervals: int) -> np.ndarray:
     """A feasible input that is far from the best: the one of least energy."""
-    from pmfid.design.search.nearest import input_set, nearest
+    from pmfid.design.polytope import input_set, nearest
 
     return nearest(input_set(setting(case(1, intervals), "trace").shape), np.zeros(intervals))
 
@@ -165,7 +163,7 @@ def test_a_robust_design_keeps_the_limits_in_every_scenario(average: str | None)
 
 def test_stops_and_reversals_are_exact() -> None:
     """The information of a motion with rests is there with true stiction, too."""
-    from pmfid.design.trial.simulated import simulated_information
+    from pmfid.design.simulated import simulated_information
 
     sense = (1,) * 20 + (0,) * 2 + (-1,) * 18
     problem = replace(case(3), directions=sense, end=(0.2, 0.0))

@@ -11,8 +11,7 @@ import pytest
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.models.drive import Drive
-from pmfid.session.design_run import read_run, run_appraisal, run_design
-from pmfid.session.design_spec import Spec, load_spec, make_problem
+from pmfid.pipeline.designs import Spec, load_spec, make_problem, read_run, run_appraisal, run_design
 from studies.design_case import case
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"

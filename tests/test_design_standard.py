@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.problem.fisher import motion
-from pmfid.design.problem.problem import InfeasibleError, Limits, Problem
-from pmfid.design.search.nearest import input_set, nearest, violation
-from pmfid.design.search.polytope import polytope
-from pmfid.design.search.profiles import input_wish
-from pmfid.design.search.standard import STANDARD, standard_inputs
+from pmfid.design.fisher import motion
+from pmfid.design.polytope import input_set, nearest, polytope, violation
+from pmfid.design.problem import InfeasibleError, Limits, Problem
+from pmfid.design.standard import STANDARD, input_wish, standard_inputs
 from pmfid.models.drive import Drive
 from studies.design_case import case
 

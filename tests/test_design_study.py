@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmfid.design.search.evaluation import evaluate
-from pmfid.design.search.solver import solve
-from pmfid.design.search.standard import standard_inputs
+from pmfid.design.solver import evaluate, solve
+from pmfid.design.standard import standard_inputs
 from pmfid.report.figures import save_png
 from pmfid.simulation.scenarios import resolution_of
 from studies import design_runs, design_wrong

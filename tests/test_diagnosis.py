@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.identifiable import check_identifiable
+from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.results import Columns
 from pmfid.findings import texts
-from pmfid.session.checks import check_record
-from pmfid.session.compare import compare
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.diagnosis import check_direction
-from pmfid.session.identify import identify
-from pmfid.session.records import Record, read_record
-from pmfid.session.wrap import wrap_of
+from pmfid.pipeline.checks import check_record
+from pmfid.pipeline.drives import check_direction
+from pmfid.pipeline.identify import compare, identify
+from pmfid.records.outliers import wrap_of
+from pmfid.records.record import Record, read_record
 from pmfid.simulation.drive import DriveParameters, Motion, quantize, simulate_drive
 from pmfid.simulation.signals import multisine, prbs
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import pmfid
-from pmfid.session.config import load_axis
+from pmfid.config.axis import load_axis
 
 ROOT = Path(__file__).parents[1]
 

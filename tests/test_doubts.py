@@ -10,10 +10,10 @@ import pytest
 
 import pmfid
 from pmfid import Experiment
-from pmfid.judge.doubts import search_notes
-from pmfid.session.config import load_axis
-from pmfid.session.processes import Processes, search_order
-from pmfid.session.result import ProcessResult
+from pmfid.config.axis import load_axis
+from pmfid.diagnostics.processes import search_notes
+from pmfid.pipeline.processes import Processes, search_order
+from pmfid.pipeline.result import ProcessResult
 from pmfid.simulation.process import PLANTS, simulate_process
 from tests.test_process import CONFIG, closed_loop, noisy
 

@@ -7,11 +7,11 @@ import pytest
 
 import pmfid
 from pmfid import Equation, EquationModel, Term
+from pmfid.config.axis import load_axis
 from pmfid.errors import UsageError
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.session.config import load_axis
-from pmfid.session.identify import identify
-from pmfid.session.records import Record
+from pmfid.pipeline.identify import identify
+from pmfid.records.record import Record
 from pmfid.simulation import CART, CART_DT, Machine
 from studies.wrong_plants import wrong_record
 from tests.conftest import TRUTH, assert_near, cart_run

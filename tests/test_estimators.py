@@ -7,8 +7,8 @@ import pytest
 
 import pmfid
 from pmfid import Status
+from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.plants import default_zeros
-from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.simulation.scenarios import make_scenario
 from tests.conftest import TRUTH, cart_run
 

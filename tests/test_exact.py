@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmfid import BCLS, LS, Drive, Encoder, TransferFunction, UsageError
-from pmfid.estimators import exact
+from pmfid.estimators import ls as exact
 from pmfid.simulation.process import PLANTS, simulate_process
 from pmfid.simulation.signals import prbs
 from studies.discretizations import plant_at_random, record_of

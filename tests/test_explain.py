@@ -12,12 +12,11 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.config.axis import Axis, load_axis
+from pmfid.config.explain import entries, find, page
+from pmfid.diagnostics.matter import FLAGS
 from pmfid.errors import UsageError
-from pmfid.judge.flags import FLAGS
-from pmfid.service.kinds import SINKS, SOURCES
-from pmfid.service.reference import plant_entries, plant_page
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.reference import entries, find, page
+from pmfid.service.plant import SINKS, SOURCES, plant_entries, plant_page
 from pmfid.status import Status
 
 ROOT = Path(__file__).parents[1]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import pmfid
 from pmfid import Status
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.export.alarm import ParameterAlarm
+from pmfid.export.firmware import ParameterAlarm
 from pmfid.simulation.scenarios import make_scenario
 from tests.firmware.build import GCC, HERE, WARNINGS, compiled, run
 from tests.firmware.replay import exported

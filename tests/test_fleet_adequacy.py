@@ -9,9 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.fleet.marks import evidence_gaps
-from pmfid.fleet.periods import Periods, codes_of, period_rows, standing
-from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, Series
+from pmfid.fleet.segments import evidence_gaps
+from pmfid.fleet.series import (
+    BACKWARD,
+    FORWARD,
+    LOOKED_AT,
+    MOVED,
+    ONE_SIZE,
+    Periods,
+    Series,
+    codes_of,
+    period_rows,
+    standing,
+)
 from pmfid.fleet.verdicts import CHANGED, follow_axis, judge_axes
 from pmfid.status import Status
 from pmfid.types import Floats

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pmfid.fleet.changes import step_of, trend_of
-from pmfid.fleet.said import sentence
 from pmfid.fleet.series import Series, mean_of, widen_errors
-from pmfid.fleet.verdicts import CHANGED, DRIFTS, AxisVerdict, follow_axis, judge_axes
+from pmfid.fleet.verdicts import CHANGED, DRIFTS, AxisVerdict, follow_axis, judge_axes, sentence
 from pmfid.types import Floats
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")

@@ -16,11 +16,9 @@ import pytest
 from pmfid import fleet
 from pmfid.errors import UsageError
 from pmfid.fleet.history import History
-from pmfid.fleet.source import Part
+from pmfid.fleet.source import RESULTS, Part, other_unit, seconds_of
 from pmfid.fleet.store import Store, whole
-from pmfid.fleet.times import other_unit, seconds_of
-from pmfid.fleet.walk import RESULTS
-from pmfid.session.tables import LONGEST_CELL
+from pmfid.io.tables import LONGEST_CELL
 from studies.fleet_data import AXIS_TOML, machines, rows
 
 AXES, SAMPLES = 9, 6000

@@ -8,12 +8,12 @@ import polars as pl
 import pytest
 
 from pmfid import fleet
+from pmfid.config.axis import load_axis
 from pmfid.errors import UsageError
+from pmfid.fleet.data import TRIED
 from pmfid.fleet.history import History
+from pmfid.fleet.plan import survey_part
 from pmfid.fleet.source import Columns, Part, parts_of
-from pmfid.fleet.survey import survey_part
-from pmfid.fleet.work import TRIED
-from pmfid.session.config import load_axis
 from studies.fleet_data import AXIS_TOML, machines, rows
 
 AXES, SAMPLES, WINDOW = 4, 7000, 3000

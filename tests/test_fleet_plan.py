@@ -8,9 +8,8 @@ import time
 import polars as pl
 import pytest
 
-from pmfid.fleet.local import Local, RowBudget
-from pmfid.fleet.plan import BUDGET, shards_of, slice_length
-from pmfid.fleet.survey import DAY
+from pmfid.fleet.data import Local, RowBudget
+from pmfid.fleet.plan import BUDGET, DAY, shards_of, slice_length
 
 
 def survey(*rows: tuple[str, str, int, float, float]) -> pl.DataFrame:

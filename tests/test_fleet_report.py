@@ -11,8 +11,7 @@ import pytest
 
 from pmfid.fleet.history import History
 from pmfid.fleet.verdicts import AxisVerdict, follow_axis, judge_axes
-from pmfid.report.fleet import write_fleet
-from pmfid.report.fleet_figures import moving, ticks_of
+from pmfid.report.fleet import moving, ticks_of, write_fleet
 from tests.test_fleet_changes import NAMES, N, series
 
 

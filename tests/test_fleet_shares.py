@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid.estimators.track import Tracks
-from pmfid.fleet.marks import lasting_status, settled_std
-from pmfid.fleet.shares import LONG, Share, shares_of
+from pmfid.estimators.results import Tracks
+from pmfid.fleet.segments import LONG, Share, lasting_status, settled_std, shares_of
 from pmfid.status import Status
 from pmfid.types import Counts
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pmfid.fleet.changes import sorts_of
 from pmfid.fleet.outcome import _sorts
-from pmfid.fleet.sorts import sorts_of
 from pmfid.fleet.verdicts import DIFFERS, Follow, follow_axis, judge_axes
 from pmfid.types import Floats
 from tests.test_fleet_changes import NAMES, series

@@ -14,10 +14,8 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.fleet.spark.log import SparkLog
-from pmfid.fleet.stream.folder import Folder, StreamSettings, open_folder
-from pmfid.fleet.stream.shard import StreamPlan, StreamShard, shard_of
-from pmfid.fleet.stream.states import States
-from pmfid.fleet.stream.tables import table_of
+from pmfid.fleet.stream.folder import Folder, States, StreamSettings, open_folder
+from pmfid.fleet.stream.shard import StreamPlan, StreamShard, shard_of, table_of
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.stream.blocks import encode
 from pmfid.stream.checkpoint import read_snapshot

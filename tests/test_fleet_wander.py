@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid.fleet.said import sentence
+from pmfid.fleet.changes import MOST, compare_with_wander
 from pmfid.fleet.series import Series
-from pmfid.fleet.verdicts import CHANGED, DRIFTS, WANDERS, AxisVerdict, follow_axis, judge_axes, ranking
-from pmfid.fleet.wander import MOST, compare_with_wander
+from pmfid.fleet.verdicts import CHANGED, DRIFTS, WANDERS, AxisVerdict, follow_axis, judge_axes, ranking, sentence
 from pmfid.types import Floats
 from tests.test_fleet_changes import NAMES, SEGMENT, series
 

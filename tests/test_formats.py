@@ -16,12 +16,11 @@ import pytest
 import scipy.io
 import zstandard
 
+from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
-from pmfid.session.config import Axis
-from pmfid.session.formats.reading import READERS, read_table
-from pmfid.session.formats.signals import ClockedSignals, Signal
-from pmfid.session.records import Record, read_record
-from pmfid.session.tables import column, whole_name
+from pmfid.io.reading import READERS, read_table
+from pmfid.io.tables import ClockedSignals, Signal, column, whole_name
+from pmfid.records.record import Record, read_record
 from tests.formats import WRITERS, wpilog_record, write_excel, write_matlab_7_3
 
 DT, N = 0.004, 200
@@ -248,7 +247,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 from pmfid.errors import UsageError
-from pmfid.session.formats.reading import read_table
+from pmfid.io.reading import read_table
 with suppress(UsageError):
     read_table(Path(sys.argv[1]))
 """

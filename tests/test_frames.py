@@ -11,11 +11,10 @@ import polars as pl
 import pytest
 
 import pmfid
+from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
-from pmfid.session.config import Axis
-from pmfid.session.frames import table_of
-from pmfid.session.records import record_of
-from pmfid.session.tables import column, times
+from pmfid.io.tables import column, table_of, times
+from pmfid.records.record import record_of
 from tests.conftest import cart_run, unjudged
 
 TOML = """\
@@ -70,7 +69,7 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("kind", FRAMES)
 def test_every_frame_is_the_same_record(kind: str, axis: Path) -> None:
-    from pmfid.session.config import load_axis
+    from pmfid.config.axis import load_axis
 
     record = record_of(table_of(FRAMES[kind]), load_axis(axis))
     np.testing.assert_array_equal(record.u, RUN.u)

@@ -17,14 +17,14 @@ from click.testing import CliRunner
 
 import pmfid
 from examples.demo.__main__ import main as demo
-from pmfid.cli import progress as progress_module
+from pmfid.cli import terminal as progress_module
 from pmfid.cli.main import main
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import progress
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UnknownParameterError, UsageError
 from pmfid.estimators import METHODS
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.identify import identify
-from pmfid.session.records import Record, read_experiment
+from pmfid.pipeline.identify import identify
+from pmfid.records.record import Record, read_experiment
 from studies.paper import run as paper
 from tests.conftest import cart_run
 
@@ -217,7 +217,7 @@ def run_on_terminal(work: str, *, interrupt: bool) -> tuple[int, str]:
     return process.wait(), text.decode()
 
 
-SHOWN = "from pmfid.cli.progress import progress\n with progress('search'): "
+SHOWN = "from pmfid.cli.terminal import progress\n with progress('search'): "
 
 
 def test_a_terminal_shows_long_work_and_its_line_is_gone_at_the_end() -> None:

@@ -7,16 +7,15 @@ import pytest
 
 from pmfid import Drive, Encoder
 from pmfid._stage import Inputs
+from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.rls import RLS
-from pmfid.monitor.lost import GuessedSamples, guess, longest
-from pmfid.session.config import Axis
-from pmfid.session.gaps.local import Polynomial, best_of
-from pmfid.session.gaps.motion import fill_by_motion
-from pmfid.session.gaps.standing import describe_missing, fill_gaps, is_held
-from pmfid.session.identify import kind_of
-from pmfid.session.records import Record
+from pmfid.estimators.recursive import RLS
+from pmfid.monitor.monitor import GuessedSamples, guess, longest
+from pmfid.pipeline.identify import kind_of
+from pmfid.records.filling import fill_by_motion
+from pmfid.records.gaps import Polynomial, best_of, describe_missing, fill_gaps, is_held
+from pmfid.records.record import Record
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats

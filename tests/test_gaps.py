@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from pmfid import Drive, Encoder, identify
+from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
 from pmfid.estimators.bridges import Body, bridge_gaps, gaps_in
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.restarts import Restart
-from pmfid.estimators.rls import RLS
-from pmfid.session.config import Axis
-from pmfid.session.gaps.longest import unbroken
-from pmfid.session.gaps.motion import fill_by_motion
-from pmfid.session.gaps.places import place_rows
-from pmfid.session.gaps.standing import fill_gaps
-from pmfid.session.identify import identify as identify_record
-from pmfid.session.identify import kind_of
-from pmfid.session.records import Record
+from pmfid.estimators.motion import Restart
+from pmfid.estimators.recursive import RLS
+from pmfid.pipeline.identify import identify as identify_record
+from pmfid.pipeline.identify import kind_of
+from pmfid.records.clock import place_rows
+from pmfid.records.filling import fill_by_motion
+from pmfid.records.gaps import fill_gaps
+from pmfid.records.joining import unbroken
+from pmfid.records.record import Record
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats

@@ -15,15 +15,13 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.design import Limits, Problem
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.combination import Facts, combine
-from pmfid.estimators.known import Known, Posterior
+from pmfid.estimators.known import Facts, Known, Posterior, combine
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.session.parameters import parameter_rows
-from pmfid.session.result import DriveResult
+from pmfid.pipeline.result import DriveResult, parameter_rows
 from pmfid.simulation import CART, DriveParameters, Machine, Schedule, prbs, quantize, simulate_drive
-from pmfid.simulation.changes import slipping_belt
+from pmfid.simulation.scenarios import slipping_belt
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES
 from studies.machines import Axis, machine_record, record_of

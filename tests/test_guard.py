@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import pmfid
 from pmfid import RIV, RLS, Drive, Encoder, Status
-from pmfid.session.checks import check_record
+from pmfid.pipeline.checks import check_record
 from pmfid.simulation import CART, quantize, simulate_drive
 from studies import glitch_sizes
 from studies.glitches import AXES, STDS, SUSPICIOUS, effects, make

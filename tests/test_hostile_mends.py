@@ -12,26 +12,24 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
-from pmfid.design.search.ascent import _subtract_least
-from pmfid.design.trial.appraisal import _stds
+from pmfid.config.axis import load_axis
+from pmfid.config.record import RecordConfig
+from pmfid.design.appraisal import _stds
+from pmfid.design.ascent import _subtract_least
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators import encoder_noise
-from pmfid.estimators.difference import invert_information
+from pmfid.estimators import recursive as encoder_noise
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.known_step import RKnownStep
+from pmfid.estimators.motion import invert_information
 from pmfid.kernel.saved import configuration
 from pmfid.models.drive import Drive
-from pmfid.monitor.calibration import calibrate, simulated_counts
-from pmfid.monitor.reference import LENGTHS, powers
+from pmfid.monitor.calibration import LENGTHS, calibrate, powers, simulated_counts
 from pmfid.monitor.scores import scores
-from pmfid.report.monitored import _velocity
-from pmfid.report.monitored_figures import RunData, run_figure
-from pmfid.session.clock import sample_period
-from pmfid.session.config import load_axis
-from pmfid.session.design_spec import load_spec, make_problem
-from pmfid.session.monitored.lines import LineParser
-from pmfid.session.record_config import RecordConfig
+from pmfid.pipeline.designs import load_spec, make_problem
+from pmfid.pipeline.monitored.lines import LineParser
+from pmfid.records.clock import sample_period
+from pmfid.report.monitored import RunData, _velocity, run_figure
 from pmfid.status import Status
 from tests.test_front import CART
 from tests.test_states import forged, used

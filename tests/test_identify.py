@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.output_error import Following
-from pmfid.session.arrays import axis_of
+from pmfid.pipeline.arrays import axis_of
 from pmfid.simulation.scenarios import CART_DT, resolution_of
 from tests.conftest import Run, cart_run
 

@@ -13,11 +13,10 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.guess.axis_file import guess
-from pmfid.session.guess.lattice import step_of
-from pmfid.session.guess.names import role_of
-from pmfid.session.identify import kind_of
+from pmfid.config.axis import Axis, load_axis
+from pmfid.pipeline.guess.axis_file import guess
+from pmfid.pipeline.guess.columns import role_of, step_of
+from pmfid.pipeline.identify import kind_of
 from pmfid.simulation import CART, Scenario, make_scenario
 from tests.conftest import unjudged
 

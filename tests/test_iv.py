@@ -8,9 +8,9 @@ import scipy.io
 
 import pmfid
 from pmfid import Status
+from pmfid.diagnostics.drives import judge
 from pmfid.encoder import quantize
 from pmfid.findings import codes
-from pmfid.judge.drive import judge
 from pmfid.simulation.scenarios import make_scenario
 from tests.conftest import EMPS, TRUTH, assert_near, cart_run, needs_emps
 

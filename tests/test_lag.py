@@ -12,12 +12,11 @@ from scipy.signal import lfilter
 
 import pmfid
 from pmfid import IV, OE, RIV, Drive, Encoder, IntervalML, UsageError
+from pmfid.diagnostics.drives import late
 from pmfid.estimators.adequacy import examine
 from pmfid.estimators.motion import mean_velocity
 from pmfid.export.firmware import export_firmware
-from pmfid.judge.late import late
-from pmfid.simulation.drive import DriveParameters
-from pmfid.simulation.machine import Machine, MachineRun, drive_machine
+from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 from studies.dead_time import late_record
 from studies.machines import AXES as AXES_OF_STUDIES
 from tests.test_dead_time import AXES, CART, truth

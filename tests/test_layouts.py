@@ -10,12 +10,11 @@ import numpy as np
 import polars as pl
 import pytest
 
+from pmfid.config.axis import load_axis
 from pmfid.errors import UsageError
-from pmfid.session.config import load_axis
-from pmfid.session.formats.csv_file import parse_csv
-from pmfid.session.formats.layout import layout_of
-from pmfid.session.formats.reading import read_table
-from pmfid.session.records import Record, read_record
+from pmfid.io.csv_text import layout_of, parse_csv
+from pmfid.io.reading import read_table
+from pmfid.records.record import Record, read_record
 
 DT, N = 0.004, 300
 TOML = """\

@@ -7,7 +7,7 @@ import pytest
 
 from pmfid import RSRIVC, SRIVC, Encoder, Experiment, Status, TransferFunction
 from pmfid.encoder import fine_counts
-from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.simulation.process import simulate_process
 
 DT, CUTOFF, RATE = 0.03, 9.0, 6.0

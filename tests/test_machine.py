@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmfid.simulation import CART, CART_CONTROL, DriveParameters, position_control, prbs, stop_and_go
-from pmfid.simulation.machine import Machine, control_machine, drive_machine
+from pmfid.simulation.drive import Machine, control_machine, drive_machine
 
 DT = 0.01
 HEAVY = DriveParameters(mass=220.0, viscous_friction=900.0, coulomb_friction=60.0, input_gain=35.0, offset=-3.0)

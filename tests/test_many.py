@@ -15,7 +15,7 @@ import pmfid
 from pmfid import Status, _kernel64
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
-from pmfid.estimators.side_by_side import kept_samples
+from pmfid.estimators.runner import kept_samples
 from pmfid.kernel.structures import whole_words
 from tests.conftest import cart_run
 from tests.test_architecture import C_FLAGS, COMPILER, CSRC

@@ -5,8 +5,7 @@ import pytest
 
 import pmfid
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.interval import IntervalML
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.simulation import DriveParameters, Machine, drive_machine
 
 INERTIA, DT = 1.6e-4, 0.01

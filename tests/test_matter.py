@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.diagnostics.matter import matter_of, sizes
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
+from pmfid.estimators.output_error import IntervalML
 from pmfid.findings import Finding
-from pmfid.judge.matter import matter_of, sizes
+from pmfid.pipeline.result import DriveResult
 from pmfid.report.result import write_result
-from pmfid.session.result import DriveResult
 from pmfid.simulation import Machine, quantize, simulate_drive
 from studies.friction_axes import FRICTIONS
 from studies.machines import Axis, record_of, truth

@@ -13,17 +13,16 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.config.axis import load_axis
+from pmfid.diagnostics.balance import Balance, make_balance
 from pmfid.estimators.registry import methods_for
 from pmfid.findings import Finding, make_notes
-from pmfid.judge.balance import Balance
-from pmfid.judge.correlations import make_balance
 from pmfid.models.equation import VISCOUS_FORWARD
-from pmfid.report import model_checks as checks
+from pmfid.pipeline.identify import identify
+from pmfid.pipeline.result import DriveResult
+from pmfid.records.record import Record, read_record
+from pmfid.report import checks
 from pmfid.report.result import write_result
-from pmfid.session.config import load_axis
-from pmfid.session.identify import identify
-from pmfid.session.records import Record, read_record
-from pmfid.session.result import DriveResult
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
 from tests.conftest import EMPS, TRUTH, cart_run, needs_emps, unjudged

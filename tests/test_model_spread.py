@@ -11,13 +11,11 @@ import pytest
 
 import pmfid
 from pmfid.cli.tables import _parameters as terminal_table
-from pmfid.estimators.adequacy import Adequacy, examine
-from pmfid.estimators.candidate_forces import DEAD_ZONE
-from pmfid.estimators.interval import IntervalML
-from pmfid.judge.matter import NORMAL_95
-from pmfid.judge.spread import ODDS, believed_squares
-from pmfid.session.parameters import UNKNOWN, format_interval, parameter_header, parameter_rows
-from pmfid.session.result import DriveResult
+from pmfid.diagnostics.matter import NORMAL_95
+from pmfid.diagnostics.verdict import ODDS, believed_squares
+from pmfid.estimators.adequacy import DEAD_ZONE, Adequacy, examine
+from pmfid.estimators.output_error import IntervalML
+from pmfid.pipeline.result import UNKNOWN, DriveResult, format_interval, parameter_header, parameter_rows
 from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_machine, prbs
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES, FRICTIONS

@@ -18,17 +18,17 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
-from pmfid.report.files import replace_file
-from pmfid.session import row_file
-from pmfid.session.monitored.sinks import rows_path
-from pmfid.session.monitored.stream import Stop
-from pmfid.session.row_file import RowFile, fresh
+from pmfid.io import row_file
+from pmfid.io.row_file import RowFile, fresh
+from pmfid.pipeline.monitored.rows import rows_path
+from pmfid.pipeline.monitored.stream import Stop
+from pmfid.report.html import replace_file
 from pmfid.simulation import CART_DT
 from studies.monitoring.pipe import lines, write_axis
 
 #: A calibration of half an hour is enough here.
 START = (
-    "import pmfid.session.monitored.setup as m; m.simulated_hours = lambda h: 0.5; "
+    "import pmfid.pipeline.monitored.setup as m; m.simulated_hours = lambda h: 0.5; "
     "from pmfid.cli.main import main; main()"
 )
 N = 400

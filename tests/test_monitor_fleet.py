@@ -14,13 +14,11 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.known import Known
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor import Alarm, Monitor, MonitorFleet, Watch
-from pmfid.monitor.calibration import Calibration, Tail
-from pmfid.monitor.events import CANNOT_TELL, SETTLING, SUSPICIOUS, WATCHING, Event, Settled, StateChange
+from pmfid.monitor.calibration import Calibration, NormalWork, Tail
+from pmfid.monitor.events import CANNOT_TELL, SETTLING, STATES, SUSPICIOUS, WATCHING, Event, Settled, StateChange
 from pmfid.monitor.names import DETECTORS
-from pmfid.monitor.rows import STATES
 from pmfid.monitor.saved import AxisStates, seal_parts, write_states
 from pmfid.monitor.scores import make_scale, scores
-from pmfid.monitor.work import NormalWork
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing, normal_work

@@ -12,16 +12,13 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.estimators.iv import IV
-from pmfid.monitor.calibration import Calibration, calibrate, fit_tail
+from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, learn, noisier, piece_length, resample_units
 from pmfid.monitor.detectors import EDGE, Cusum, statistics
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.names import DETECTORS
-from pmfid.monitor.reference import noisier, piece_length, resample_units
 from pmfid.monitor.scores import Blocks, scores
-from pmfid.monitor.work import learn
-from pmfid.session.monitored.cache import cached_calibration
-from pmfid.session.monitored.setup import calibration_notes
+from pmfid.pipeline.monitored.setup import cached_calibration, calibration_notes
 from pmfid.simulation import (
     CART,
     CART_CONTROL,

@@ -22,13 +22,13 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
+from pmfid.config.axis import load_axis
 from pmfid.errors import UsageError
-from pmfid.session.config import load_axis
-from pmfid.session.monitored.cache import cache_dir
-from pmfid.session.monitored.run import MOST_ROWS, RunHistory
-from pmfid.session.monitored.sinks import CsvSink, ParquetSink
-from pmfid.session.monitored.stream import Stop, line_samples
-from pmfid.session.monitored.timeline import Sample, Skipped
+from pmfid.pipeline.monitored.rows import CsvSink, ParquetSink
+from pmfid.pipeline.monitored.run import MOST_ROWS, RunHistory
+from pmfid.pipeline.monitored.setup import cache_dir
+from pmfid.pipeline.monitored.stream import Stop, line_samples
+from pmfid.pipeline.monitored.timeline import Sample, Skipped
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import lines, resident, write_axis
@@ -37,7 +37,7 @@ CHANGE = 15.0
 #: A calibration of so many hours is enough here, and the same for the command in a process of its own.
 HOURS = 4.0
 START = (
-    f"import pmfid.session.monitored.setup as m; m.simulated_hours = lambda h: {HOURS}; "
+    f"import pmfid.pipeline.monitored.setup as m; m.simulated_hours = lambda h: {HOURS}; "
     "from pmfid.cli.main import main; main()"
 )
 SKIPPED = ("bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
@@ -54,7 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (place / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: HOURS)
+        patch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: HOURS)
         yield place
 
 

@@ -14,7 +14,7 @@ from pmfid.monitor.cause import FRICTION, TRANSITION, ChangeEvidence, explain, n
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, Scale, make_scale, scores
-from pmfid.session.monitored.run import event_object
+from pmfid.pipeline.monitored.run import event_object
 from pmfid.simulation import CART, Schedule, quantize, simulate_drive
 from pmfid.simulation.signals import prbs
 from studies.monitoring.axis import changing, make_riv, normal_work

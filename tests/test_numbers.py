@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.config.axis import Axis
+from pmfid.diagnostics.drives import judge
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.difference import least
-from pmfid.estimators.identifiable import check_identifiable
+from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.least_squares import inverse_of
+from pmfid.estimators.motion import least
 from pmfid.estimators.results import Columns
 from pmfid.findings import codes
-from pmfid.judge.drive import judge
-from pmfid.session.config import Axis
-from pmfid.session.drives import Drives
-from pmfid.session.identify import identify
-from pmfid.session.records import Record
+from pmfid.pipeline.drives import Drives
+from pmfid.pipeline.identify import identify
+from pmfid.records.record import Record
 from pmfid.simulation import make_scenario
 
 

@@ -10,10 +10,10 @@ import pytest
 
 import pmfid
 from pmfid.errors import UsageError
-from pmfid.estimators.arguments import check_arrays
+from pmfid.estimators.configuration import check_arrays
+from pmfid.linear.experiment import Experiment, _count_columns
 from pmfid.monitor.calibration import Calibration
-from pmfid.session.monitored import cache as calibrations
-from pmfid.transfer.experiment import Experiment, _count_columns
+from pmfid.pipeline.monitored import setup as calibrations
 from tests.conftest import cart_run
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.config.axis import load_axis
 from pmfid.design import Limits, Problem
-from pmfid.estimators.encoder_noise import compute_encoder_floor
 from pmfid.estimators.least_squares import parts_of_their_own
-from pmfid.session.config import load_axis
-from pmfid.session.records import read_experiment, read_record
+from pmfid.estimators.recursive import compute_encoder_floor
+from pmfid.records.record import read_experiment, read_record
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart.toml"
 NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.session.outliers import repair_record
-from pmfid.session.records import Record
+from pmfid.records.outliers import repair_record
+from pmfid.records.record import Record
 from studies.machines import AXES, MOTIONS, machine_record
 from studies.paper.truth import CartRecord
 
@@ -40,7 +40,7 @@ def logged(counts: np.ndarray, u: np.ndarray, resolution: float = 1.0) -> Record
     return Record(u, counts, 0.01, resolution, (), "log")
 
 
-def identified(record: CartRecord, method: str) -> pmfid.session.result.DriveResult:
+def identified(record: CartRecord, method: str) -> pmfid.pipeline.result.DriveResult:
     axis = AXES[AXIS]
     encoder = pmfid.Encoder(record.resolution)
     cutoff = 0.25 / axis.dt
@@ -49,7 +49,7 @@ def identified(record: CartRecord, method: str) -> pmfid.session.result.DriveRes
     )
 
 
-def as_good(found: pmfid.session.result.DriveResult, clean: pmfid.session.result.DriveResult) -> bool:
+def as_good(found: pmfid.pipeline.result.DriveResult, clean: pmfid.pipeline.result.DriveResult) -> bool:
     """Within half an error bar; two of them where auto takes another method."""
     bars = 0.5 if found.estimator.method == clean.estimator.method else 2.0
     return bool(np.all(np.abs(found.theta - clean.theta) <= bars * clean.theta_std + 1e-3 * np.abs(clean.theta)))

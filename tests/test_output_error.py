@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 import pmfid
 from pmfid import _kernel64
-from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.likelihood import cost, expected_information
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, make_scenario, resolution_of
 from pmfid.status import Status

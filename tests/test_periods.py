@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from pmfid import SRIVC, Encoder, Experiment, TransferFunction
+from pmfid.linear.residuals import period_of
 from pmfid.simulation.process import simulate_process
-from pmfid.transfer.periods import period_of
 from studies.process_confidence import estimator_of, identified
 from studies.process_records import INPUTS, LENGTHS, NOISES, RandomPlant, make_noise, open_record, random_plant
 

@@ -15,14 +15,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.monitor import Monitor
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.monitored.run import MonitoredRun, watch
-from pmfid.session.monitored.sinks import Nowhere
-from pmfid.session.monitored.stream import Stop, line_samples
-from pmfid.session.monitored.timeline import MOST_STRAYS, REPEATED, Line, Sample, Skipped, Timeline
+from pmfid.pipeline.monitored.rows import Nowhere
+from pmfid.pipeline.monitored.run import MonitoredRun, watch
+from pmfid.pipeline.monitored.stream import Stop, line_samples
+from pmfid.pipeline.monitored.timeline import MOST_STRAYS, REPEATED, Line, Sample, Skipped, Timeline
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
 from studies.monitoring.pipe import write_axis
@@ -250,7 +250,7 @@ def test_a_refused_pipe_ends_with_its_totals(tmp_path: Path, monkeypatch: pytest
 
     path = write_axis(tmp_path, 60.0)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("pmfid.session.monitored.setup.simulated_hours", lambda hours: 0.5)
+    monkeypatch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: 0.5)
     body = [f"{0.008 * k:.3f},0,0\n".encode() for k in range(60)]
     arguments = ["monitor", "-", "--config", str(path), "--json", "--out", str(tmp_path / "x.csv")]
     result = CliRunner().invoke(main, arguments, input=HEADER + b"".join(body))

@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 from pmfid import IV, OE, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
 from pmfid.cli.main import main
+from pmfid.diagnostics.processes import Assessment, assess
 from pmfid.estimators.srivc import check_experiments, make_problem
-from pmfid.judge.assess import Assessment, assess
+from pmfid.linear.order import search_structure
+from pmfid.linear.process import Process
 from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
-from pmfid.transfer.order import search_structure
-from pmfid.transfer.process import Process
 from studies.second_order import write
 
 ENCODER = Encoder(1.0)
@@ -337,8 +337,8 @@ def test_options_of_the_structure(records):
 
 
 def test_order_command(records, tmp_path, monkeypatch):
-    monkeypatch.setattr("pmfid.session.processes.ORDERS", (1, 2, 3))
-    monkeypatch.setattr("pmfid.session.processes.DELAYS", (0, 1))
+    monkeypatch.setattr("pmfid.pipeline.processes.ORDERS", (1, 2, 3))
+    monkeypatch.setattr("pmfid.pipeline.processes.DELAYS", (0, 1))
     found = json.loads(run("order", records[0], "--config", str(CONFIG), "--json", "--out", str(tmp_path)))
     assert found["best"] == {"n": 2, "m": 0, "delay": 0}
     page = (tmp_path / "order.html").read_text()

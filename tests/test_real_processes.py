@@ -12,10 +12,10 @@ from pmfid import BCLS, IV, LS, OE, RSRIVC, SRIVC, Encoder, Experiment, Transfer
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.estimators.srivc import fit_process, fixed_filters, solve_by_descent
+from pmfid.linear.experiment import Grid, respond
+from pmfid.linear.process import Process
+from pmfid.linear.responses import respond_bounded
 from pmfid.simulation.process import Controller, simulate_late, simulate_loop, simulate_process
-from pmfid.transfer.bounded import respond_bounded
-from pmfid.transfer.process import Process
-from pmfid.transfer.propagate import Grid, respond
 from studies.real_processes import CASES, work
 
 DT = 0.05

@@ -12,10 +12,10 @@ import polars as pl
 import pytest
 import scipy.io
 
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.formats import SUFFIXES
-from pmfid.session.records import MIN_SAMPLES, Record, read_record
+from pmfid.io import SUFFIXES
+from pmfid.records.record import MIN_SAMPLES, Record, read_record
 from tests.formats import WRITERS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pmfid.errors import UsageError
-from pmfid.estimators.track import Track
+from pmfid.estimators.results import Track
 from pmfid.report.figures import (
     DOUBTFUL,
     MAX_POINTS,

@@ -143,7 +143,7 @@ def test_figure_2_a_wrong_mass_misses_the_end() -> None:
 
 
 def test_every_input_does_the_same_errand() -> None:
-    from pmfid.design.trial.simulated import simulate
+    from pmfid.design.simulated import simulate
 
     for name, u in experiments().items():
         motion = simulate(problem(), u)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.estimators.scatter import widen_covariance
+from pmfid.estimators.uncertainty import widen_covariance
 from tests.conftest import cart_run
 
 DT = 0.01

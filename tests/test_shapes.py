@@ -12,8 +12,7 @@ import pmfid
 from pmfid.estimators.iv import IV
 from pmfid.estimators.motion import mean_velocity
 from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
-from pmfid.simulation.drive import DriveParameters
-from pmfid.simulation.machine import Machine, MachineRun, drive_machine
+from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 
 
 @dataclass(frozen=True)

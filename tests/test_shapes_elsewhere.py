@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.design.problem.checks import check_parameters
-from pmfid.judge.correlations import make_balance
+from pmfid.design.problem import check_parameters
+from pmfid.diagnostics.balance import make_balance
 from pmfid.testing import check_estimator
 from tests.test_shapes import made, model, truth
 

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.config.model import ModelConfig
 from pmfid.estimators.adequacy import weigh
 from pmfid.estimators.likelihood import best_of
 from pmfid.models.shapes import Along, Square, Stribeck, Wave
-from pmfid.session.arrays import axis_of
-from pmfid.session.model_config import ModelConfig
-from pmfid.simulation.drive import DriveParameters
-from pmfid.simulation.machine import Machine, MachineRun, drive_machine
+from pmfid.pipeline.arrays import axis_of
+from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 
 AXIS = DriveParameters(mass=2e-3, viscous_friction=4e-3, coulomb_friction=0.05, input_gain=0.4)
 DT, CUTOFF, STEP, HOLD = 1e-3, 40.0, 2 * math.pi / 8192, 40

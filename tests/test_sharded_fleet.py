@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.durable import crash, envelope
+from pmfid import durable as crash
+from pmfid import durable as envelope
+from pmfid.estimators import shards as stored
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.sharded import stored
-from pmfid.estimators.sharded.handles import LAST, Handles
-from pmfid.estimators.sharded.shard import state_of
+from pmfid.estimators.shards import LAST, Handles, state_of
 from pmfid.status import Status
 from tests.test_many import assert_equal_tracks, make
 

@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
-from pmfid.session.config import load_axis
-from pmfid.session.identify import identify
-from pmfid.session.records import read_record
+from pmfid.config.axis import load_axis
+from pmfid.pipeline.identify import identify
+from pmfid.records.record import read_record
 from pmfid.simulation import (
     CART,
     CART_CONTROL,

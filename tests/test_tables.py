@@ -13,12 +13,12 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.config.axis import load_axis
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, printable
-from pmfid.session.config import load_axis
-from pmfid.session.formats.reading import read_table
-from pmfid.session.records import read_experiment
-from pmfid.session.tables import column
+from pmfid.io.reading import read_table
+from pmfid.io.tables import column
+from pmfid.records.record import read_experiment
 from tests.test_front import CART, PROCESS
 
 

@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.adequacy import gain_elsewhere, weigh
-from pmfid.estimators.candidate_forces import PeriodicForce, setting
-from pmfid.estimators.difference import rms
-from pmfid.estimators.interval import IntervalML
-from pmfid.judge.term_fits import Bench
-from pmfid.judge.term_trials import Trial, carry_parameters
-from pmfid.judge.terms import Candidate, FittedCandidate, Terms, is_unclear, propose_candidates, search
+from pmfid.diagnostics.term_fits import Bench
+from pmfid.diagnostics.term_trials import Trial, carry_parameters
+from pmfid.diagnostics.terms import Candidate, FittedCandidate, Terms, is_unclear, propose_candidates, search
+from pmfid.estimators.adequacy import PeriodicForce, gain_elsewhere, setting, weigh
+from pmfid.estimators.motion import rms
+from pmfid.estimators.output_error import IntervalML
 from pmfid.models.equation import Equation
+from pmfid.pipeline.terms import TermSearch
 from pmfid.report.terms import friction_figure, write_terms
-from pmfid.session.terms import TermSearch
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, stop_and_go
-from pmfid.simulation.machine import control_machine
+from pmfid.simulation.drive import control_machine
 
 DT, CUTOFF, SAMPLES = 0.002, 80.0, 3000
 DRIVE = DriveParameters(3e-3, 8e-3, 0.04, 0.5)

@@ -11,21 +11,22 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.diagnostics import term_fits
+from pmfid.diagnostics import terms as rules
+from pmfid.diagnostics import verdict as said
+from pmfid.diagnostics.matter import Matter
+from pmfid.diagnostics.term_fits import Bench, shortest_part
+from pmfid.diagnostics.term_trials import Trial, known_shapes
+from pmfid.diagnostics.terms import is_worse, removable, search
 from pmfid.estimators.configuration import like
-from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.output_error import IntervalML
 from pmfid.findings import Finding
-from pmfid.judge import said, term_fits
-from pmfid.judge import terms as rules
-from pmfid.judge.matter import Matter
-from pmfid.judge.term_fits import Bench, shortest_part
-from pmfid.judge.term_trials import Trial, known_shapes
-from pmfid.judge.terms import is_worse, removable, search
+from pmfid.pipeline import terms as session
+from pmfid.pipeline.arrays import axis_of
+from pmfid.pipeline.drives import Drives
+from pmfid.pipeline.terms import TermSearch
+from pmfid.records.record import record_of
 from pmfid.report.terms import term_rows
-from pmfid.session import terms as session
-from pmfid.session.arrays import axis_of
-from pmfid.session.drives import Drives
-from pmfid.session.records import record_of
-from pmfid.session.terms import TermSearch
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
 from studies.term_machines import KINDS, TERMS, kind_of, machine_of, truths
 from tests.test_terms import CUTOFF, DRIVE, DT, GAIN, STEP, Made, made, searched

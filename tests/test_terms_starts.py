@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.diagnostics.term_fits import Bench
+from pmfid.diagnostics.term_trials import free_pitch, scan_balance
+from pmfid.diagnostics.terms import Candidate, FittedCandidate, find_objection
 from pmfid.estimators.configuration import like
-from pmfid.estimators.difference import first_speed, least, rms
 from pmfid.estimators.facts import check_known
 from pmfid.estimators.friction_curve import friction_curve
-from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
-from pmfid.estimators.starts import find_least_from_start
-from pmfid.judge.term_fits import Bench
-from pmfid.judge.term_periods import free_pitch, scan_balance
-from pmfid.judge.terms import Candidate, FittedCandidate, find_objection
+from pmfid.estimators.motion import first_speed, least, rms
+from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.search import find_least_from_start
 from pmfid.simulation import Machine
 from studies.friction_axes import BENCHES
 from studies.machines import record_of

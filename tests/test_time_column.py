@@ -9,12 +9,12 @@ import numpy as np
 import polars as pl
 import pytest
 
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.session.clock import even_grid, named_unit
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.identify import identify
-from pmfid.session.monitored.stream import Stop, line_samples
-from pmfid.session.records import read_experiment, read_record
+from pmfid.pipeline.identify import identify
+from pmfid.pipeline.monitored.stream import Stop, line_samples
+from pmfid.records.clock import even_grid, named_unit
+from pmfid.records.record import read_experiment, read_record
 from tests.conftest import cart_run
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}

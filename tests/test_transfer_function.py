@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 
 import pmfid
 from pmfid import BCLS, BCRLS, LS, RLS, KnownStep, RKnownStep, TransferFunction, UsageError
-from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.filters.chain import derivative, euler_frobenius
 from pmfid.models.equation import Equation, Term
 from tests.oracles import paper

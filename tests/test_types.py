@@ -31,7 +31,7 @@ def functions_of(package: str) -> list[object]:
 
 DOORS = [getattr(pmfid, name) for name in pmfid.__all__]
 DOORS += [Runner, Monitor, pmfid.testing.check_estimator, pmfid.testing.checks_of]
-ROOMS = functions_of("pmfid.session") + functions_of("pmfid.judge")
+ROOMS = [thing for room in ("records", "pipeline", "diagnostics") for thing in functions_of(f"pmfid.{room}")]
 
 
 def signatures(thing: object) -> dict[str, str]:

@@ -13,13 +13,13 @@ import numpy as np
 import polars as pl
 import pytest
 
+from pmfid.config.axis import Axis
+from pmfid.config.units import INPUTS, OUTPUTS, Quantity, column_unit, gain, quantity
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
-from pmfid.session.config import Axis
-from pmfid.session.identify import identify, kind_of
-from pmfid.session.monitored.stream import Stop, line_samples
-from pmfid.session.records import Record, read_record
-from pmfid.session.units import INPUTS, OUTPUTS, Quantity, column_unit, gain, quantity
+from pmfid.pipeline.identify import identify, kind_of
+from pmfid.pipeline.monitored.stream import Stop, line_samples
+from pmfid.records.record import Record, read_record
 from tests.conftest import cart_run
 
 DT, STEP = 0.01, 22.75e-6

@@ -19,11 +19,11 @@ import pytest
 import scipy.io
 
 from pmfid.errors import UsageError
-from pmfid.session.formats import SUFFIXES
-from pmfid.session.formats.parquet_footer import column_sizes
-from pmfid.session.formats.reading import read_table
-from pmfid.session.formats.safety import readable
-from pmfid.session.tables import column, times
+from pmfid.io import SUFFIXES
+from pmfid.io.parquet import column_sizes
+from pmfid.io.reading import read_table
+from pmfid.io.safety import readable
+from pmfid.io.tables import column, times
 from tests.formats import WRITERS
 
 #: Rows of the columns below, and how many times their bytes a reader may take.
@@ -34,10 +34,10 @@ READ = """
 import resource, sys
 from pathlib import Path
 from pmfid.errors import UsageError
-from pmfid.session.formats.parquet_footer import column_sizes
-from pmfid.session.formats.reading import read_table
-from pmfid.session.formats.safety import readable
-from pmfid.session.tables import column
+from pmfid.io.parquet import column_sizes
+from pmfid.io.reading import read_table
+from pmfid.io.safety import readable
+from pmfid.io.tables import column
 import polars, scipy.io
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:

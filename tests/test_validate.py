@@ -11,10 +11,9 @@ from click.testing import CliRunner, Result
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.config.axis import load_axis
+from pmfid.diagnostics.free_run import drive_run, firsts_of, process_run
 from pmfid.estimators.output_error import OE
-from pmfid.judge.free_process import process_run
-from pmfid.judge.free_run import drive_run, firsts_of
-from pmfid.session.config import load_axis
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
 from studies.predicted import free_run

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.difference import Difference, rms
+from pmfid.estimators.motion import Difference, rms
 from pmfid.estimators.output_error import OE
-from pmfid.estimators.starts import choose_start, fit_start, start_samples
-from pmfid.estimators.window_choice import choose_window, free_run
-from pmfid.estimators.windows import Windows, descend
+from pmfid.estimators.search import Windows, choose_start, choose_window, descend, fit_start, free_run, start_samples
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, quantize, simulate_drive
 from tests.conftest import Run, cart_run
 

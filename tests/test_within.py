@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from pmfid import RIV, Drive, Encoder, Status
-from pmfid.estimators.track import Track
+from pmfid.estimators.results import Track
 from pmfid.kernel.structures import constants_of, structures
 from pmfid.simulation import Machine, control_machine, drive_machine, prbs, stop_and_go
-from pmfid.simulation.drive import DriveParameters
-from pmfid.simulation.machine import MachineRun
+from pmfid.simulation.drive import DriveParameters, MachineRun
 
 #: Gain, mass, viscous and Coulomb friction, sample period, stroke, time of a move and of a rest, kp, kd, largest input.
 LIFT = (58.0, 40.0, 100.0, 15.0, 0.002, 0.2, 0.5, 0.2, 400.0, 30.0, 30.0)

@@ -24,7 +24,7 @@ from examples.demo.run import (
     DemoRow,
     seconds,
 )
-from pmfid.estimators.track import Track
+from pmfid.estimators.results import Track
 from pmfid.simulation import CART, Scenario, axis_toml, write_csv
 from pmfid.status import ADVICE, Status
 

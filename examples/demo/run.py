@@ -10,12 +10,10 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
-from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.plants import default_zeros
-from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.rls import RLS
-from pmfid.estimators.track import Track
+from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
+from pmfid.estimators.results import Track
 from pmfid.models.drive import Drive
 from pmfid.simulation import CART, Scenario, make_scenario
 from pmfid.types import Flags, Floats

@@ -12,26 +12,28 @@ if TYPE_CHECKING:
     from pmfid.errors import NotIdentifiableError as NotIdentifiableError
     from pmfid.errors import PmfidError as PmfidError
     from pmfid.errors import UsageError as UsageError
-    from pmfid.estimators.bcls import BCLS as BCLS
-    from pmfid.estimators.bcrls import BCRLS as BCRLS
     from pmfid.estimators.fleet import Fleet as Fleet
-    from pmfid.estimators.interval import IntervalML as IntervalML
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
     from pmfid.estimators.known import Known as Known
     from pmfid.estimators.known_step import KnownStep as KnownStep
     from pmfid.estimators.known_step import RKnownStep as RKnownStep
+    from pmfid.estimators.ls import BCLS as BCLS
     from pmfid.estimators.ls import LS as LS
     from pmfid.estimators.output_error import OE as OE
+    from pmfid.estimators.output_error import IntervalML as IntervalML
+    from pmfid.estimators.recursive import BCRLS as BCRLS
+    from pmfid.estimators.recursive import RLS as RLS
     from pmfid.estimators.results import Fit as Fit
-    from pmfid.estimators.rls import RLS as RLS
-    from pmfid.estimators.rsrivc import RSRIVC as RSRIVC
-    from pmfid.estimators.sharded.fleet import ShardedFleet as ShardedFleet
+    from pmfid.estimators.results import Track as Track
+    from pmfid.estimators.results import Tracks as Tracks
+    from pmfid.estimators.sharded_fleet import ShardedFleet as ShardedFleet
+    from pmfid.estimators.srivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
-    from pmfid.estimators.track import Track as Track
-    from pmfid.estimators.track import Tracks as Tracks
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.findings import Finding as Finding
+    from pmfid.linear.experiment import Experiment as Experiment
+    from pmfid.linear.process import Process as Process
     from pmfid.models.drive import Drive as Drive
     from pmfid.models.drive import EquationModel as EquationModel
     from pmfid.models.equation import Equation as Equation
@@ -41,22 +43,20 @@ if TYPE_CHECKING:
     from pmfid.models.shapes import Stribeck as Stribeck
     from pmfid.models.shapes import Wave as Wave
     from pmfid.models.transfer_function import TransferFunction as TransferFunction
-    from pmfid.session.arrays import check as check
-    from pmfid.session.arrays import identify as identify
-    from pmfid.session.arrays import search_terms as search_terms
-    from pmfid.session.arrays import validate as validate
-    from pmfid.session.friction import friction_curve as friction_curve
-    from pmfid.session.result import Result as Result
-    from pmfid.session.terms import TermSearch as TermSearch
-    from pmfid.session.validation import Validation as Validation
+    from pmfid.pipeline.arrays import check as check
+    from pmfid.pipeline.arrays import identify as identify
+    from pmfid.pipeline.arrays import search_terms as search_terms
+    from pmfid.pipeline.arrays import validate as validate
+    from pmfid.pipeline.friction import friction_curve as friction_curve
+    from pmfid.pipeline.result import Result as Result
+    from pmfid.pipeline.terms import TermSearch as TermSearch
+    from pmfid.pipeline.validation import Validation as Validation
     from pmfid.status import Status as Status
-    from pmfid.transfer.experiment import Experiment as Experiment
-    from pmfid.transfer.process import Process as Process
 
 #: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
 _PUBLIC = {
-    "BCLS": "pmfid.estimators.bcls",
-    "BCRLS": "pmfid.estimators.bcrls",
+    "BCLS": "pmfid.estimators.ls",
+    "BCRLS": "pmfid.estimators.recursive",
     "Drive": "pmfid.models.drive",
     "Encoder": "pmfid.encoder",
     "Equation": "pmfid.models.equation",
@@ -73,34 +73,34 @@ _PUBLIC = {
     "IV": "pmfid.estimators.iv",
     "RIV": "pmfid.estimators.iv",
     "OE": "pmfid.estimators.output_error",
-    "IntervalML": "pmfid.estimators.interval",
+    "IntervalML": "pmfid.estimators.output_error",
     "Known": "pmfid.estimators.known",
     "KnownStep": "pmfid.estimators.known_step",
     "RKnownStep": "pmfid.estimators.known_step",
     "LS": "pmfid.estimators.ls",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",
-    "RSRIVC": "pmfid.estimators.rsrivc",
-    "RLS": "pmfid.estimators.rls",
+    "RSRIVC": "pmfid.estimators.srivc",
+    "RLS": "pmfid.estimators.recursive",
     "SRIVC": "pmfid.estimators.srivc",
-    "ShardedFleet": "pmfid.estimators.sharded.fleet",
-    "Experiment": "pmfid.transfer.experiment",
-    "Process": "pmfid.transfer.process",
+    "ShardedFleet": "pmfid.estimators.sharded_fleet",
+    "Experiment": "pmfid.linear.experiment",
+    "Process": "pmfid.linear.process",
     "Status": "pmfid.status",
     "TransferFunction": "pmfid.models.transfer_function",
-    "Track": "pmfid.estimators.track",
-    "Tracks": "pmfid.estimators.track",
-    "Result": "pmfid.session.result",
+    "Track": "pmfid.estimators.results",
+    "Tracks": "pmfid.estimators.results",
+    "Result": "pmfid.pipeline.result",
     "UsageError": "pmfid.errors",
-    "check": "pmfid.session.arrays",
-    "friction_curve": "pmfid.session.friction",
+    "check": "pmfid.pipeline.arrays",
+    "friction_curve": "pmfid.pipeline.friction",
     "export_firmware": "pmfid.export.firmware",
-    "identify": "pmfid.session.arrays",
+    "identify": "pmfid.pipeline.arrays",
     "quantize": "pmfid.encoder",
-    "search_terms": "pmfid.session.arrays",
-    "TermSearch": "pmfid.session.terms",
-    "validate": "pmfid.session.arrays",
-    "Validation": "pmfid.session.validation",
+    "search_terms": "pmfid.pipeline.arrays",
+    "TermSearch": "pmfid.pipeline.terms",
+    "validate": "pmfid.pipeline.arrays",
+    "Validation": "pmfid.pipeline.validation",
 }
 
 __version__ = "0.1.0"

@@ -474,8 +474,8 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), and the
     coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: inputs before the first (m,), m >= 1, the oldest of which has been there for ever;
     velocity, position: at the start; a spring is slack at position 0. shapes: the bytes of a `pmf_shapes_config_t`
-    (`pmfid.kernel.shapes` makes them), whose nodes are PMF_SIGNALS and the next. decay: (2, 3) of a lag behind the dead time, as
-    `pmfid.kernel.late` makes them; on_top: (n,) an input that acts at once. Returns (n,) mean velocity, signed moving fraction and
+    (`pmfid.kernel.configuration` makes them), whose nodes are PMF_SIGNALS and the next. decay: (2, 3) of a lag behind the dead time, as
+    `pmfid.kernel.configuration` makes them; on_top: (n,) an input that acts at once. Returns (n,) mean velocity, signed moving fraction and
     moving fraction of every interval, and the velocity at the end. Raises ValueError for too many parameters and impossible shapes.
     """
     cdef pmf_auxiliary_config_t config

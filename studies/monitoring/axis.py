@@ -10,8 +10,7 @@ from pmfid.encoder import Encoder
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
 from pmfid.monitor.calibration import Calibration, calibrate, simulated_hours
-from pmfid.simulation.control import position_control
-from pmfid.simulation.drive import Schedule
+from pmfid.simulation.drive import Schedule, position_control
 from pmfid.simulation.scenarios import CART, CART_CONTROL, CART_DT, resolution_of
 from pmfid.types import Counts, Floats
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import progress
 from pmfid.errors import PmfidError
 from studies.paper.merit import HEADER, Merit, cells
 from studies.paper.run import reproduce

@@ -11,7 +11,7 @@ from pmfid.estimators.auto import AUTO, choose, first_choice
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.plants import default_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.track import Track
+from pmfid.estimators.results import Track
 from pmfid.simulation import CART_DT, Scenario
 from pmfid.status import Status
 from pmfid.types import Floats

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.design.trial.simulated import simulate
+from pmfid.design.simulated import simulate
 from pmfid.simulation import CART, CART_INCREMENTS
 from studies.paper.drawing import Motions, write_motions
 from studies.paper.figure import PaperFigure, Results, Task

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.simulation import CART, CART_DT, CART_LOADED, Scenario, Schedule, make_scenario
-from pmfid.simulation.checks import sample_times
+from pmfid.simulation.encoder import sample_times
 from pmfid.types import Floats
 from studies.paper.drawing import Drawing, write_drawing
 from studies.paper.estimates import (

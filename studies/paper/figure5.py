@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from examples.demo.run import settling_time
-from pmfid.design.trial.simulated import simulate
+from pmfid.design.simulated import simulate
 from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
 from pmfid.types import Floats
 from studies.paper.drawing import Drawing, Motions, write_drawing, write_motions

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 from scipy.optimize import brentq
 
-from pmfid.design.problem.problem import Limits, Problem
-from pmfid.design.search.solver import solve
-from pmfid.design.search.standard import standard_inputs
-from pmfid.design.trial.simulated import simulate, simulated_information
+from pmfid.design.problem import Limits, Problem
+from pmfid.design.simulated import simulate, simulated_information
+from pmfid.design.solver import solve
+from pmfid.design.standard import standard_inputs
 from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION
 from pmfid.types import Floats

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.diagnostics.drives import judge
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
@@ -15,9 +16,8 @@ from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
-from pmfid.estimators.track import Track
+from pmfid.estimators.results import Track
 from pmfid.findings import codes
-from pmfid.judge.drive import judge
 from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT, make_scenario
 from pmfid.status import Status

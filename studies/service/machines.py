@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.simulation import make_scenario
-from pmfid.simulation.files import axis_toml, write_csv
-from pmfid.stream.layout import MAGIC, VERSION, block_type
+from pmfid.simulation.scenarios import axis_toml, write_csv
+from pmfid.stream.blocks import MAGIC, VERSION, block_type
 
 #: Sample period of the machines [s], and samples of a block.
 DT, SAMPLES = 0.01, 50

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid import Drive, Encoder
+from pmfid.config.axis import load_axis
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
 from pmfid.kernel.saved import configuration, shape_of
 from pmfid.kernel.structures import structures
-from pmfid.session.config import load_axis
-from pmfid.session.records import read_record
+from pmfid.records.record import read_record
 from pmfid.simulation.scenarios import CART_DT, make_scenario
 from tests.conftest import EMPS
 from tests.firmware.build import CLANG, GCC, M4F, M7

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.simulation.control import position_control
-from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
+from pmfid.simulation.drive import DriveParameters, position_control, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
 from pmfid.simulation.signals import multisine, prbs, trapezoid
 

@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from pmfid.session.formats import SPOKEN
+from pmfid.io import SPOKEN
 from tests.hostile.commands import COMMANDS
 from tests.hostile.verdict import DONE, NOT_IDENTIFIABLE, USAGE, Verdict, judge
 

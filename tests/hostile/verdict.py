@@ -90,7 +90,7 @@ def _limited() -> Iterator[None]:
 @contextlib.contextmanager
 def _cheap_calibration(folder: Path) -> Iterator[None]:
     with (
-        mock.patch("pmfid.session.monitored.setup.simulated_hours", return_value=HOURS),
+        mock.patch("pmfid.pipeline.monitored.setup.simulated_hours", return_value=HOURS),
         mock.patch("pmfid.monitor.calibration.RUN_TIME", RUN_TIME),
         mock.patch.dict(os.environ, {"PMFID_CACHE": str(folder / "cache")}),
     ):

@@ -21,11 +21,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from pmfid.pipeline.monitored import setup
 from pmfid.service import arrangement
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.wire.sender import Sender
-from pmfid.session.monitored import setup
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.groups import prepare
 from pmfid.types import Counts, Floats

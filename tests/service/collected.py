@@ -9,8 +9,8 @@ from typing import Any
 
 from pmfid.monitor.events import STATES
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.session.monitored.run import watch
-from pmfid.session.monitored.timeline import Sample
+from pmfid.pipeline.monitored.run import watch
+from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.stream.groups import Prepared
 from pmfid.stream.outcome import EstimateRows, Notice
 

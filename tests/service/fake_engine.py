@@ -14,12 +14,12 @@ from threading import Event, Thread
 import numpy as np
 
 from pmfid.monitor.events import STATES
+from pmfid.records.record import Record
 from pmfid.service.board import Board
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import serve
-from pmfid.session.records import Record
 from pmfid.status import Status
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 
 DT = 0.01

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 
 ALARM = {

@@ -27,6 +27,9 @@ from typing import IO, Literal
 
 import numpy as np
 
+from pmfid.pipeline.monitored import setup
+from pmfid.pipeline.monitored.timeline import Line
+from pmfid.records.record import Record, read_record
 from pmfid.service import arrangement
 from pmfid.service.context import Context, SourceSection
 from pmfid.service.log import NoticeLog
@@ -34,11 +37,8 @@ from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
 from pmfid.service.sources import Source, Take
 from pmfid.service.sources.file import FileSource, Player
-from pmfid.session.monitored import setup
-from pmfid.session.monitored.timeline import Line
-from pmfid.session.records import Record, read_record
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.stream import crash
+from pmfid.stream import vault as crash
 from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
 from pmfid.stream.delivery import Delivery, Item, Lines, Mark
 from pmfid.stream.groups import prepare

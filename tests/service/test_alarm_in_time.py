@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from examples.plant_machines import LOADED, cart
 from pmfid.cli.main import main
 from pmfid.simulation import make_scenario
-from pmfid.simulation.files import write_csv
+from pmfid.simulation.scenarios import write_csv
 from studies.service.processes import free_port, service
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.chromium import chromium, tab, until

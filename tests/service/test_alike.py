@@ -9,10 +9,8 @@ import zlib
 import numpy as np
 import pytest
 
-from pmfid.stream.alike import read_alike_blocks
-from pmfid.stream.blocks import decode, encode
+from pmfid.stream.blocks import CRC, HEADER, block_type, decode, encode, read_alike_blocks
 from pmfid.stream.delivery import Block, Unusable
-from pmfid.stream.layout import CRC, HEADER, block_type
 
 SIZE = 7
 

@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
-from pmfid.stream.blocks import BlockStream, decode, encode
+from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, BlockStream, decode, encode
 from pmfid.stream.delivery import Block, Unusable
-from pmfid.stream.layout import MAGIC, MOST_BYTES, MOST_SAMPLES
 from tests.firmware.build import GCC
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ import pytest
 
 from pmfid.service.board import Board
 from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel, row_bytes
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 from tests.service.fake_engine import FakePlant
 

@@ -9,11 +9,11 @@ from random import Random
 import numpy as np
 import pytest
 
+from pmfid.pipeline.monitored.timeline import Line, Sample
 from pmfid.service.arrangement import arrange_groups
-from pmfid.session.monitored.timeline import Line, Sample
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Unusable
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
@@ -166,7 +166,7 @@ def test_lines_are_those_of_the_monitor(prepared: Prepared, motions: dict[str, t
     engine = engine_of(prepared, outlet, Pace(0.0, 0.0), ["x2"])
     for k in range(0, len(lines), 17):
         engine.process([Delivery("source", [Lines("x2", lines[k : k + 17])])])
-    from pmfid.session.monitored.timeline import Timeline
+    from pmfid.pipeline.monitored.timeline import Timeline
 
     timeline = Timeline(prepared.dt)
     samples = [one for line in lines for one in timeline.take(line) if isinstance(one, Sample)]

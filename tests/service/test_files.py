@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
+from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.context import Context
 from pmfid.service.sources import Source
 from pmfid.service.sources.file import Follower, Piped, Player
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.monitored.timeline import Line
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 
 

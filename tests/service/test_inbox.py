@@ -6,9 +6,9 @@ from threading import Thread
 
 import numpy as np
 
-from pmfid.stream import inbox as module
+from pmfid.stream import engine as module
 from pmfid.stream.delivery import Block, Delivery, Table
-from pmfid.stream.inbox import Inbox
+from pmfid.stream.engine import Inbox
 from tests.service.engine import wait_for
 
 

@@ -14,12 +14,12 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
+from pmfid.config.axis import Axis, load_axis
+from pmfid.pipeline.monitored.lines import LineParser
+from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.wire.line_protocol import parse_line
 from pmfid.service.wire.messages import Messages
 from pmfid.service.wire.points import MOST_POINTS, Readers
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.monitored.lines import LineParser
-from pmfid.session.monitored.timeline import Line
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Item, Lines, Unusable
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.session.monitored.timeline import Sample
+from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.groups import Prepared

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from pydantic import Field
 
+from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
-from pmfid.service.broker import BrokerSection, pauses
-from pmfid.service.secrets import secret
+from pmfid.service.broker import BrokerSection, pauses, secret
 from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 from pmfid.service.wire.sender import Sender
-from pmfid.session.toml_file import FileSection, validate_sections
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Lines, Unusable
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture

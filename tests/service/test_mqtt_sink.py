@@ -15,8 +15,7 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.service.broker import new_client
 from pmfid.service.sinks import mqtt, queued
-from pmfid.service.sinks.broker_link import BrokerLink
-from pmfid.service.sinks.mqtt import MqttSink, MqttSinkSection
+from pmfid.service.sinks.mqtt import BrokerLink, MqttSink, MqttSinkSection
 from pmfid.service.sinks.queued import Queued
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401
 from tests.service.feed import Host, alarm, block, kindred, notice, until

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.service.wire.numbering import Numbering
-from pmfid.service.wire.outbox import Outbox
+from pmfid.service.wire.sender import Numbering, Outbox
 from pmfid.stream.blocks import decode
 from pmfid.stream.delivery import Block
 

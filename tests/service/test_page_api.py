@@ -12,12 +12,11 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
+from pmfid.records.record import Record
 from pmfid.service.board import Board
 from pmfid.service.web.api import csv_of
-from pmfid.service.web.hub import Feed, Hub
-from pmfid.service.web.packed import json_line, pack_array, pack_rows
-from pmfid.session.records import Record
-from pmfid.stream.counters import Counters
+from pmfid.service.web.hub import Feed, Hub, json_line, pack_array, pack_rows
+from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import Kindred
 from tests.service.fake_engine import DT, FakePlant, troubled
 from tests.service.loopback import Served, served, until

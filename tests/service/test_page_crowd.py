@@ -16,7 +16,7 @@ from socket import create_connection, socket
 
 import pytest
 
-from pmfid.service.web.entrance import most_connections
+from pmfid.service.web.connection import most_connections
 from tests.service.fake_engine import FakePlant
 from tests.service.loopback import Served, served, until
 

@@ -16,10 +16,9 @@ from pmfid.errors import UsageError
 from pmfid.service.board import Board
 from pmfid.service.web import connection, security
 from pmfid.service.web.config import PageConfig
-from pmfid.service.web.security import LARGEST_BODY
+from pmfid.service.web.security import LARGEST_BODY, READ, WRITE, Tokens, load_tokens
 from pmfid.service.web.server import serve
-from pmfid.service.web.tokens import READ, WRITE, Tokens, load_tokens
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from tests.service.fake_engine import FakePlant
 from tests.service.loopback import Served, received, served, until
 

@@ -16,7 +16,7 @@ from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
 PROGRAM = """
 import sys
 from pmfid.service import process
-from pmfid.session.monitored import setup
+from pmfid.pipeline.monitored import setup
 process.STOOD = 0.5
 setup.simulated_hours = lambda hours: 0.5
 from pmfid.cli.main import main

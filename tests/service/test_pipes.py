@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from pydantic import Field
 
+from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
+from pmfid.pipeline.monitored.stream import FIRST_LINES, LONGEST_LINE
 from pmfid.service.sources.execd import ExecdSection, ExecdSource
 from pmfid.service.sources.serial import SerialSection, SerialSource
 from pmfid.service.wire.splitter import LineSplitter
-from pmfid.session.monitored.stream import FIRST_LINES, LONGEST_LINE
-from pmfid.session.toml_file import FileSection, validate_sections
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Item, Lines, Unusable
 from tests.service.engine import FakeEngine, wait_for

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pmfid.service.sinks import queued
-from pmfid.service.sinks.queued import Queued
-from pmfid.service.sinks.waiting import OutcomeQueue, QueueLimits, size_of
+from pmfid.service.sinks.queued import OutcomeQueue, Queued, QueueLimits, size_of
 from pmfid.stream.outcome import EstimateRows, Notice
 from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from pmfid.service.running import Running
+from pmfid.service.run import Running
 from pmfid.service.sources import Take
 from pmfid.stream.delivery import Delivery, Mark
-from pmfid.stream.inbox import Inbox
+from pmfid.stream.engine import Inbox
 
 
 class Failing:

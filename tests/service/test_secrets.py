@@ -20,9 +20,8 @@ from urllib.parse import quote, urlsplit
 import pytest
 
 from pmfid.cli.serve_lines import line
-from pmfid.service.kinds import SINKS, SOURCES
 from pmfid.service.log import NoticeLog, json_line
-from pmfid.service.plant import load_plant
+from pmfid.service.plant import SINKS, SOURCES, load_plant
 from pmfid.service.run import Service
 from pmfid.service.web.config import PageConfig
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture

@@ -22,16 +22,15 @@ import pytest
 from pmfid.cli.serve_lines import line
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.board import Board
-from pmfid.service.kinds import SINKS
 from pmfid.service.log import NoticeLog
 from pmfid.service.metrics import exposition
-from pmfid.service.plant import load_plant
+from pmfid.service.plant import SINKS, load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
-from pmfid.stream import silence as module
+from pmfid.stream import notices as module
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
-from pmfid.service.kinds import SINKS
-from pmfid.session.toml_file import FileSection, validate_sections
+from pmfid.service.plant import SINKS
 from tests.service.feed import Host, alarm, block, kindred, until
 
 NEEDED: dict[str, dict[str, object]] = {
@@ -43,7 +43,7 @@ def test_a_section_makes_a_sink_and_names_what_is_wrong(kind: str, tmp_path: Pat
 
 def test_no_sink_brings_a_heavy_library_before_it_is_used() -> None:
     program = (
-        "from pmfid.service.kinds import SINKS\n"
+        "from pmfid.service.plant import SINKS\n"
         "for section in SINKS.values(): section()\n"
         "import json, sys; print(json.dumps(sorted(sys.modules)))"
     )

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
+from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
 from pmfid.service.sinks import sqlite
 from pmfid.service.sinks.sqlite import SqliteSection, SqliteSink
-from pmfid.session.toml_file import FileSection, validate_sections
 from pmfid.stream.outcome import EstimateRows, Notice
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.kills import killed_after

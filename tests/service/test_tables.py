@@ -8,12 +8,12 @@ from random import Random
 import numpy as np
 import pytest
 
+from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.arrangement import arrange_groups
-from pmfid.session.monitored.timeline import Line
 from pmfid.simulation import CART_DT
-from pmfid.stream import clock
+from pmfid.stream import order as clock
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared

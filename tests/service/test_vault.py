@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmfid.durable import vault as module
+from pmfid import durable as module
 from pmfid.errors import UsageError
 from pmfid.service import keeping
 from pmfid.service.arrangement import arrange_groups
@@ -21,7 +21,7 @@ from pmfid.service.keeping import Checkpoints
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
 from pmfid.stream.checkpoint import StateBuffer, read_snapshot, snapshot
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared

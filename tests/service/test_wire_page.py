@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from pydantic import Field
 
-from pmfid.service.kinds import SINKS, SOURCES
+from pmfid.config.toml_file import FileSection, validate_sections
+from pmfid.service.plant import SINKS, SOURCES
 from pmfid.service.sources.execd import ExecdSection
 from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.sources.serial import SerialSection
 from pmfid.service.web.config import PORT
 from pmfid.service.wire.messages import LARGEST, Messages
 from pmfid.service.wire.points import MOST_POINTS, Readers
-from pmfid.session.toml_file import FileSection, validate_sections
+from pmfid.stream.blocks import MOST_SAMPLES
 from pmfid.stream.delivery import Lines
-from pmfid.stream.layout import MOST_SAMPLES
 from tests.service.test_lines import axis
 
 ROOT = Path(__file__).parents[2]

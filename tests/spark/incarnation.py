@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from pmfid.fleet.stream.shard import StreamPlan
-from pmfid.session.monitored import setup
+from pmfid.pipeline.monitored import setup
 from pmfid.stream.groups import Pace, prepare
 
 #: Of simulated normal work: enough for thresholds that nobody relies on.

@@ -12,9 +12,9 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.fleet.stream.folder import States
 from pmfid.fleet.stream.shard import StreamPlan
-from pmfid.fleet.stream.states import States
-from pmfid.session.monitored import setup
+from pmfid.pipeline.monitored import setup
 from pmfid.simulation import CART_DT
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.options import JSON, RECORDS, config_option
-from pmfid.cli.output import print_json
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import JSON, RECORDS, config_option, print_json, progress
 from pmfid.errors import printable
 from pmfid.findings import codes
 
@@ -30,9 +28,9 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     be identified from this record as it is read.
     """
     with progress("check"):
-        from pmfid.session.config import load_axis
-        from pmfid.session.identify import check as run
-        from pmfid.session.identify import kind_of
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.identify import check as run
+        from pmfid.pipeline.identify import kind_of
 
         axis = load_axis(config)
         kind = kind_of(axis)

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
-from pmfid.cli.options import JSON
-from pmfid.cli.output import print_json
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import JSON, print_json, progress
 from pmfid.errors import PmfidError, UsageError
 
 if TYPE_CHECKING:
-    from pmfid.design.search.campaign import Campaign
-    from pmfid.session.design_spec import Spec
+    from pmfid.design.campaign import Campaign
+    from pmfid.pipeline.designs import Spec
 
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
 UNKNOWN = click.option("--unknown", multiple=True, metavar="NAME", help="A parameter to be found; may be repeated.")
@@ -66,8 +64,8 @@ def design(
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
     """
     with _infeasible_as_json(as_json), progress("design") as tell:
+        from pmfid.pipeline.designs import run_appraisal, run_campaign, run_design
         from pmfid.report.design import write_design
-        from pmfid.session.design_run import run_appraisal, run_campaign, run_design
 
         loaded = _load(spec, options)
         found = run_design(
@@ -120,7 +118,7 @@ def commission(
     met, or the runs cannot tell a parameter.
     """
     with _infeasible_as_json(as_json), progress("commission"):
-        from pmfid.session.design_run import read_run, run_appraisal, run_commissioning
+        from pmfid.pipeline.designs import read_run, run_appraisal, run_commissioning
 
         loaded = _load(spec, options)
         runs = [read_run(loaded, path) for path in records]
@@ -145,7 +143,7 @@ def _campaign(together: Campaign | None) -> dict[str, object]:
 
 
 def _load(spec: Path, options: dict[str, object]) -> Spec:
-    from pmfid.session.design_spec import load_spec
+    from pmfid.pipeline.designs import load_spec
 
     unknown = list(cast("tuple[str, ...]", options.pop("unknown"))) or None
     given = {KEYS[name]: value for name, value in options.items()}

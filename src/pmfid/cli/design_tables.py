@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pmfid.design.search.campaign import Campaign
-    from pmfid.design.trial.appraisal import Appraisal
-    from pmfid.design.trial.sequential import Commissioning
+    from pmfid.design.appraisal import Appraisal
+    from pmfid.design.campaign import Campaign
+    from pmfid.design.sequential import Commissioning
 
 
 def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path | None) -> None:

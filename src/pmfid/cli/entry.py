@@ -9,7 +9,7 @@ import sys
 import threading
 from contextlib import suppress
 
-from pmfid.cli.progress import CLEAR
+from pmfid.cli.terminal import CLEAR
 from pmfid.errors import INTERRUPTED
 
 #: Time after Ctrl-C for the command to remove what is half written [s].

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.options import JSON
+from pmfid.cli.terminal import JSON
 
 if TYPE_CHECKING:
-    from pmfid.session.reference import ReferenceEntry
+    from pmfid.config.explain import ReferenceEntry
 
 
 @click.command(short_help="Say what a key of AXIS.toml or a status means.")
@@ -22,15 +22,15 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
     a section of them, or a word of a status as poor_excitation. Without KEY all of AXIS.toml and of a status, a line
     for each.
     """
-    from pmfid.service.reference import plant_entries, plant_page
-    from pmfid.session.reference import entries, explain_entries, page
+    from pmfid.config.explain import entries, explain_entries, page
+    from pmfid.service.plant import plant_entries, plant_page
 
     if as_page:
         click.echo(plant_page() if plant else page(), nl=False)
         return
     found = _find_entries(" ".join(key), plant) if key else plant_entries() if plant else entries()
     if as_json:
-        from pmfid.cli.output import print_json
+        from pmfid.cli.terminal import print_json
 
         print_json({"entries": [entry.to_json() for entry in found]})
     else:
@@ -39,8 +39,8 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
 
 def _find_entries(word: str, plant: bool) -> list[ReferenceEntry]:
     """The entries of a word; plant: of PLANT.toml alone. Raises UsageError for an unknown word."""
-    from pmfid.service.reference import plant_entries, strip_names
-    from pmfid.session.reference import entries, find
+    from pmfid.config.explain import entries, find
+    from pmfid.service.plant import plant_entries, strip_names
 
     known = plant_entries() if plant else (*entries(), *plant_entries())
     names = {entry.name for entry in known}

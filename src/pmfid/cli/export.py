@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import progress
 from pmfid.estimators import METHODS
 
 
@@ -55,12 +55,11 @@ def export(
     changes = {f"estimator.{key}": value for key, value in options.items()}
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     with progress("export"):
-        from pmfid.export.alarm import ParameterAlarm
-        from pmfid.export.firmware import export_firmware
+        from pmfid.config.axis import load_axis
+        from pmfid.export.firmware import ParameterAlarm, export_firmware
         from pmfid.kernel.saved import LONG_MEMORY, MOST_WEIGHT
-        from pmfid.session.config import load_axis
-        from pmfid.session.export import check_exportable, drive_estimator
-        from pmfid.session.records import read_record
+        from pmfid.pipeline.export import check_exportable, drive_estimator
+        from pmfid.records.record import read_record
 
         axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
         check_exportable(axis)

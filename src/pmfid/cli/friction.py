@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.options import CUTOFF, JSON, config_option, folder_option
-from pmfid.cli.output import print_json
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import CUTOFF, JSON, config_option, folder_option, print_json, progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -40,9 +38,9 @@ def friction(
     Exit code 0: a curve; 2: wrong usage or unreadable input; 3: the record does not show friction apart.
     """
     with progress("friction"):
-        from pmfid.session.config import load_axis
-        from pmfid.session.friction import curve_json, record_curve
-        from pmfid.session.records import read_record
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.friction import curve_json, record_curve
+        from pmfid.records.record import read_record
 
         axis = load_axis(config, {"estimator.cutoff": cutoff})
         found = record_curve(read_record(record, axis), axis, nodes, rising_from)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import progress
 from pmfid.errors import UsageError, printable
 
 
@@ -34,7 +34,7 @@ def init(record: Path, out: Path) -> None:
         raise UsageError(f"{out} is there already, and stays as it is; give another place with --out")
     on_terminal = sys.stdin.isatty() and sys.stdout.isatty()
     with progress("init") as tell:
-        from pmfid.session.guess.axis_file import guess
+        from pmfid.pipeline.guess.axis_file import guess
 
         def ask(question: str, usual: str) -> str:
             tell.end()

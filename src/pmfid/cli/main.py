@@ -17,16 +17,14 @@ from pmfid.cli.fleet import fleet
 from pmfid.cli.friction import friction
 from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
-from pmfid.cli.options import CUTOFF, JSON, RECORDS, config_option, folder_option, step
-from pmfid.cli.output import print_json
-from pmfid.cli.progress import progress
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
+from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, progress, step
 from pmfid.cli.terms import terms
 from pmfid.cli.validate import validate
 from pmfid.errors import INTERRUPTED, PmfidError, printable
 from pmfid.estimators import METHODS
-from pmfid.session.formats import SPOKEN
+from pmfid.io import SPOKEN
 
 EXIT_USAGE = 2
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
@@ -111,9 +109,9 @@ def identify(
     """Identify the parameters of a record."""
     sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
     with progress("identify") as tell:
-        from pmfid.session.config import load_axis
-        from pmfid.session.identify import identify as run
-        from pmfid.session.identify import kind_of
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.identify import identify as run
+        from pmfid.pipeline.identify import kind_of
 
         axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
         result = run(kind_of(axis).read(records, axis, quantize), axis, tell)
@@ -143,13 +141,13 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     with progress("structures") as tell:
-        from pmfid.session.config import load_axis
-        from pmfid.session.processes import Processes, search_json, search_order
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.processes import Processes, search_json, search_order
 
         axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
         search = search_order(Processes().read(records, axis), axis, tell)
         if out is not None:
-            from pmfid.report.process import write_search
+            from pmfid.report.result import write_search
 
             write_search(out, search, records[0].name)
     if as_json:
@@ -182,9 +180,9 @@ def compare(
     Of a transfer function several records make one estimate.
     """
     with progress("methods") as tell:
-        from pmfid.session.compare import compare as run
-        from pmfid.session.config import load_axis
-        from pmfid.session.identify import kind_of
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.identify import compare as run
+        from pmfid.pipeline.identify import kind_of
 
         axis = load_axis(config, {"estimator.cutoff": cutoff})
         comparison = run(kind_of(axis).read(records, axis, quantize), axis, tell)

@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.options import config_option
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import config_option, progress
 from pmfid.monitor.names import DETECTORS
 
 if TYPE_CHECKING:
-    from pmfid.session.config import Axis
-    from pmfid.session.monitored.run import MonitoredRun, RunHistory
-    from pmfid.session.monitored.setup import Setup
-    from pmfid.session.monitored.sinks import RowSink
-    from pmfid.session.monitored.stream import Stop
-    from pmfid.session.records import Record
+    from pmfid.config.axis import Axis
+    from pmfid.pipeline.monitored.rows import RowSink
+    from pmfid.pipeline.monitored.run import MonitoredRun, RunHistory
+    from pmfid.pipeline.monitored.setup import Setup
+    from pmfid.pipeline.monitored.stream import Stop
+    from pmfid.records.record import Record
 
 
 @click.command(short_help="Watch a record or a pipe and tell what changes.")
@@ -48,10 +47,10 @@ def monitor(
     piped = str(record) == "-"
     tell = _Teller(as_json, to_stderr=str(out) == "-")
     with progress("calibration") as tell_part:
-        from pmfid.session.config import load_axis
-        from pmfid.session.monitored.setup import check_monitored, set_up
-        from pmfid.session.monitored.stream import Stop
-        from pmfid.session.records import read_record
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.monitored.setup import check_monitored, set_up
+        from pmfid.pipeline.monitored.stream import Stop
+        from pmfid.records.record import read_record
 
         axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
         check_monitored(axis)
@@ -83,8 +82,8 @@ def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> 
 
 def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory, tell: _Teller) -> None:
     """What came from a pipe is nowhere else: its page replaces no other."""
+    from pmfid.io.row_file import fresh, is_stream
     from pmfid.report.monitored import write_monitored
-    from pmfid.session.row_file import fresh, is_stream
 
     place = path if name != "standard input" or is_stream(path) else fresh(path)
     write_monitored(place, name, setup, run, history)
@@ -95,9 +94,9 @@ def _run(
     setup: Setup, axis: Axis, data: Record | None, out: Path | None, stop: Stop, tell: _Teller, keep: bool
 ) -> tuple[MonitoredRun, RunHistory | None, RowSink]:
     """The run, its history, and where the estimates went."""
-    from pmfid.session.monitored.run import RunHistory, header, watch
-    from pmfid.session.monitored.sinks import open_sink
-    from pmfid.session.monitored.stream import line_samples, record_samples
+    from pmfid.pipeline.monitored.rows import open_sink
+    from pmfid.pipeline.monitored.run import RunHistory, header, watch
+    from pmfid.pipeline.monitored.stream import line_samples, record_samples
 
     sink = open_sink(out, header(setup.monitor), tell)
     history = RunHistory() if keep else None
@@ -151,7 +150,7 @@ class _Teller:
 
     def start(self, setup: Setup, out: Path | None) -> None:
         """What is watched and how, and where the estimates go."""
-        from pmfid.session.monitored.setup import start_object
+        from pmfid.pipeline.monitored.setup import start_object
 
         self({**start_object(setup), "out": None if out is None else str(out)})
 

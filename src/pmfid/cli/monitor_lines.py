@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pmfid.session.monitored.run import Notice
+from pmfid.pipeline.monitored.run import Notice
 
 
 def sentence(event: Notice) -> str:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from pmfid.records.record import Record
     from pmfid.service.plant import Plant
-    from pmfid.session.records import Record
 
 
 @click.command(short_help="Watch many axes as a service, with a page.")
@@ -52,10 +52,10 @@ def serve(
 
     SIGTERM and Ctrl-C end the service with everything written; SIGHUP reads PLANT.toml again.
     """
+    from pmfid.config.axis import load_axis
+    from pmfid.records.record import read_record
     from pmfid.service.log import NoticeLog, json_line
     from pmfid.service.run import Service
-    from pmfid.session.config import load_axis
-    from pmfid.session.records import read_record
 
     page: dict[str, object] | None = {"enabled": False} if no_page else None if port is None else {"port": port}
     record: Record | None = None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import progress
 from pmfid.errors import UsageError, did_you_mean
 
 

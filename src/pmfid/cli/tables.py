@@ -11,9 +11,9 @@ from pmfid.errors import printable
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pmfid.session.compare import Comparison
-    from pmfid.session.result import ProcessResult, Result
-    from pmfid.transfer.order import Search
+    from pmfid.linear.order import Search
+    from pmfid.pipeline.identify import Comparison
+    from pmfid.pipeline.result import ProcessResult, Result
 
 
 def print_result(result: Result, out: Path | None) -> None:
@@ -21,7 +21,7 @@ def print_result(result: Result, out: Path | None) -> None:
     what to mind."""
     from rich.console import Console
 
-    from pmfid.session.result import DriveResult, ProcessResult
+    from pmfid.pipeline.result import DriveResult, ProcessResult
 
     console, table = Console(), _parameters(result)
     if isinstance(result, ProcessResult):
@@ -40,7 +40,7 @@ def print_result(result: Result, out: Path | None) -> None:
 def _parameters(result: Result) -> Table:
     from rich.table import Table
 
-    from pmfid.session.parameters import FOLDED, parameter_header, parameter_rows
+    from pmfid.pipeline.result import FOLDED, parameter_header, parameter_rows
 
     table = Table(title=_safe(f"{result.name}: {result.estimator.method}, {result.samples} samples"))
     for heading in parameter_header(result):
@@ -118,8 +118,8 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from pmfid.judge.doubts import search_notes
-    from pmfid.report.process import search_header, search_rows
+    from pmfid.diagnostics.processes import search_notes
+    from pmfid.report.result import search_header, search_rows
 
     table = Table(title=_safe(f"{name}: poles n, zeros m, dead time in samples"))
     for heading in search_header():

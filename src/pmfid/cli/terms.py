@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.options import CUTOFF, JSON, config_option, folder_option
-from pmfid.cli.output import print_json
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import CUTOFF, JSON, config_option, folder_option, print_json, progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
-    from pmfid.session.terms import TermSearch
+    from pmfid.pipeline.terms import TermSearch
 
 
 @click.command(short_help="Search the terms of a drive: friction, forces, dead time.")
@@ -54,9 +52,9 @@ def terms(
     Exit code 0: a search, whatever it finds; 2: wrong usage or unreadable input; 3: the record cannot tell.
     """
     with progress("terms") as tell:
-        from pmfid.session.config import load_axis
-        from pmfid.session.records import read_record
-        from pmfid.session.terms import list_periodic_forces, search_drive
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.terms import list_periodic_forces, search_drive
+        from pmfid.records.record import read_record
 
         axis = load_axis(config, {"estimator.cutoff": cutoff})
         places = list_periodic_forces(turn, pitch, friction_period)

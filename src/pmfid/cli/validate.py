@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.options import JSON, RECORDS, config_option, folder_option
-from pmfid.cli.output import print_json
-from pmfid.cli.progress import progress
+from pmfid.cli.terminal import JSON, RECORDS, config_option, folder_option, print_json, progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
-    from pmfid.session.validation import Validation
+    from pmfid.pipeline.validation import Validation
 
 
 @click.command(short_help="Predict other records with a result, by free-run simulation.")
@@ -37,9 +35,9 @@ def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | 
     Exit code 0: a prediction, good or bad; 2: wrong usage, unreadable input, parameters of another model.
     """
     with progress("validate"):
-        from pmfid.session.config import load_axis
-        from pmfid.session.stored import read_stored
-        from pmfid.session.validation import read_records, validate_stored
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.stored import read_stored
+        from pmfid.pipeline.validation import read_records, validate_stored
 
         axis = load_axis(config)
         found = validate_stored(read_stored(stored), read_records(records, axis), axis)

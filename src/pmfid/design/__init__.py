@@ -13,40 +13,40 @@ from typing import TYPE_CHECKING
 from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
-    from pmfid.design.problem.fisher import information as information
-    from pmfid.design.problem.fisher import sensitivities as sensitivities
-    from pmfid.design.problem.problem import InfeasibleError as InfeasibleError
-    from pmfid.design.problem.problem import Limits as Limits
-    from pmfid.design.problem.problem import Problem as Problem
-    from pmfid.design.problem.result import Design as Design
-    from pmfid.design.search.campaign import campaign as campaign
-    from pmfid.design.search.evaluation import evaluate as evaluate
-    from pmfid.design.search.solver import price_of_robustness as price_of_robustness
-    from pmfid.design.search.solver import solve as solve
-    from pmfid.design.search.standard import standard_inputs as standard_inputs
-    from pmfid.design.trial.appraisal import appraise as appraise
-    from pmfid.design.trial.calibration import DesignedRun as DesignedRun
-    from pmfid.design.trial.calibration import calibrate as calibrate
-    from pmfid.design.trial.sequential import sequential as sequential
-    from pmfid.design.trial.sequential import simulated_experiment as simulated_experiment
+    from pmfid.design.appraisal import appraise as appraise
+    from pmfid.design.calibration import DesignedRun as DesignedRun
+    from pmfid.design.calibration import calibrate as calibrate
+    from pmfid.design.campaign import campaign as campaign
+    from pmfid.design.fisher import information as information
+    from pmfid.design.fisher import sensitivities as sensitivities
+    from pmfid.design.problem import Design as Design
+    from pmfid.design.problem import InfeasibleError as InfeasibleError
+    from pmfid.design.problem import Limits as Limits
+    from pmfid.design.problem import Problem as Problem
+    from pmfid.design.sequential import sequential as sequential
+    from pmfid.design.sequential import simulated_experiment as simulated_experiment
+    from pmfid.design.solver import evaluate as evaluate
+    from pmfid.design.solver import price_of_robustness as price_of_robustness
+    from pmfid.design.solver import solve as solve
+    from pmfid.design.standard import standard_inputs as standard_inputs
 
 _PUBLIC = {
-    "Design": "problem.result",
-    "DesignedRun": "trial.calibration",
-    "InfeasibleError": "problem.problem",
-    "Limits": "problem.problem",
-    "Problem": "problem.problem",
-    "appraise": "trial.appraisal",
-    "calibrate": "trial.calibration",
-    "campaign": "search.campaign",
-    "evaluate": "search.evaluation",
-    "information": "problem.fisher",
-    "price_of_robustness": "search.solver",
-    "sensitivities": "problem.fisher",
-    "sequential": "trial.sequential",
-    "simulated_experiment": "trial.sequential",
-    "solve": "search.solver",
-    "standard_inputs": "search.standard",
+    "Design": "problem",
+    "DesignedRun": "calibration",
+    "InfeasibleError": "problem",
+    "Limits": "problem",
+    "Problem": "problem",
+    "appraise": "appraisal",
+    "calibrate": "calibration",
+    "campaign": "campaign",
+    "evaluate": "solver",
+    "information": "fisher",
+    "price_of_robustness": "solver",
+    "sensitivities": "fisher",
+    "sequential": "sequential",
+    "simulated_experiment": "sequential",
+    "solve": "solver",
+    "standard_inputs": "standard",
 }
 
 __all__ = sorted(_PUBLIC)

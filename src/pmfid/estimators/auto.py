@@ -9,19 +9,16 @@ from numpy.typing import ArrayLike
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy, is_contradicted, weigh
-from pmfid.estimators.base import Estimator
+from pmfid.estimators.base import Estimator, Simulating
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.bcls import BCLS
-from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.configuration import like
-from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.likelihood import Best
-from pmfid.estimators.ls import LS
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.ls import BCLS, LS
+from pmfid.estimators.output_error import OE, IntervalML
+from pmfid.estimators.recursive import BCRLS
 from pmfid.estimators.results import Fit
-from pmfid.estimators.simulating import Simulating
-from pmfid.estimators.zeros import choose_prefilter_zeros
 from pmfid.models.equation import ESTIMATE
 from pmfid.status import Status
 

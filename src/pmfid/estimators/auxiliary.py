@@ -11,9 +11,8 @@ import numpy as np
 
 from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator, shapes_of
-from pmfid.estimators.bcrls import BCRLS
 from pmfid.estimators.configuration import like
-from pmfid.estimators.encoder_noise import impulse_products
+from pmfid.estimators.recursive import BCRLS, impulse_products
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import new_kernel

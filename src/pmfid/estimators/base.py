@@ -1,4 +1,4 @@
-"""What every estimator shares: its frozen configuration, the kernel made from it, and its results."""
+"""What every estimator has."""
 
 from __future__ import annotations
 
@@ -12,22 +12,24 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.arguments import check_positive
-from pmfid.estimators.configuration import configuration_of, construct_estimator, explain_inherited, freeze
+from pmfid.estimators.configuration import (
+    check_positive,
+    configuration_of,
+    construct_estimator,
+    explain_inherited,
+    freeze,
+)
 from pmfid.estimators.plants import PlantDefaults, plant_of
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scale_taps
-from pmfid.kernel.configuration import new_kernel
-from pmfid.kernel.late import late_values
-from pmfid.kernel.shapes import shape_values, too_many
+from pmfid.kernel.configuration import late_values, new_kernel, shape_values, too_many
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
-
 
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
@@ -344,3 +346,25 @@ def shapes_of(equation: Equation, network: Network) -> dict[str, object]:
 def memory_of(forgetting: float, dt: float) -> float:
     """dt / (1 - forgetting) [s]."""
     return dt / (1 - forgetting) if forgetting < 1 else math.inf
+
+
+@dataclass(frozen=True)
+class Simulating(Estimator):
+    """An `Estimator` that simulates the motion from the input alone, so that it must know what stands in the equation;
+    of a pre-filter it has no unknowns."""
+
+    knows_shapes: ClassVar[bool] = True
+
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        refused = super().refuses(equation.at_once)
+        if refused or not equation.without_simulation:
+            return refused
+        return (
+            f"{cls.method} simulates the motion, which it cannot for this equation: "
+            f"{equation.without_simulation}; use ls, bcls, rls or bcrls"
+        )
+
+    @property
+    def _extra(self) -> int:
+        return 0

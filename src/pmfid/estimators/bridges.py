@@ -13,8 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pmfid.estimators.difference import first_speed
-from pmfid.estimators.motion import simulate_motion
+from pmfid.estimators.motion import first_speed, simulate_motion
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,

@@ -1,4 +1,4 @@
-"""Choice of the pole of the filters from a record."""
+"""The pole of the filters, and the zeros of the pre-filter."""
 
 from __future__ import annotations
 
@@ -6,20 +6,45 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.instruments import LASTING
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import solve_with_instruments
+from pmfid.estimators.ls import BCLS
 from pmfid.estimators.results import Columns
-from pmfid.estimators.scatter import scatter
-from pmfid.estimators.zeros import choose_prefilter_zeros
+from pmfid.estimators.uncertainty import scatter
 from pmfid.models.drive import Model
 from pmfid.types import Floats
+
+
+def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[float, ...]:
+    """The pre-filter zeros [rad/s] that carry most information over a record u, counts: (n,).
+
+    Greatest determinant of W^T Z^-1 W, W = sum zeta phi^T, Z = sum zeta zeta^T: the inverse of the estimate's
+    covariance up to the noise variance. The noise of phi does not enter W in the mean, so the choice is one of the
+    motion, not of the noise.
+    Raises what `BCLS.columns` raises.
+    """
+    needed = len(estimator.model.simple.equation.noisy)
+    sets = estimator.plant.candidate_zeros(estimator.cutoff, estimator.memory, needed)
+    batches = [like(BCLS, estimator, model=estimator.model.simple, prefilter_zeros=zeros) for zeros in sets]
+    information = [_log_information(batch, u, counts) for batch in batches]
+    return sets[int(np.argmax(information))]
+
+
+def _log_information(batch: BCLS, u: ArrayLike, counts: ArrayLike) -> float:
+    columns = batch.columns(u, counts)
+    norm = np.linalg.norm(columns.zeta, axis=0)
+    if columns.z.size <= norm.size or not np.all(norm > 0):
+        return -np.inf
+    Q, _ = np.linalg.qr(columns.zeta / norm)
+    return 2 * float(np.linalg.slogdet(Q.T @ columns.phi)[1])
+
 
 #: Time constants of the filters that are tried [samples]: by more the encoder's error is averaged, by less what the
 #: motion says of the mass is kept. The first with an estimate gives the motion that all are judged along.

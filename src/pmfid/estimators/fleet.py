@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.results import Tracks
 from pmfid.estimators.runner import Runner
-from pmfid.estimators.track import Tracks
 from pmfid.kernel.structures import whole_words
 
 

@@ -10,19 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.arguments import check_arrays, check_size
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
-from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.base import Simulating
+from pmfid.estimators.batch import TINY, check_identifiable
 from pmfid.estimators.bridges import Body, bridge_gaps
-from pmfid.estimators.configuration import like
-from pmfid.estimators.encoder_noise import impulse_products
-from pmfid.estimators.identifiable import TINY, check_identifiable
-from pmfid.estimators.lattice import lattice_scatter
+from pmfid.estimators.configuration import check_arrays, check_size, like
 from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
+from pmfid.estimators.ls import BCLS
+from pmfid.estimators.recursive import impulse_products
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.scatter import raise_variances, scatter
-from pmfid.estimators.simulating import Simulating
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
+from pmfid.estimators.uncertainty import lattice_scatter, raise_variances, scatter
+from pmfid.linear.solve import ProcessProblem, Solution
 from pmfid.models.drive import Model
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
@@ -37,7 +36,6 @@ from pmfid.models.equation import (
     Equation,
 )
 from pmfid.status import Status
-from pmfid.transfer.solve import ProcessProblem, Solution
 
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-7

@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import weigh
-from pmfid.estimators.arguments import check_arrays
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
-from pmfid.estimators.configuration import like
+from pmfid.estimators.base import Simulating
+from pmfid.estimators.configuration import check_arrays, like
 from pmfid.estimators.instruments import Instruments, initial_vector
-from pmfid.estimators.interval import IntervalML
+from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Fit
-from pmfid.estimators.simulating import Simulating
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
 from pmfid.types import Floats
 

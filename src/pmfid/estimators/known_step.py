@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.encoder_noise import noise_covariance
 from pmfid.estimators.least_squares import inverse_of
-from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.recursive import RecursiveEstimator, noise_covariance
 from pmfid.estimators.results import Columns
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr
 
-from pmfid.estimators.difference import Difference, rms
+from pmfid.estimators.motion import Difference, rms
 from pmfid.types import Floats
 
 #: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.

@@ -1,16 +1,220 @@
-"""Least squares."""
+"""Least squares off-line, plain and with compensation of the encoder's bias."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pmfid.estimators.exact import ExactEstimator
-from pmfid.estimators.least_squares import inverse_of
-from pmfid.estimators.results import Columns
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import EXACT, Estimator
+from pmfid.estimators.batch import BatchEstimator, check_identifiable
+from pmfid.estimators.configuration import check_arrays, like
+from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
+from pmfid.estimators.results import Columns, Fit
+from pmfid.filters.columns import tustin_image
+from pmfid.linear.responses import ExactTerm, Filter, respond_exactly
+from pmfid.models.equation import Equation
+from pmfid.types import Floats
+
+PASSES = 12
+#: Relative change of every parameter at which the passes end.
+SETTLED = 1e-12
+#: ... and from which on they are taken to have settled where rounding or noise goes on.
+CLOSE = 1e-6
+OUTPUTS = ("output", "process_output")
+#: What it makes, and what the terms on the right are made from, in the order of its rows.
+SOURCES = ("input", "process_input", "direction", "moving", "constant")
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass at theta: phi (N, p) regressors, zeta (N, p) instruments, slope (N, p) by which the error falls with
+    theta, error (N,) of the filtered equation, known (N,) its known side."""
+
+    phi: Floats
+    zeta: Floats
+    slope: Floats
+    error: Floats
+    known: Floats
+
+
+@dataclass(frozen=True)
+class Exact:
+    """The exact columns of an equation on one record; y (N,) position, signals: name -> (N,)."""
+
+    equation: Equation
+    filter: Filter
+    zeros: tuple[float, ...]
+    y: Floats
+    signals: dict[str, Floats]
+
+    def compute_pass(self, theta: Floats) -> Pass:
+        """Columns around the equation's own denominator at theta (p,)."""
+        A, held = self._denominator(theta), self._list_held_terms(theta)
+        found = respond_exactly(A, held, np.array([self.signals[name] for name in SOURCES]), self.filter.dt)
+        F, p = self.filter, len(self.equation.unknown)
+        inputs = [F.equation(response, A) for response in found.responses]
+        phi, slope, known = np.zeros((p, self.y.size)), np.zeros((p, self.y.size)), np.zeros(self.y.size)
+        gap = self.y - found.simulated
+        for column, term in enumerate(self.equation.unknown):
+            if term.signal in OUTPUTS:
+                k = term.derivative
+                phi[column] = term.coefficient * F.output(self.y, k)
+                slope[column] = term.coefficient * (F.output(gap, k) + F.equation(found.slopes[k], A))
+        for part, signal in zip(held, inputs, strict=True):
+            if part.column is None:
+                known += part.coefficient * signal
+            else:
+                phi[part.column] = slope[part.column] = self.equation.unknown[part.column].coefficient * signal
+        error = -F.equation(gap, A)
+        zeta = phi.copy()
+        if self.zeros:
+            self._instruments(zeta, inputs[self._main(held)])
+        return Pass(phi.T, zeta.T, slope.T, error, known)
+
+    def _denominator(self, theta: Floats) -> Floats:
+        """A(s), (n+1,), all output terms on the left."""
+        A = np.zeros(self.equation.order + 1)
+        for term, value in zip(self.equation.unknown, theta, strict=True):
+            if term.signal in OUTPUTS:
+                A[term.derivative] += term.coefficient * value
+        for term in self.equation.known:
+            if term.signal in OUTPUTS:
+                A[term.derivative] -= term.coefficient
+        return A
+
+    def _list_held_terms(self, theta: Floats) -> list[ExactTerm]:
+        """All other terms on the right."""
+        terms = [
+            ExactTerm(SOURCES.index(term.signal), term.derivative, -term.coefficient * value, column)
+            for column, (term, value) in enumerate(zip(self.equation.unknown, theta, strict=True))
+            if term.signal in SOURCES
+        ]
+        known = [term for term in self.equation.known if term.signal in SOURCES]
+        return terms + [
+            ExactTerm(SOURCES.index(term.signal), term.derivative, term.coefficient, None) for term in known
+        ]
+
+    def _main(self, held: list[ExactTerm]) -> int:
+        """The term of the input itself, that instruments are made from."""
+        names = [SOURCES[term.source] for term in held]
+        return next(i for i, name in enumerate(names) if name in ("input", "process_input"))
+
+    def _instruments(self, zeta: Floats, signal: Floats) -> None:
+        """s^j / f(s) of the filtered input in place of the noisy regressors, as in `ColumnBuilder.prefiltered`."""
+        noisy = self.equation.noisy
+        for column, power in zip(noisy, self.equation.instrument_powers, strict=True):
+            made = signal
+            for i, zero in enumerate(reversed(self.zeros)):
+                pole = tustin_image(-zero, self.filter.dt)
+                made = self.filter.stage(made, pole, differentiating=i >= len(noisy) - power)
+            zeta[column] = made
+
+
+def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
+    """The record u, y: (n,), for an equation of outputs and held signals, at rest at the start."""
+    equation = estimator.equation
+    names = {term.signal for term in (*equation.unknown, *equation.known)}
+    if not names <= {*OUTPUTS, *SOURCES}:
+        raise UsageError(
+            f"the exact discretisation takes no terms of {sorted(names - {*OUTPUTS, *SOURCES})}; use matched"
+        )
+    if "process_output" not in names:  # a position counts from its first sample
+        y = y - y[0]
+    late = np.r_[np.zeros(equation.delay), u][: u.size]
+    one, motion = np.ones(u.size), np.sign(np.diff(y, append=y[-1:]))
+    signals = {"input": late, "process_input": late, "direction": motion, "moving": one, "constant": one}
+    return Exact(equation, Filter(estimator.cutoff, estimator.order, estimator.dt), estimator.zeros, y, signals)
+
+
+@dataclass(frozen=True)
+class Refined:
+    """theta (p,), the last pass, its gain (p, p); history (passes, p): after each pass; status: bits of the record."""
+
+    theta: Floats
+    last: Pass
+    gain: Floats
+    history: Floats
+    status: int = 0
+
+
+def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
+    """Passes from theta (p,) to sum zeta error = 0: what the linear method asks for, with the exact columns.
+
+    Each is a Newton step that leaves out how the instruments change. None where they do not settle."""
+    change, history = np.inf, []
+    for count in range(1, PASSES + 1):
+        with np.errstate(all="ignore"):
+            here = exact.compute_pass(theta)
+            size = np.linalg.norm(here.zeta[used], axis=0)
+        if not (np.all(np.isfinite(here.slope)) and np.all(np.isfinite(here.error)) and 0 < np.min(size) < np.inf):
+            return None
+        Q, R = np.linalg.qr(here.zeta[used] / size)
+        inverse = np.linalg.pinv(Q.T @ here.slope[used], rcond=1e-14)
+        step = inverse @ (Q.T @ here.error[used])
+        theta, before = theta + step, change
+        history.append(theta)
+        change = float(np.max(np.abs(step) / np.maximum(np.abs(theta), 1e-300)))
+        if change < SETTLED or (change < CLOSE and (change > before / 4 or count == PASSES)):
+            return Refined(theta, here, inverse @ np.linalg.inv(R.T) / size, np.array(history))
+    return None
+
+
+def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
+    """The fit of a linear method with the exact discretisation, u, y: (n,). Raises as `refine_estimate`."""
+    found, used = refine_estimate(estimator, u, y), slice(estimator.settle_samples, None)
+    last = found.last
+    target = last.error[used] + last.phi[used] @ found.theta
+    columns = Columns(last.phi[used], target, last.zeta[used], np.arange(y.size) >= used.start, found.status)
+    return estimator._result(columns, found.theta, estimator._covariance(columns, found.theta, found.gain))
+
+
+def refine_estimate(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
+    """The passes from the estimate with matched filters; where they do not settle, from the filters' own poles.
+
+    Raises NotIdentifiableError where those do not, either."""
+    first = like(type(estimator), estimator, discretization="matched").fit_output(u, y)
+    exact, used = make_exact(estimator, u, y), slice(estimator.settle_samples, None)
+    found = refine_exactly(exact, first.theta, used)
+    guess = estimator.plant.another_guess(estimator.equation, estimator.cutoff)
+    if found is None and guess is not None:
+        found = refine_exactly(exact, guess, used)
+    if found is None:
+        raise NotIdentifiableError("the passes of the exact discretisation do not settle; use matched, or srivc")
+    return replace(found, status=first.status)
+
+
+@dataclass(frozen=True)
+class ExactEstimator(BatchEstimator):
+    """A `BatchEstimator` that takes the exact discretisation, too."""
+
+    discretizations: ClassVar[tuple[str, ...]] = (*BatchEstimator.discretizations, EXACT)
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        if self.discretization != EXACT:
+            return super()._fit(u, counts)
+        u, counts = check_arrays(u, counts)
+        check_identifiable(self.columns(u, counts), self.names, self.least_part)
+        return fit_exactly(self, u, self.encoder.position(counts))
+
+    def _fit_output(self, u: ArrayLike, y: Floats) -> Fit:
+        if self.discretization != EXACT:
+            return super()._fit_output(u, y)
+        return fit_exactly(self, check_arrays(u, np.zeros(y.shape, np.int64))[0], y)
+
+
+@dataclass(frozen=True)
+class BCLS(ExactEstimator):
+    """Bias-compensated least squares (paper eq. 17 to 32): theta = (sum zeta phi^T)^-1 sum zeta z; see `BCRLS`."""
+
+    method: ClassVar[str] = "bcls"
+    instrumental: ClassVar[bool] = True
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return solve_with_instruments(columns)
 
 
 @dataclass(frozen=True)

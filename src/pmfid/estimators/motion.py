@@ -1,15 +1,20 @@
-"""The motion of a machine's equation under an input, simulated by the kernel."""
+"""Simulated motions, and their difference from the counts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pmfid.kernel.late import Decay, decays
-from pmfid.kernel.shapes import shape_bytes
-from pmfid.models.equation import LATE, MASS, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
+from pmfid._stage import first_order
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.least_squares import parts_of_their_own
+from pmfid.kernel.configuration import Decay, decays, shape_bytes
+from pmfid.models.equation import ESTIMATE, LATE, MASS, MOST_LATE, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.types import Floats
 
 #: Parts of a sample in the simulation of forces with a shape and of reversals under a lagging input: by default, and
@@ -88,3 +93,371 @@ def parts_for(equation: Equation, theta: Floats, dt: float, u: Floats, allowed: 
                 break
             parts, coarse = 2 * parts, fine
     return parts
+
+
+#: Turns of the search for the speed after a gap, and the part of its prior standard deviation at which a step ends the
+#: search: the motion is linear within that.
+TURNS, SMALL = 30, 1e-3
+#: A step that leads to no better motion is tried once more as this part of itself.
+SHORTER = 0.25
+#: Step of the difference quotient by that speed, as a part of the same.
+VELOCITY_STEP = 0.1
+#: Parameters, start velocity, force on top -> position from 0 and velocity, as `Difference.motion`.
+Motion = Callable[[Floats, float, Floats | None], tuple[Floats, Floats]]
+
+
+@dataclass
+class Restart:
+    """Part `part` of a record after a gap: position y (n,) of its counts, of variance `white`; the speed of the counts
+    and its standard deviation [unit of y per s].
+
+    The next search begins at the last result: the speed, and the effect (n,) of the speed on the position, about its
+    mean.
+    """
+
+    part: slice
+    y: Floats
+    white: float
+    shown: float
+    known: float
+    motion: Motion
+    speed: float = field(init=False)
+    effect: Floats = field(default_factory=lambda: np.zeros(0), init=False)
+
+    def __post_init__(self) -> None:
+        self.speed = self.shown
+
+    def best(self, parameters: Floats, force: Floats | None) -> tuple[Floats, Floats]:
+        """Position and velocity (n,) from the start of least squares."""
+        prior = self.white / self.known**2
+        if self.effect.size == 0:
+            self.effect = self._effect_at(self.shown, parameters, force)
+        fresh, found = True, self._from(self.speed, parameters, force)
+        step = self._step(found.apart, prior)
+        for _ in range(TURNS):
+            if abs(step) < SMALL * self.known:
+                return found.position + step * self.effect, found.velocity
+            tried = self._from(self.speed + step, parameters, force)
+            if self._sum_squares(tried, self.speed + step, prior) < self._sum_squares(found, self.speed, prior):
+                self.speed, found, fresh = self.speed + step, tried, True
+                step = self._step(found.apart, prior)
+            elif fresh:  # after a stop the position moves with the speed otherwise than where the effect was taken
+                self.effect, fresh = self._effect_at(self.speed, parameters, force), False
+                step = self._step(found.apart, prior)
+            else:
+                step *= SHORTER
+        return found.position, found.velocity
+
+    def _from(self, speed: float, parameters: Floats, force: Floats | None) -> _Moved:
+        position, velocity = self.motion(parameters, speed, force)
+        level = float(np.mean(self.y - position))
+        return _Moved(position + level, velocity, self.y - position - level)
+
+    def _effect_at(self, speed: float, parameters: Floats, force: Floats | None) -> Floats:
+        sides = (self.motion(parameters, speed + side * VELOCITY_STEP * self.known, force)[0] for side in (1.0, -1.0))
+        effect = np.subtract(*sides) / (2 * VELOCITY_STEP * self.known)
+        return np.asarray(effect - np.mean(effect))
+
+    def _step(self, apart: Floats, prior: float) -> float:
+        power = float(self.effect @ self.effect) + prior
+        return (float(apart @ self.effect) + prior * (self.shown - self.speed)) / power
+
+    def _sum_squares(self, moved: _Moved, speed: float, prior: float) -> float:
+        return float(moved.apart @ moved.apart) + prior * (self.shown - speed) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Moved:
+    """Position and velocity (n,) from a start, and what is left of the counts' (n,)."""
+
+    position: Floats
+    velocity: Floats
+    apart: Floats
+
+
+#: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
+#: the simulated position, far below what makes the position bend.
+QUOTIENT_STEP = 1e-4
+MAX_EVALUATIONS = 200
+TOLERANCE = 1e-10
+#: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never settle.
+ROUGH_TOLERANCE = 1e-7
+#: Root mean square of the difference, in counts, up to which the encoder explains it; rounding down alone gives 0.29.
+ENCODER_ALONE = 0.5
+#: Accuracy of the simulated position, as a part of the travel.
+SIMULATION_ERROR = 1e-5
+#: Error of the simulated position that shapes may add [counts].
+PARTS_ERROR = 0.005
+#: Counts within a filter time constant by which the start velocity may be off.
+START_COUNTS = 3.0
+#: Square root of the information [1/counts] of a sample with a white encoder error.
+WHITE = math.sqrt(12.0)
+#: A larger part of the motion left unexplained is no fit.
+WORST_FIT = 0.5
+#: Time constants of the longest lag after which an input has no effect left.
+LAGGING = 16
+#: Least mass, as a part of the start's mass: without any the motion has no equation.
+LEAST_MASS = 1e-3
+#: The same of a parameter that the equation is not linear in.
+LEAST_SHAPE = 1e-2
+#: Part of a sensitivity that must not follow from the others.
+APART = 1e-3
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
+
+    equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
+    pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated; zero:
+    where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known; breaks: for
+    each gap in the record its first sample and the first sample after it. Nothing is known in a gap, and the motion
+    restarts after it.
+    """
+
+    equation: Equation
+    dt: float
+    u: Floats
+    y: Floats
+    resolution: float
+    scale: Floats
+    pole: float
+    parts: int = 1
+    zero: float | None = None
+    past: Floats | None = None
+    breaks: tuple[tuple[int, int], ...] = ()
+
+    def __call__(self, q: Floats) -> Floats:
+        return self.filter_signal(self.y - self.motion(q)[0]) / self.resolution
+
+    def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
+        """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
+
+        force (n,), or (k n,) for the k equal parts of every sample: on top of the force of the input [unit of the
+        equation].
+        """
+        if self.breaks:
+            return self._simulate_parts(q, force)
+        values = q * self.scale
+        theta, (x0, v0) = values[:-2], values[-2:]
+        split, u, on_top = 1, self.u, None
+        if force is not None:
+            split = force.size // u.size
+            u, on_top = np.repeat(u, split), force / self.equation.input_gain
+        # a spring's length counts from the first count
+        start = float(v0), float(x0 - self.slack)
+        parts = max(1, -(-self.parts // split))
+        past = np.repeat(self.before, split)
+        velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, past, on_top)
+        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
+
+    def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
+        """`motion` of a record with gaps; in a gap the position follows the counts, and the velocity is zero."""
+        split = 1 if force is None else force.size // self.u.size
+        position, velocity = self.y.copy(), np.zeros(split * self.u.size)
+        first, others = self._parts
+        own = slice(split * first.start, split * first.stop)
+        position[first], velocity[own] = self._piece(first).motion(q, None if force is None else force[own])
+        for restart in others:
+            own = slice(split * restart.part.start, split * restart.part.stop)
+            found = restart.best(q[:-2], None if force is None else force[own])
+            position[restart.part], velocity[own] = found
+        return position, velocity
+
+    @cached_property
+    def _parts(self) -> tuple[slice, list[Restart]]:
+        """The first part of the record between its gaps, and the others."""
+        edges = [0, *(edge for gap in self.breaks for edge in gap), self.y.size]
+        parts = [slice(a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a]
+        return parts[0], [self._restart(part) for part in parts[1:]]
+
+    def _restart(self, part: slice) -> Restart:
+        piece = self._piece(part)
+
+        def motion(parameters: Floats, speed: float, force: Floats | None) -> tuple[Floats, Floats]:
+            return piece.motion(np.r_[parameters, np.array([piece.y[0], speed]) / piece.scale[-2:]], force)
+
+        known = piece.start_velocity_std * float(piece.scale[-1])
+        return Restart(part, piece.y, self.resolution**2 / 12, piece.shown_speed, known, motion)
+
+    def _piece(self, part: slice) -> Difference:
+        """A part of the record between its gaps; the inputs before a gap are unknown after it."""
+        past = self.before if part.start == 0 else self.u[part][:1]
+        return replace(self, u=self.u[part], y=self.y[part], zero=self.slack, past=past, breaks=())
+
+    @property
+    def shown_speed(self) -> float:
+        """Start velocity [unit of y per s] as the counts show it."""
+        return first_speed(self.y, self.dt, float(self.scale[-1] / self.scale[-2]), self.resolution)
+
+    @property
+    def before(self) -> Floats:
+        """(m,) inputs before the first, for a dead time alone. If they are unknown they are zero, as long as the axis
+        rests until they act, and else equal to the first one."""
+        if self.past is not None:
+            return self.past
+        return np.array([0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])])
+
+    def fine_at(self, theta: Floats) -> Difference:
+        """With as many parts of a sample as the counts ask for at theta (p,), and no fewer than now."""
+        asked = parts_for(self.equation, theta, self.dt, self.u, PARTS_ERROR * self.resolution)
+        return replace(self, parts=max(self.parts, asked))
+
+    @property
+    def parameters(self) -> int:
+        """Of the equation, with those in which it is not linear."""
+        return self.scale.size - 2
+
+    @property
+    def slack(self) -> float:
+        """Position from which a spring's length counts."""
+        return float(self.y[0]) if self.zero is None else self.zero
+
+    def part(self, first: int, last: int) -> Difference:
+        """The same for samples first to last - 1, with a start of their own."""
+        past = np.r_[self.before, self.u[:first]][-(LAGGING if self.equation.lag else 1) * MOST_LATE - 2 :]
+        return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past)
+
+    def filter_signal(self, signal: Floats) -> Floats:
+        """The high-pass, from rest: white noise on top of a random walk leaves it white."""
+        if self.pole == 0:
+            return signal
+        return first_order(signal, math.exp(-self.pole * self.dt), 1.0, -1.0)[0]
+
+    def sum_by_sample(self, values: Floats) -> Floats:
+        """Values (n, ...) at the samples of the difference, summed at the samples of the record."""
+        return values
+
+    @property
+    def size_of_motion(self) -> float:
+        """Root mean square [counts] of the position about its mean, as the difference sees it."""
+        return rms(self.filter_signal(self.y - np.mean(self.y)) / self.resolution)
+
+    def jacobian(self, q: Floats, width: float = QUOTIENT_STEP, first: int = 0) -> Floats:
+        """Derivatives by q[first:], a column each, as central differences that stay above the bounds."""
+        columns = []
+        for step in width * np.eye(q.size)[first:]:
+            low = np.maximum(q - step, self.lower)
+            columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
+        return np.column_stack(columns)
+
+    def forward_jacobian(self, q: Floats, e: Floats) -> Floats:
+        """Derivatives by q (q,), a column each, from the difference e (n,) at q: half of the simulations of `jacobian`,
+        for an iteration, whose end they move by a ten-thousandth of a standard error."""
+        return np.column_stack([(self(q + step) - e) / QUOTIENT_STEP for step in QUOTIENT_STEP * np.eye(q.size)])
+
+    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = QUOTIENT_STEP) -> Floats:
+        """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
+        jacobian, p = self.jacobian(q, width), self.parameters
+        return remove_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
+
+    @property
+    def start_velocity_std(self) -> float:
+        """What the start velocity is known to, in the unit of q: some counts within a filter time constant."""
+        return START_COUNTS * self.resolution / float(self.scale[-2])
+
+    @property
+    def recovery(self) -> int:
+        """Samples after which the high-pass has forgotten a step; 1 without one."""
+        return math.ceil(1 / (self.pole * self.dt)) if self.pole > 0 else 1
+
+    @property
+    def explained(self) -> float:
+        """Root mean square [counts] that the encoder and the simulation explain."""
+        return ENCODER_ALONE + SIMULATION_ERROR * float(np.ptp(self.y)) / self.resolution
+
+    @property
+    def lower(self) -> Floats:
+        """Bounds of q: a mass and shape parameters above zero, frictions of at least zero."""
+        lower = np.full(self.scale.size, -np.inf)
+        lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
+        lower[self.equation.leading] = LEAST_MASS
+        lower[len(self.equation.names) : -2] = LEAST_SHAPE
+        if self.equation.lag == ESTIMATE:
+            lower[len(self.equation.names)] = 0.0
+        return lower
+
+
+def first_speed(y: Floats | NDArray[np.int64], dt: float, cutoff: float, resolution: float) -> float:
+    """Start velocity [unit of y per s] of a position y (n,) sampled every dt [s], from its rise within a filter time
+    constant 1 / cutoff [s]. From rest within stiction a small one changes nothing: only a motion of more than the
+    resolution gives it one."""
+    near = min(y.size - 1, math.ceil(1 / (cutoff * dt)))
+    rise = float(y[near] - y[0])
+    return rise / (near * dt) if abs(rise) > 1.5 * resolution else 0.0
+
+
+def rms(signal: Floats) -> float:
+    """Root mean square of a signal (n,)."""
+    return float(np.sqrt(np.mean(signal**2)))
+
+
+def least(difference: Difference, q: Floats, tolerances: Sequence[float] = (TOLERANCE, ROUGH_TOLERANCE)) -> Floats:
+    """Least squares from q (q,), with these relative tolerances one after the other. Raises NotIdentifiableError
+    where the iteration does not settle."""
+    from scipy.optimize import least_squares  # slow to import, and only this needs it
+
+    last = q, np.empty(0)
+
+    def error(at: Floats) -> Floats:
+        nonlocal last
+        last = at.copy(), difference(at)
+        return last[1]
+
+    def jacobian(at: Floats) -> Floats:
+        return difference.forward_jacobian(at, last[1] if np.array_equal(last[0], at) else difference(at))
+
+    for tolerance in tolerances:
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+                found = least_squares(
+                    error,
+                    q,
+                    jacobian,
+                    bounds=(difference.lower, np.inf),
+                    x_scale="jac",
+                    ftol=tolerance,
+                    xtol=tolerance,
+                    gtol=tolerance,
+                    max_nfev=MAX_EVALUATIONS,
+                )
+        except ValueError:  # sensitivities that are not finite
+            raise NotIdentifiableError(
+                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
+                "Python give `initial`"
+            ) from None
+        q = np.maximum(found.x, difference.lower)
+        if found.status > 0 or rms(difference(q)) <= difference.explained:
+            return np.asarray(q)
+    raise NotIdentifiableError(
+        f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
+        "follow the record closely; use iv, or in Python give `initial`"
+    )
+
+
+def remove_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
+    """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
+
+    root: (n,) square roots of the samples' information, None: for a white encoder error. The start velocity is
+    taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
+    """
+    weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
+    prior = np.array([[0.0, 1 / difference.start_velocity_std]])
+    weighted, targets = np.r_[weight * nuisance, prior], np.r_[weight * columns, np.zeros((1, columns.shape[1]))]
+    return np.asarray(columns - nuisance @ np.linalg.lstsq(weighted, targets)[0])
+
+
+def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
+    """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError where one of them is zero or a
+    combination of the others, naming the parameter."""
+    with np.errstate(over="ignore"):  # of a wide step a motion may run away: infinitely sensitive, then
+        parts, inverse = parts_of_their_own(sensitivity)
+        size = np.linalg.norm(sensitivity, axis=0)
+        sizes = np.outer(size, size)
+    worst = int(np.argmin(parts))
+    if not parts[worst] > APART:
+        raise NotIdentifiableError(
+            f"the position depends on {names[worst]} hardly, or just as on the others: too little excitation; record "
+            "reversals, and speeds and accelerations that vary"
+        )
+    return np.asarray(inverse @ inverse.T / sizes)

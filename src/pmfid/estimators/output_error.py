@@ -1,4 +1,4 @@
-"""Output error: the position simulated from the input alone against the counts, off-line."""
+"""Output error, and the likelihood of counts as intervals."""
 
 from __future__ import annotations
 
@@ -12,38 +12,40 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.arguments import check_arrays, hold_last_input
-from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.bcls import BCLS
+from pmfid.estimators.base import Simulating
+from pmfid.estimators.batch import BatchEstimator, check_identifiable
 from pmfid.estimators.bridges import gaps_in
-from pmfid.estimators.configuration import like
-from pmfid.estimators.difference import (
+from pmfid.estimators.configuration import check_arrays, hold_last_input, like
+from pmfid.estimators.instruments import Instruments
+from pmfid.estimators.likelihood import Best, best_of, cost, expected_information, likeliest_of
+from pmfid.estimators.ls import BCLS
+from pmfid.estimators.motion import (
     LEAST_MASS,
+    QUOTIENT_STEP,
     ROUGH_TOLERANCE,
-    STEP,
     TOLERANCE,
     WORST_FIT,
     Difference,
     first_speed,
     invert_information,
     least,
+    mean_velocity,
     rms,
 )
-from pmfid.estimators.identifiable import check_identifiable
-from pmfid.estimators.instruments import Instruments
-from pmfid.estimators.likelihood import Best, best_of, likeliest_of
-from pmfid.estimators.motion import mean_velocity
-from pmfid.estimators.phases import phase_scatter
 from pmfid.estimators.results import Fit
-from pmfid.estimators.scatter import raise_variances, scatter, widen_covariance
-from pmfid.estimators.simulating import Simulating
+from pmfid.estimators.search import FEWEST, Windows, choose_window, descend, find_least_from_start, fit_at_speeds
 from pmfid.estimators.srivc import ProcessSolver, solve_by_descent
-from pmfid.estimators.starts import find_least_from_start, fit_at_speeds
-from pmfid.estimators.window_choice import FEWEST, choose_window
-from pmfid.estimators.windows import Windows, descend
+from pmfid.estimators.uncertainty import (
+    likelihood_covariance,
+    phase_scatter,
+    raise_variances,
+    scatter,
+    widen_covariance,
+)
+from pmfid.linear.solve import ProcessProblem, Solution
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE
-from pmfid.transfer.solve import ProcessProblem, Solution
+from pmfid.status import Status
 from pmfid.types import Floats
 
 #: Multiple of the smallest allowed mass, below which the fit would rather have no mass.
@@ -140,7 +142,7 @@ class Following(Simulating, BatchEstimator):
             covariance = raise_variances(covariance, phase_scatter(difference, best.q, moves, None))
         return self.result(difference, q, self.with_drift(best, covariance), best.status)
 
-    def _scatter_scores(self, difference: Difference, q: Floats, width: float = STEP) -> tuple[Floats, Floats]:
+    def _scatter_scores(self, difference: Difference, q: Floats, width: float = QUOTIENT_STEP) -> tuple[Floats, Floats]:
         """(n, p) by how much an error of each sample moves the parameters, and their covariance (p, p) by how what is
         left scatters; width: of the difference quotients."""
         sensitivity = self.own_sensitivity(difference, q, width=width)
@@ -157,7 +159,7 @@ class Following(Simulating, BatchEstimator):
         return raise_variances(covariance, np.diagonal(self._scatter_scores(high_passed, best.q)[1]))
 
     def own_sensitivity(
-        self, difference: Difference, q: Floats, root: Floats | None = None, width: float = STEP
+        self, difference: Difference, q: Floats, root: Floats | None = None, width: float = QUOTIENT_STEP
     ) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
         return difference.own_sensitivity(q, root, width)
@@ -340,3 +342,39 @@ def _check_window(window: object, dt: float) -> None:
         raise UsageError(
             f"window must be a time of at least {FEWEST} samples, {FEWEST * dt:g} s, or {AUTO_WINDOW!r}, got {window!r}"
         )
+
+
+@dataclass(frozen=True)
+class IntervalML(Following):
+    """Maximum likelihood of the counts, off-line (Ljung 1999, section 7.4, for a quantised output).
+
+    log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) the simulated position, a = resolution * counts and
+    b = a + resolution the edges of the count, s the standard deviation of what else is in the position, estimated
+    too, of at least 0.02 counts. Starts from `OE`. theta_cov is that of the expected information, not of the observed
+    (far from the edges a count shows no curvature, whatever it says), or what the scores scatter where that is more:
+    in blocks on every scale, as where the model is not quite right, and over the places that the encoder's lattice may
+    have under this very motion.
+
+    Where y - x is more than the encoder explains, and wherever `OE` has a high-pass, the edges of the counts say
+    nothing on x: the result then comes from `OE`, with `Status.FALLBACK`. drift_cutoff: pole of a first-order high-pass
+    on y - x [rad/s], 0: none, None: as for `OE`. initial: parameters by name to start from.
+    """
+
+    method: ClassVar[str] = "interval"
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Raises NotIdentifiableError also where the simulation does not follow."""
+        return self.fit_of(self.best(u, counts))
+
+    def fit_of(self, best: Best) -> Fit:
+        """The result at the motion that fits best."""
+        if best.noise is None:
+            return self.make_least_squares_fit(replace(best, status=best.status | int(Status.FALLBACK)))
+        difference, q, noise = best.difference, best.q, best.noise
+        error = difference(q)
+        root = np.sqrt(expected_information(error, noise))
+        own = self.own_sensitivity(difference, q, root)
+        weighted, slope = own * root[:, None], cost(error, noise)[1]
+        invert_information(weighted, self.names)
+        covariance = likelihood_covariance(best, weighted, own * slope[:, None])
+        return self.result(difference, q, self.with_drift(best, covariance), best.status)

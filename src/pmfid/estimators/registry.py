@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.bcls import BCLS
-from pmfid.estimators.bcrls import BCRLS
-from pmfid.estimators.interval import IntervalML
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known_step import KnownStep, RKnownStep
-from pmfid.estimators.ls import LS
-from pmfid.estimators.output_error import OE
-from pmfid.estimators.rls import RLS
-from pmfid.estimators.rsrivc import RSRIVC
-from pmfid.estimators.srivc import SRIVC
+from pmfid.estimators.ls import BCLS, LS
+from pmfid.estimators.output_error import OE, IntervalML
+from pmfid.estimators.recursive import BCRLS, RLS
+from pmfid.estimators.srivc import RSRIVC, SRIVC
 from pmfid.models.drive import Model
 
 #: Those that take a drive.

@@ -1,15 +1,18 @@
-"""What off-line estimates are made of and what they give: filtered columns and a fit."""
+"""Results: a fit of a record, a track over its samples."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid._stage import bars
 from pmfid.errors import place_of
 from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
-from pmfid.status import status_names
+from pmfid.status import Status, status_names
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,3 +78,139 @@ class Columns:
     zeta: NDArray[np.float64]
     used: NDArray[np.bool_]
     status: int
+
+
+@dataclass(frozen=True, repr=False)
+class Track(Presentable):
+    """Estimates over a record of n samples with p parameters.
+
+    theta: (n, p); innovation: (n,) a priori error in the unit of the target; innovation_variance: (n,);
+    variance_factor: (n, p), the diagonal of P; inflation: (n, p), what coloured innovations make of the variances,
+    0 while not known; status: (n,) `Status` bits; names, units: of the p parameters.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: NDArray[np.float64]
+    variance_factor: NDArray[np.float64]
+    inflation: NDArray[np.float64]
+    innovation: NDArray[np.float64]
+    innovation_variance: NDArray[np.float64]
+    status: NDArray[np.uint32]
+
+    @cached_property
+    def theta_std(self) -> NDArray[np.float64]:
+        """(n, p) standard deviations, infinite until there is an estimate; scaled by the inflation once it is known."""
+        return bars(*map(np.ascontiguousarray, (self.variance_factor, self.innovation_variance, self.inflation)))
+
+    def with_bars(
+        self,
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        theta: NDArray[np.float64],
+        std: NDArray[np.float64],
+    ) -> Track:
+        """The same samples with other parameters theta (n, q) and their standard deviations (n, q)."""
+        variance = np.where(self.innovation_variance > 0, self.innovation_variance, np.inf)
+        factor = np.where(np.isfinite(std), std, 0.0) ** 2 / variance[:, None]
+        whole = np.where(np.all(np.isfinite(std), axis=1), self.innovation_variance, 0.0)
+        inflation = np.zeros_like(theta)
+        return Track(names, units, theta, factor, inflation, self.innovation, whole, self.status)
+
+    def repeat_last(self, samples: int, status: Status) -> Track:
+        """The last estimate for further samples, with a status bit."""
+        own = {name: np.repeat(getattr(self, name)[-1:], samples, axis=0) for name in _signals()}
+        own["innovation"][:] = 0.0
+        own["status"] |= np.uint32(status)
+        return Track(self.names, self.units, **own)
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return self.theta[..., place_of(name, self.names)]
+
+    def flagged(self, bit: Status) -> NDArray[np.bool_]:
+        """(n,) where a status bit is set."""
+        return np.asarray((self.status & bit) != 0)
+
+    def summary(self) -> Summary:
+        """The last estimate."""
+        if not self.status.size:
+            return Summary("track of no samples", Parameters.header, [])
+        last = Parameters(self.names, self.units, self.theta[-1], self.theta_std[-1])
+        title = f"track of {self.status.size} samples, the last estimate:"
+        return last.summary(title, remarks_of(status_names(int(self.status[-1]))))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each sample, numbered from 0: parameters with their standard deviations, innovation, status."""
+        found: dict[str, object] = {"sample": np.arange(self.status.size)}
+        for i, name in enumerate(self.names):
+            found |= {name: self.theta[:, i], f"{name}_std": self.theta_std[:, i]}
+        return found | {"innovation": self.innovation, "status": self.status}
+
+    def to_dict(self) -> dict[str, object]:
+        """Lists over the samples."""
+        return {
+            "samples": int(self.status.size),
+            "units": dict(zip(self.names, self.units, strict=True)),
+            **{name: plain(values) for name, values in self.columns().items()},
+        }
+
+
+def _signals() -> list[str]:
+    """What a track has of every sample, by name."""
+    return [field.name for field in fields(Track) if field.name not in ("names", "units")]
+
+
+def join_tracks(parts: Sequence[Track]) -> Track:
+    """One track of pieces that follow each other."""
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _signals()}
+    return Track(parts[0].names, parts[0].units, **whole)
+
+
+@dataclass(frozen=True, repr=False)
+class Tracks(Track):
+    """Estimates of many axes: a `Track` whose arrays have the axis in front.
+
+    theta, variance_factor, inflation: (axes, m, p); innovation, innovation_variance, status: (axes, m), where m is the
+    number of samples that were kept; samples: (m,) their numbers. `tracks["mass"]` is (axes, m).
+    """
+
+    samples: NDArray[np.int64]
+
+    def axis(self, index: int) -> Track:
+        """The track of one axis."""
+        return Track(
+            self.names,
+            self.units,
+            self.theta[index],
+            self.variance_factor[index],
+            self.inflation[index],
+            self.innovation[index],
+            self.innovation_variance[index],
+            self.status[index],
+        )
+
+    def summary(self) -> Summary:
+        """The last estimates: their median over the axes, and between which values 90 % of them are."""
+        axes, kept = self.status.shape
+        title = f"tracks of {axes} axes, {kept} sample{'s' * (kept != 1)} kept, the last estimates:"
+        header = ("parameter", "median", "5 %", "95 %", "unit")
+        rows = [
+            (name, *self._quantiles(i), unit) for i, (name, unit) in enumerate(zip(self.names, self.units, strict=True))
+        ]
+        lines = [f"{name} {middle} {unit}, {low} to {high}" for name, middle, low, high, unit in rows]
+        status = int(np.bitwise_or.reduce(self.status[:, -1])) if self.status.size else 0
+        remarks = [f"of some axes {remark}" for remark in remarks_of(status_names(status))]
+        return Summary(title, header, rows, lines, remarks)
+
+    def _quantiles(self, i: int) -> list[str]:
+        last = self.theta[:, -1, i] if self.status.size else np.full(1, np.nan)
+        return [f"{value:.6g}" for value in np.quantile(last, (0.5, 0.05, 0.95))]
+
+    def columns(self) -> dict[str, object]:
+        """A row for each sample of each axis."""
+        axes, kept = self.status.shape
+        found: dict[str, object] = {"axis": np.repeat(np.arange(axes), kept), "sample": np.tile(self.samples, axes)}
+        for i, name in enumerate(self.names):
+            found |= {name: self.theta[..., i].ravel(), f"{name}_std": self.theta_std[..., i].ravel()}
+        return found | {"innovation": self.innovation.ravel(), "status": self.status.ravel()}

@@ -1,23 +1,24 @@
-"""`export_firmware`: a folder of C with the bits of a configured estimator."""
+"""Firmware: the kernel copied, its configuration written."""
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
+import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import SupportsInt
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.export.alarm import ParameterAlarm
-from pmfid.export.initializer import initializer, literal
-from pmfid.export.names import check_names, remark
-from pmfid.export.samples import made_up_record, moving_part, record_run
-from pmfid.kernel.saved import configuration, recursions_of, shape_of
+from pmfid.kernel.saved import configuration, recursions_of, shape_of, tight_state
 from pmfid.kernel.structures import (
     HEADERS,
     Structured,
@@ -27,6 +28,210 @@ from pmfid.kernel.structures import (
     source_folder,
     structures,
 )
+
+INDENT = "    "
+
+
+def literal(number: SupportsInt) -> str:
+    """A number as a C constant: hexadecimal where it is a float, so that nothing is rounded.
+
+    Raises ValueError for a float that is not finite: C99 has no constant for it.
+    """
+    if isinstance(number, np.floating):
+        if not np.isfinite(number):
+            raise ValueError(f"{number} has no C constant")
+        mantissa, _, exponent = float(number).hex().partition("p")
+        mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+        return f"{mantissa}p{exponent}" + ("f" if number.dtype.itemsize == 4 else "")
+    return f"{int(number)}U" if isinstance(number, np.unsignedinteger) else str(int(number))
+
+
+def initializer(structure: Structured, level: int = 0) -> str:
+    """A structure, or an array of structures, as a braced initialiser; a comment names each field.
+
+    Fields are set by position and not by designators, so that C++17 reads the initialiser as well.
+    """
+    inner = INDENT * (level + 1)
+    lines = [
+        f"{inner}{_value(structure[name], level + 1)}, /* {_remark(name, structure[name])} */"
+        for name in structure.dtype.names or ()
+    ]
+    return "{\n" + "\n".join(lines) + f"\n{INDENT * level}}}"
+
+
+def _remark(name: str, value: Structured) -> str:
+    scalar_float = value.ndim == 0 and value.dtype.kind == "f"
+    return f"{name} = {float(value):.9g}" if scalar_float else name
+
+
+def _value(value: Structured, level: int) -> str:
+    if value.ndim == 0:
+        return initializer(value, level) if value.dtype.names else literal(value[()])
+    if value.dtype.names:
+        return _rows([_flat(row) for row in value], level)
+    if value.ndim == 2:
+        return _rows([_flat(row) for row in value], level)
+    return _flat(value)
+
+
+def _rows(rows: list[str], level: int) -> str:
+    inner = INDENT * (level + 1)
+    return "{\n" + "".join(f"{inner}{row},\n" for row in rows) + f"{INDENT * level}}}"
+
+
+def _flat(row: Structured) -> str:
+    """One line: the numbers of an array, or the fields of a small structure."""
+    values = [row[name] for name in row.dtype.names] if row.dtype.names else list(row)
+    return "{" + ", ".join(literal(value[()]) for value in values) + "}"
+
+
+#: Ends of the names that an export makes of its prefix for types.
+TYPES = ("_t", "_saved_t", "_alarm_t")
+#: Types of C99's library whose names end in one of these.
+_PLAIN_TYPES = """
+size ptrdiff wchar wint wctrans wctype mbstate time clock div ldiv lldiv fpos float double fenv fexcept imaxdiv
+sig_atomic va_list intptr uintptr intmax uintmax ssize off
+"""
+_WIDTHS = [
+    f"{sign}int{kind}{bits}" for sign in ("", "u") for kind in ("", "_least", "_fast") for bits in (8, 16, 32, 64)
+]
+C_TYPES = {f"{name}_t" for name in (*_PLAIN_TYPES.split(), *_WIDTHS)}
+#: What else an export makes of its prefix in capitals.
+TAKEN = {"H", "PARAMETERS", "ALARMS"}
+#: Signs of units -> what ASCII has for them.
+PLAIN = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "⋅": " "})
+
+
+def check_names(prefix: str, parameters: Sequence[str]) -> None:
+    """Raises UsageError if a prefix or the names of the parameters would not compile."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix) or prefix.startswith("pmf"):
+        raise UsageError(
+            "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "
+            f"the C begin with it; got {prefix!r}, give another (--prefix)"
+        )
+    of_kernel = set(re.findall(r"\b\w+_t\b", "".join(map(header, HEADERS))))
+    clash = sorted({prefix + end for end in TYPES} & (C_TYPES | of_kernel))
+    if clash:
+        raise UsageError(
+            f"prefix {prefix!r} makes {clash[0]}, which C or the kernel has already; give another (--prefix)"
+        )
+    capitals = [name.upper() for name in parameters]
+    for name, capital in zip(parameters, capitals, strict=True):
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise UsageError(f"parameter {name!r} has letters that C has not; use a to z, digits and _ in its name")
+        if capital in TAKEN or capitals.count(capital) > 1:
+            raise UsageError(
+                f"parameter {name!r} gives {prefix.upper()}_{capital}, which the C has already; give it another name"
+            )
+
+
+def remark(text: str) -> str:
+    """A text for a comment in C: one line of ASCII that cannot end the comment."""
+    plain = re.sub(r"[^ -~]|[\\?]", ".", text.translate(PLAIN))  # ? begins trigraphs
+    return re.sub(r"\*(?=/)|/(?=\*)", ".", plain)
+
+
+SAMPLES = 800
+#: Samples between the changes of the made-up input, and samples of rest.
+CLOCK, REST = 23, 150
+
+
+@dataclass(frozen=True)
+class Samples:
+    """u: (n,) input; counts: (n,) as the counter shows them; expected: (n,) CRC-32 of the state after each; theta: (p,)
+    after the last."""
+
+    u: NDArray[np.floating]
+    counts: NDArray[np.uint32]
+    expected: NDArray[np.uint32]
+    theta: NDArray[np.float64]
+
+
+def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Input and counts (n,) of a plant that suits the axis; a body reverses, rests, and its counter wraps."""
+    u, axis = _input(SAMPLES), estimator
+    return u, axis.plant.made_up_counts(axis.equation, u, axis.dt, axis.cutoff, axis.encoder.resolution)
+
+
+def _input(samples: int) -> NDArray[np.float64]:
+    """Levels between -1 and 1 by a shift register of five bits, and zero for a while."""
+    register, levels = 0b10101, []
+    for _ in range(samples // CLOCK + 1):
+        register = register >> 1 | ((register ^ register >> 2) & 1) << 4
+        levels.append((register - 15.5) / 15.5)
+    u = np.repeat(levels, CLOCK)[:samples]
+    u[samples // 2 : samples // 2 + REST] = 0.0
+    return u
+
+
+def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> Samples:
+    """Runs the estimator from its start over u, counts: (n,); the estimator's own state stays as it is.
+
+    Raises UsageError for a record that is empty or not finite.
+    """
+    u, counts = check_arrays(u, counts)
+    if u.size == 0 or not np.all(np.isfinite(u)):
+        raise UsageError("the samples of the self-test must be finite, and at least one; take another record")
+    kernel = estimator.make_kernel(estimator.forgetting)
+    given = u.astype(kernel.dtype)
+    shape = shape_of(configuration(kernel, estimator.precision))
+    expected = []
+    for value, count in zip(given.tolist(), counts.tolist(), strict=True):
+        estimate = kernel.step(value, count)
+        expected.append(zlib.crc32(tight_state(kernel, estimator.precision, shape).tobytes()))
+    return Samples(given, counts.astype(np.uint32), np.array(expected, np.uint32), estimate.theta)
+
+
+def moving_part(counts: NDArray[np.int64]) -> slice:
+    """The first samples of a record from shortly before it moves."""
+    moves = np.flatnonzero(np.diff(counts))
+    start = max(0, int(moves[0]) - 10) if moves.size else 0
+    return slice(start, start + SAMPLES)
+
+
+#: Logarithm of the likelihood ratio that raises an alarm: by chance about once in exp(10) = 22000 intervals.
+THRESHOLD = 10.0
+#: Samples between estimates that count, in memories: then their errors are nearly independent.
+MEMORIES = 2.0
+
+
+@dataclass(frozen=True)
+class ParameterAlarm:
+    """Watches a parameter by a two-sided cumulative sum of log-likelihood ratios (Page 1954).
+
+    parameter: its name; nominal: its value in normal work; shift: the change to be noticed [unit of the parameter],
+    > 0; threshold: of the sum, > 0. Raises UsageError for a value outside these bounds.
+    """
+
+    parameter: str
+    nominal: float
+    shift: float
+    threshold: float = THRESHOLD
+
+    def __post_init__(self) -> None:
+        for name, value in (("shift", self.shift), ("threshold", self.threshold)):
+            if not (math.isfinite(value) and value > 0):
+                raise UsageError(f"{name} of an alarm must be positive and finite, got {value}")
+        if not math.isfinite(self.nominal):
+            raise UsageError(f"nominal of an alarm must be finite, got {self.nominal}")
+
+    def interval(self, estimator: RecursiveEstimator) -> int:
+        """Samples between the estimates that count. Raises UsageError for an estimator that never forgets."""
+        if estimator.forgetting == 1:
+            raise UsageError("an alarm needs forgetting below 1: an estimate that remembers everything follows nothing")
+        return math.ceil(MEMORIES / (1 - estimator.forgetting))
+
+    def structure(self, estimator: RecursiveEstimator) -> Structured:
+        """The `pmf_alarm_config_t`. Raises UsageError for a parameter that the estimator has not."""
+        if self.parameter not in estimator.names:
+            raise UsageError(f"an alarm's parameter must be one of {list(estimator.names)}, got {self.parameter!r}")
+        config = np.zeros((), structures(None, estimator.precision)["pmf_alarm_config_t"])
+        config["parameter"] = estimator.names.index(self.parameter)
+        config["interval"] = self.interval(estimator)
+        for name in ("nominal", "shift", "threshold"):
+            config[name] = getattr(self, name)
+        return config
+
 
 #: Template -> file in the folder; NAME is the prefix.
 FILES = {

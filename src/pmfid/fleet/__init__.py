@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING
 from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
+    from pmfid.fleet.data import Engine as Engine
+    from pmfid.fleet.data import Local as Local
+    from pmfid.fleet.data import Work as Work
     from pmfid.fleet.history import History as History
     from pmfid.fleet.history import estimate as estimate
-    from pmfid.fleet.local import Engine as Engine
-    from pmfid.fleet.local import Local as Local
     from pmfid.fleet.segments import Segments as Segments
     from pmfid.fleet.source import Columns as Columns
     from pmfid.fleet.spark.engine import Spark as Spark
-    from pmfid.fleet.work import Work as Work
 
 _PUBLIC = {
     "Columns": "source",
-    "Engine": "local",
+    "Engine": "data",
     "History": "history",
-    "Local": "local",
+    "Local": "data",
     "Segments": "segments",
     "Spark": "spark.engine",
-    "Work": "work",
+    "Work": "data",
     "estimate": "history",
 }
 

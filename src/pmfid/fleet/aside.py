@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.fleet.plan import RowShard
+from pmfid.fleet.plan import EXTENT, PART, ROWS, RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
 from pmfid.fleet.store import ASIDE
-from pmfid.fleet.survey import EXTENT, PART, ROWS
-from pmfid.session.formats.safety import readable
+from pmfid.io.safety import readable
 from pmfid.types import Floats
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""What became of one axis: a step at some time, a slow trend, or nothing beyond chance and tolerance."""
+"""Steps, drifts and wander in a series, and sorts of machines."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.fleet.series import Series, lasting, mean_of, noise_of
+from pmfid.fleet.series import MEDIAN, Series, lasting, mean_of, noise_of
 from pmfid.monitor.cause import FRICTION
 from pmfid.types import Floats
 
@@ -175,3 +176,113 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     begin = np.maximum(1 - slopes * span / 2, LEAST_BEGIN)
     cause = attribute_change(slopes * span / begin, stds * span / begin**2, _correlation(rest), names)
     return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, stds)
+
+
+#: Noise of the segments, in standard errors; steps of the walk from one segment to the next, in root mean square
+#: differences of neighbours.
+NOISE = np.geomspace(1, 100, 9)
+WALK = np.r_[0.0, np.geomspace(1e-3, 2, 16)]
+#: Greatest number of segments: more are averaged in groups.
+MOST = 128
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """By how much a step and a line explain a series better than its wandering, as Student's t; size: (p,) relative,
+    root mean square about the mean."""
+
+    step: float
+    line: float
+    size: Floats
+
+
+def compare_with_wander(series: Series, since: float) -> Beyond:
+    """Evidence of step and trend beyond wandering, from a series (n, p) of at least three usable segments; since: start
+    of the first segment after the step [s]."""
+    place = int(np.searchsorted(series.start, since))
+    theta, std, time = _together(series, place)
+    n = len(theta)
+    mean = np.average(theta, axis=0, weights=std**-2.0)
+    size = np.sqrt(np.mean((theta - mean) ** 2, axis=0)) / np.maximum(np.abs(mean), np.finfo(float).tiny)
+    unit = np.maximum(np.sqrt(np.mean(np.diff(theta, axis=0) ** 2, axis=0)), np.finfo(float).tiny)
+    shapes = np.stack([time >= since, (time - time[0]) / (time[-1] - time[0])], axis=1).astype(np.float64)
+    alone, *with_shape = _likelihoods((theta - mean) / unit, std / unit, shapes)
+    gains = [np.max(one - alone) for one in with_shape]
+    free = max(n - 2, 1)
+    step, line = (float(np.sqrt(free * np.expm1(min(2 * gain / n, 100.0)))) for gain in gains)
+    return Beyond(step, line, size)
+
+
+def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:
+    """Means of neighbours (m, p) with their standard errors and middle times (m,), never across a place."""
+    n = series.start.size
+    many = -(-n // MOST)
+    starts = np.r_[np.arange(place % many, place, many), np.arange(place, n, many)].astype(int)
+    starts = np.unique(np.r_[0, starts])
+    weight = series.std**-2.0
+    total = np.add.reduceat(weight, starts, axis=0)
+    theta = np.add.reduceat(weight * series.theta, starts, axis=0) / total
+    time = np.add.reduceat((series.start + series.end) / 2, starts) / np.diff(np.r_[starts, n])
+    return theta, total**-0.5, time
+
+
+def _likelihoods(theta: Floats, std: Floats, shapes: Floats) -> tuple[Floats, ...]:
+    """(p,) largest logarithm of the likelihood of theta (n, p) with errors std (n, p), of the walk alone and with a
+    multiple of each shape (n, k); by a Kalman filter for all noises and walks at once."""
+    n, p = theta.shape
+    seen = np.concatenate([theta[:, None, :], np.broadcast_to(shapes[:, :, None], (n, shapes.shape[1], p))], axis=1)
+    noise, walk = (NOISE[:, None, None] * std[:, None, None, :]) ** 2, (WALK**2)[None, :, None]
+    level = np.broadcast_to(seen[0][:, None, None, :], (seen.shape[1], NOISE.size, WALK.size, p))
+    variance = np.broadcast_to(noise[0], (NOISE.size, WALK.size, p))
+    logs = np.zeros(variance.shape)
+    products = np.zeros((seen.shape[1], *variance.shape))  # of the innovations with those of theta
+    squares = np.zeros((seen.shape[1], *variance.shape))
+    for now, error in zip(seen[1:], noise[1:], strict=True):
+        variance = variance + walk
+        total = variance + error
+        innovation = now[:, None, None, :] - level
+        logs += np.log(total)
+        products += innovation * innovation[0] / total
+        squares += innovation**2 / total
+        gain = variance / total
+        level, variance = level + gain * innovation, variance * (1 - gain)
+    taken = products[1:] ** 2 / np.maximum(squares[1:], np.finfo(float).tiny)
+    whole = [squares[0], *(squares[0] - one for one in taken)]
+    return tuple(np.max(-(logs + one) / 2, axis=(0, 1)) for one in whole)
+
+
+#: Distance between the middles of two sorts, and width of the empty gap between them, in their own spreads.
+APART, GAP = 5.0, 1.0
+#: Part of the axes that is a sort, at least: fewer are odd ones.
+LEAST_PART = 0.1
+
+
+def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
+    """Members of each sort of axes at places (m, p), logarithms of their parameters over the median of the type.
+
+    least: axes of a sort; tolerance: spread below which there is none. One sort, all, where no gap parts them."""
+    found = [np.arange(len(place))]
+    for column in place.T:
+        found = [part for members in found for part in _split_sort(members, column, least, tolerance)]
+    return found
+
+
+def _split_sort(members: NDArray[np.intp], column: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
+    """Splits the members by one parameter, repeatedly."""
+    ordered = members[np.argsort(column[members], kind="stable")]
+    values = column[ordered]
+    least = max(least, int(np.ceil(LEAST_PART * values.size)))
+    places = np.arange(least, values.size - least + 1)
+    if not places.size:
+        return [members]
+    k = int(places[np.argmax(values[places] - values[places - 1])])
+    low, high = values[:k], values[k:]
+    spread = max(tolerance, _spread(low), _spread(high))
+    if high[0] - low[-1] < GAP * spread or np.median(high) - np.median(low) < APART * spread:
+        return [members]
+    parts = (np.sort(ordered[:k]), np.sort(ordered[k:]))
+    return [part for one in parts for part in _split_sort(one, column, least, tolerance)]
+
+
+def _spread(values: Floats) -> float:
+    return float(np.median(np.abs(values - np.median(values))) / MEDIAN)

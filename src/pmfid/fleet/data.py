@@ -1,26 +1,168 @@
-"""Where the rows of a history are, and what is asked of them there: files and frames, whose parts an engine takes; a
-Spark DataFrame answers for itself (`spark.frame`)."""
+"""Engines, and the work that they do on parts of a history."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+import os
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from threading import Condition
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar
 
+from pmfid.errors import UsageError, whole_number
 from pmfid.fleet.aside import Aside, find_mixed_parts
-from pmfid.fleet.keep import Keep
-from pmfid.fleet.local import Engine, Local, RowBudget
-from pmfid.fleet.plan import BUDGET, RowShard
-from pmfid.fleet.segments import Segments
+from pmfid.fleet.plan import BUDGET, Places, RowShard, Survey, content, join_surveys, survey_part
+from pmfid.fleet.rows import RecordPiece, pieces_of, read_rows, rows_of
+from pmfid.fleet.segments import Segments, solve
+from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Columns, Part
-from pmfid.fleet.store import digest
-from pmfid.fleet.survey import Survey, content, join_surveys, survey_part
-from pmfid.fleet.within import Places
-from pmfid.fleet.work import TRIED, Work, check_columns, samples_of
-from pmfid.session.tables import Table
+from pmfid.fleet.store import Keep, digest
+from pmfid.io.tables import Table
+
+if TYPE_CHECKING:
+    import polars as pl
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+class Engine(Protocol):
+    """Where the work of a history is done."""
+
+    name: ClassVar[str]
+
+    def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
+        """work of each item, in the order of the items."""
+        ...
+
+
+@dataclass(frozen=True)
+class Local:
+    """workers: threads; None: as many as there are processors. How many have a shard in memory is up to `RowBudget`."""
+
+    name: ClassVar[str] = "local"
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers is not None:
+            whole_number("workers", self.workers, 1, "it is the number of threads; None: as many as processors")
+
+    def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
+        """No more is under way than there are workers, and one result that waits for each."""
+        many = self.workers or _processors()
+        with ThreadPoolExecutor(many) as pool:
+            waiting: deque[Future[B]] = deque()
+            try:
+                for item in items:
+                    waiting.append(pool.submit(work, item))
+                    if len(waiting) > 2 * many:
+                        yield waiting.popleft().result()
+                while waiting:
+                    yield waiting.popleft().result()
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+
+class RowBudget:
+    """Rows that threads may have in memory together, so that memory knows no number of processors."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows, self._used = rows, 0
+        self._freed = Condition()
+
+    @contextmanager
+    def reserve(self, rows: int) -> Iterator[None]:
+        """Waits until this number of rows fits into the budget; a larger request waits for the whole budget."""
+        own = min(rows, self._rows)
+        with self._freed:
+            self._freed.wait_for(lambda: self._used + own <= self._rows)
+            self._used += own
+        try:
+            yield
+        finally:
+            with self._freed:
+                self._used -= own
+                self._freed.notify_all()
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+#: Shards whose first axes are looked at for one that tells the configuration.
+TRIED = 5
+
+
+@dataclass(frozen=True)
+class Work:
+    """settings, columns: of the history; length: of a slice [s]."""
+
+    settings: Settings
+    columns: Columns
+    length: float
+
+    def shard(self, shard: RowShard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
+        """The segments of a shard, from the files that have its rows, or from where these are put aside."""
+        rows, problems = read_rows(shard, parts, self.columns, self.length, aside)
+        found = solve(pieces_of(rows, self.columns, self.length), self.settings)
+        return Segments(found.rows, (*problems, *found.problems))
+
+    def frame(self, frame: pl.DataFrame) -> Segments:
+        """The segments of rows that an engine has brought together, in any order: all those of a slice of an axis must
+        be there. frame: with the columns of `source`."""
+        rows, problems = rows_of(frame, self.columns)
+        found = solve(pieces_of(rows, self.columns, self.length), self.settings)
+        return Segments(found.rows, (*problems, *found.problems))
+
+
+def samples_of(
+    shards: Sequence[RowShard], parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
+) -> Iterator[Table]:
+    """The longest piece of the first slice of each of the first axes, a table for each."""
+    for shard in shards[:TRIED]:
+        rows, _ = read_rows(shard, parts, columns, length, aside)
+        slices: dict[str, dict[int, list[RecordPiece]]] = defaultdict(lambda: defaultdict(list))
+        for piece in pieces_of(rows, columns, length):
+            slices[piece.axis][math.floor(piece.start / length)].append(piece)
+        for axis in sorted(slices)[:TRIED]:
+            first = slices[axis][min(slices[axis])]
+            yield longest(first, columns)
+
+
+def first_table(frame: pl.DataFrame, columns: Columns, length: float) -> Table | None:
+    """The table of the longest first piece in rows of one axis that an engine has gathered; None: there is no piece."""
+    rows, _ = rows_of(frame, columns)
+    pieces = list(pieces_of(rows, columns, length))
+    return (
+        longest([one for one in pieces if one.start // length == pieces[0].start // length], columns)
+        if pieces
+        else None
+    )
+
+
+def longest(pieces: Sequence[RecordPiece], columns: Columns) -> Table:
+    """The table of the longest piece."""
+    return max(pieces, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
+
+
+def check_columns(columns: Columns, parts: Sequence[Part], found: Survey) -> None:
+    """Raises UsageError where no part has rows with the columns that are named."""
+    if found.rows.height:
+        return
+    for part in parts[:1]:
+        try:
+            part.rows(columns)
+        except UsageError as error:
+            raise UsageError(f"{part.name}: {error}") from None
+    reason = next((f": {one.part}: {one.text}" for one in found.problems if one.code == "unreadable"), "")
+    raise UsageError(f"no file of the data set could be read{reason}; run pmfid check on one")
+
 
 #: Full shards in memory at once on one machine, however many threads it has.
 FULL = 3

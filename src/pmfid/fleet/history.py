@@ -11,21 +11,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError, printable
-from pmfid.fleet.choice import choose
-from pmfid.fleet.data import Data, Parts
-from pmfid.fleet.keep import Keep, Kept
-from pmfid.fleet.local import Engine, Local
+from pmfid.fleet.data import Data, Engine, Local, Parts, Work
 from pmfid.fleet.outcome import Outcome, outcome_of
-from pmfid.fleet.periods import Periods
-from pmfid.fleet.plan import RowShard, shards_of, slice_length
-from pmfid.fleet.settings import Chosen, make_settings
+from pmfid.fleet.plan import RowProblem, RowShard, shards_of, slice_length
+from pmfid.fleet.series import Periods
+from pmfid.fleet.settings import Chosen, choose, make_settings
 from pmfid.fleet.source import AXIS, TYPE, Columns, is_spark, parts_of
-from pmfid.fleet.store import Store, check_folder, digest, whole
-from pmfid.fleet.survey import RowProblem
+from pmfid.fleet.store import Keep, Kept, Store, check_folder, digest, whole
 from pmfid.fleet.verdicts import UNKNOWN
-from pmfid.fleet.work import Work
-from pmfid.session.config import Axis, load_axis
 
 if TYPE_CHECKING:
     import polars as pl

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmfid.fleet.periods import SAME, Periods, period_rows
-from pmfid.fleet.said import sentence
-from pmfid.fleet.series import Series, series_of, widen_errors
+from pmfid.fleet.plan import DAY, RowProblem
+from pmfid.fleet.series import SAME, Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.source import AXIS
-from pmfid.fleet.survey import DAY, RowProblem
-from pmfid.fleet.verdicts import CHANGED, AxisVerdict, Follow, follow_axis, judge_axes, ranking, sorts_by_type
+from pmfid.fleet.verdicts import CHANGED, AxisVerdict, Follow, follow_axis, judge_axes, ranking, sentence, sorts_by_type
 
 if TYPE_CHECKING:
     import polars as pl

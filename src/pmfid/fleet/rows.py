@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.fleet.aside import Aside
-from pmfid.fleet.plan import RowShard
+from pmfid.fleet.plan import RowProblem, RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
-from pmfid.fleet.survey import RowProblem
-from pmfid.session.formats.safety import readable
-from pmfid.session.tables import Table
+from pmfid.io.safety import readable
+from pmfid.io.tables import Table
 from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:

@@ -1,33 +1,267 @@
-"""Estimates of segments, many axes side by side: the heavy work of a history, and a function of the rows alone.
-
-Each segment starts without a state, so its bits do not depend on other segments or axes. Errors of neighbouring
-segments are independent, and a disturbance in one segment harms no other.
-"""
+"""Segments of a history, and an estimate of each."""
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pmfid.diagnostics.matter import NOISE_LIMIT
+from pmfid.diagnostics.verdict import believed_square
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import CURVED, MISSED, filter_forces
 from pmfid.estimators.bridges import parts_of
+from pmfid.estimators.configuration import like
+from pmfid.estimators.instruments import LASTING
+from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.least_squares import solve_with_instruments
+from pmfid.estimators.motion import rms
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.fleet.marks import MARKS, evidence_gaps, lasting_status, settled_std
+from pmfid.estimators.results import Tracks
+from pmfid.estimators.uncertainty import block_scatter
+from pmfid.fleet.plan import RowProblem
 from pmfid.fleet.rows import RecordPiece
-from pmfid.fleet.second_look import second_looks
+from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, UNUSABLE
 from pmfid.fleet.settings import Settings, quarter_of, record_at
-from pmfid.fleet.shares import Share, shares_of
-from pmfid.fleet.stretch import Stretch
-from pmfid.fleet.survey import RowProblem
-from pmfid.session.records import Record
-from pmfid.types import Flags
+from pmfid.models.equation import VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
+from pmfid.models.shapes import Square
+from pmfid.records.record import Record
+from pmfid.status import Status
+from pmfid.types import Counts, Flags, Floats
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples (n,) of one segment, without a gap. samples: of the record, with the rests that are left out; lost: part
+    of them that was filled in; repeats: how often each is among the n; looked_at: is it one for a second look?"""
+
+    axis: str
+    start: float
+    end: float
+    samples: int
+    dt: float
+    resolution: float
+    u: Floats
+    counts: Counts
+    lost: float
+    repeats: float
+    looked_at: bool = False
+
+
+#: Quarters of a whole segment. What is left at the end of a piece is one if it has two; all of a piece, if it has one.
+WHOLE, REST, LEAST = 4, 2, 1
+#: Settling times of the filters from which on a rest is shortened, to two of them.
+LONG = 4
+#: Settling times that few moves take with the ends of the rests on both sides, at least: the filters see of a
+#: shorter motion how it begins and ends alone, and repeated it has the same error again.
+BETWEEN = 3
+
+
+@dataclass(frozen=True)
+class Share:
+    """places: (n,) numbers of the samples of a segment; size: samples that they are repeated to, n or more."""
+
+    places: NDArray[np.intp]
+    size: int
+
+    @property
+    def repeats(self) -> float:
+        """How often each sample is gone through."""
+        return self.size / self.places.size
+
+    def input(self, u: Floats) -> Floats:
+        """(size,) of the record's (samples,)."""
+        own = u[self.places]
+        return own if own.size == self.size else np.resize(own, self.size)
+
+    def counts(self, counts: Counts) -> Counts:
+        """The same; a repetition begins where the one before ended."""
+        own = counts[self.places]
+        if own.size == self.size:
+            return own
+        again = np.arange(self.size) // own.size
+        return np.asarray(np.resize(own, self.size) + again * (own[-1] - own[0]))
+
+
+def shares_of(counts: Counts, settled: int, quarter: int, span: int) -> Iterator[Share]:
+    """Of a part (n,) without a gap. settled: samples in which the filters settle; quarter: of a whole segment; span:
+    samples that moves of one segment are apart, at most."""
+    edges = np.r_[0, np.flatnonzero(np.diff(counts)) + 1, counts.size]
+    long = np.flatnonzero(np.diff(edges) > LONG * settled)
+    kept = np.ones(counts.size, bool)
+    for k in long:
+        kept[edges[k] + settled : edges[k + 1] - settled] = False
+    middles = (edges[long] + edges[long + 1]) // 2
+    for low, high in _groups(np.r_[0, middles, counts.size], kept, WHOLE * quarter, span):
+        inside = np.flatnonzero(kept[low:high]) + low
+        yield from _share_samples(inside, counts, low, high, settled, quarter)
+
+
+def _groups(cuts: NDArray[np.intp], kept: Flags, enough: int, span: int) -> Iterator[tuple[int, int]]:
+    """Between cuts (m,): as many as make a segment, or fit the span."""
+    known = np.r_[0, np.cumsum(kept)]
+    first = 0
+    for k in range(1, cuts.size):
+        last = k == cuts.size - 1
+        full = known[cuts[k]] - known[cuts[first]] >= enough
+        if last or full or cuts[k + 1] - cuts[first] > span:
+            yield int(cuts[first]), int(cuts[k])
+            first = k
+
+
+def _share_samples(
+    inside: NDArray[np.intp], counts: Counts, low: int, high: int, settled: int, quarter: int
+) -> Iterator[Share]:
+    """The segments of a group, low to high; inside: its samples with information."""
+    whole = WHOLE * quarter
+    rests = all(np.ptp(counts[part]) == 0 for part in (inside[:settled], inside[-settled:]))
+    if inside.size >= whole or not rests:
+        own = inside if inside.size >= quarter else np.arange(low, high)
+        yield from (Share(own[part], part.stop - part.start) for part in _cut(own.size, quarter))
+    elif np.ptp(counts[inside]) > 0 and inside.size >= BETWEEN * settled:
+        yield Share(inside, whole)
+    elif high - low >= quarter:
+        yield Share(np.arange(low, low + quarter), quarter)
+
+
+def _cut(samples: int, quarter: int) -> list[slice]:
+    """Whole segments, and what is left; a whole number of quarters each, so that many have the same length."""
+    size = WHOLE * quarter
+    found = [slice(start, start + size) for start in range(0, samples - size + 1, size)]
+    start = len(found) * size
+    rest = (samples - start) // quarter
+    return [*found, slice(start, start + rest * quarter)] if rest >= (REST if found else LEAST) else found
+
+
+#: Part of its size that a parameter may be moved by: forces that are not there seem to move it by up to 2 % where a
+#: controller feeds the encoder's error back.
+TOLERANCE = 0.02
+#: Counts that a velocity is taken over, at least, at the usual speed.
+COUNTS = 4.0
+#: Estimates with one of these are not looked at again.
+SEEN = UNUSABLE | int(Status.UNMODELLED | Status.FALLBACK | Status.DEAD_TIME)
+#: Greatest number of samples for a second look: they show what matters, and the look takes longer than the estimate.
+MOST = 2**15
+
+
+def second_looks(
+    stretches: Sequence[Stretch],
+    estimator: RecursiveEstimator,
+    theta: Floats,
+    std: Floats,
+    status: NDArray[np.uint32],
+) -> NDArray[np.uint32]:
+    """The status (m,) of stretches with estimates theta and standard deviations std (m, p), and what a second look at
+    some says, at those that seem to be good."""
+    if not isinstance(estimator, RIV):
+        return status
+    found, method = status.copy(), like(IV, estimator, prefilter_zeros=None)
+    for k, stretch in enumerate(stretches):
+        if stretch.looked_at and not status[k] & SEEN and np.all(np.isfinite(std[k])):
+            found[k] |= LOOKED_AT | (MOVED if is_moved(stretch, method, theta[k], std[k]) else 0)
+    return found
+
+
+def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
+    """May unmodelled effects move a parameter of theta (p,) by more than its standard deviation std (p,) and the
+    tolerance allow?"""
+    allowed = np.maximum(NOISE_LIMIT * std, TOLERANCE * np.abs(theta))
+    with np.errstate(all="ignore"):  # of a motion beyond numbers nothing is known
+        try:
+            moves = _moves(stretch, method, theta)
+        except NotIdentifiableError:
+            return False
+    return bool(np.any(moves > allowed[:, None]))
+
+
+def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
+    """(p, k) by how much each of k forces may move the parameters."""
+    u, counts = stretch.u[:MOST], stretch.counts[:MOST]
+    columns = method.columns_at(theta, u, counts)
+    speed = velocity(counts) * (stretch.resolution / stretch.dt)
+    forces, plausible = _forces(method.equation, theta, speed, u)
+    filtered = filter_forces(forces, method)[:, columns.used].T
+    found, inverse = solve_with_instruments(columns)
+    moves = -inverse @ (columns.zeta.T @ filtered)
+    score = filtered - columns.zeta @ np.linalg.lstsq(columns.zeta.T @ columns.zeta, columns.zeta.T @ filtered)[0]
+    scores = score * (columns.z - columns.phi @ found)[:, None]
+    information = np.sum(score * (filtered + columns.phi @ moves), axis=0)
+    variance = block_scatter(scores, LASTING * method.settle_samples) * stretch.repeats
+    size, size_std = scores.sum(axis=0) / information, np.sqrt(variance) / np.abs(information)
+    asked = np.abs(size) > MISSED * size_std
+    sizes = np.where(asked, np.abs(size), np.sqrt(believed_square(size, size_std, plausible)))
+    return np.asarray(np.abs(moves) * sizes)
+
+
+def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """(k, n) forces per unit of their coefficients, and the coefficients (k,) that machines well may have: an input
+    that does not act in proportion, and where the model has none, friction that is not linear."""
+    bent, usual = -equation.input_gain * u * np.abs(u) / rms(u), rms(speed[speed != 0])
+    if any(isinstance(term.shape, Square) for term in equation.shaped):
+        return bent[None], np.zeros(1)
+    values = equation.role_values(theta)
+    viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2
+    return np.stack([bent, speed * np.abs(speed) / usual**2]), np.array([0.0, CURVED * viscous * usual])
+
+
+def velocity(counts: Counts) -> Floats:
+    """(n,) counts per sample, each the mean over as many samples as a few counts take at the usual speed."""
+    change = np.diff(counts, append=counts[-1]).astype(np.float64)
+    width = 2 * math.ceil(COUNTS / max(rms(change), 1e-3) / 2) - 1
+    if width < 3:
+        return change
+    total = np.cumsum(np.r_[np.zeros(width // 2 + 1), change, np.zeros(width // 2)])
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
+#: Estimates of a segment that are kept.
+MARKS = 16
+#: Standard deviations by which those after the first quarter differ in any case.
+USUAL = 3.0
+#: Part of the second half in which the equation is off, from which on the segment is.
+OFF = 0.25
+#: Part of the travel that goes the other way, at least; mean over largest size of an input of several sizes, at most.
+BACK, LEVEL = 0.05, 0.98
+
+
+def settled_std(tracks: Tracks) -> Floats:
+    """(n, p) standard deviations at the end, with what the estimate still moved by beyond chance: a start from a biased
+    estimate, or a change within the segment, is forgotten no faster than the samples are."""
+    std = tracks.theta_std[:, -1]
+    moved = np.ptp(tracks.theta[:, _first_after(tracks, 4) :], axis=1)
+    return np.asarray(np.hypot(std, np.maximum(moved - USUAL * std, 0.0)))
+
+
+def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
+    """(n,) at the end, and unmodelled where it was that for a part of the second half: the kernel's verdict is on the
+    last motion alone."""
+    off = (tracks.status[:, _first_after(tracks, 2) :] & Status.UNMODELLED) != 0
+    wrong = np.mean(off, axis=1) >= OFF
+    return np.asarray(tracks.status[:, -1] | np.where(wrong, Status.UNMODELLED, 0), np.uint32)
+
+
+def evidence_gaps(u: Floats, counts: Counts) -> NDArray[np.uint32]:
+    """(n,) status bits for effects that the inputs u and the counts (n, samples) cannot show."""
+    there, travel = counts[:, -1] - counts[:, 0], np.abs(np.diff(counts, axis=1)).sum(axis=1)
+    one_way = travel - np.abs(there) < 2 * BACK * travel
+    way = np.where(one_way, np.where(there > 0, FORWARD, BACKWARD), 0)
+    sizes = np.abs(u)
+    one_size = sizes.mean(axis=1) > LEVEL * sizes.max(axis=1)
+    return np.asarray(way | np.where(one_size, ONE_SIZE, 0), np.uint32)
+
+
+def _first_after(tracks: Tracks, part: int) -> int:
+    """Index of the first kept estimate after 1/part of the segment."""
+    return (tracks.samples.size - 1) // part
+
 
 #: Samples of a batch at most [axes times samples].
 BATCH = 2**22

@@ -1,29 +1,174 @@
-"""A data set of many axes: its files, partitioned in any way, and which rows of which axis each of them has.
-
-Every file is read by itself, so that one that is damaged, or has other columns, is named and costs nothing but its
-rows."""
+"""Where the rows of a history are: files, lakes, times."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
+from pmfid.config.axis import Axis
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.fleet.lake import check_no_table, delta_files, is_delta
-from pmfid.fleet.times import seconds_of, too_coarse
-from pmfid.fleet.walk import walk_folder
-from pmfid.session.clock import EPOCHS, UNITS, time_factor
-from pmfid.session.config import Axis
-from pmfid.session.formats.arrow_file import FILE as ARROW
-from pmfid.session.formats.reading import ENDINGS, READERS, read_table
-from pmfid.session.formats.safety import readable
-from pmfid.session.frames import table_of
+from pmfid.io.arrow import FILE as ARROW
+from pmfid.io.reading import ENDINGS, READERS, read_table
+from pmfid.io.safety import readable, require_extra
+from pmfid.io.tables import LONGEST_CELL, table_of
+from pmfid.records.clock import EPOCHS, UNITS, time_factor
 
 if TYPE_CHECKING:
     import polars as pl
+
+#: What a history writes into its folder, at least.
+RESULTS = {"work", "periods.parquet", "axes.parquet", "problems.parquet"}
+
+
+def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
+    """Folders; all else in them, pipes and broken links included; and folders that cannot be listed. The results of a
+    history are left out.
+    A folder to which several links lead counts once, by the shortest of its names, then the first."""
+    folders, others, closed, seen = list[Path](), list[Path](), list[Path](), set[str]()
+    waiting = [folder]
+    while waiting:
+        deeper = list[Path]()
+        for one in waiting:
+            if (real := os.path.realpath(one)) in seen:
+                continue
+            seen.add(real)
+            try:
+                inside = sorted(one.iterdir())
+            except OSError:
+                closed.append(one)
+                continue
+            if {path.name for path in inside} >= RESULTS:  # of another history
+                continue
+            folders.append(one)
+            below = [path for path in inside if path.is_dir()]
+            deeper += below
+            others += [path for path in inside if path not in set(below)]
+        waiting = deeper
+    return folders, others, closed
+
+
+#: Where Delta Lake and Iceberg list the files that count.
+DELTA, ICEBERG, METADATA = "_delta_log", "metadata", "*.metadata.json"
+#: What a reader of plain files may leave to the log: of everything else, rows in the files may not count, or columns
+#: have other names.
+_PLAIN = {"timestampNtz", "vacuumProtocolCheck", "v2Checkpoint"}
+_PARTITION = "partition."
+
+
+def is_delta(folder: Path) -> bool:
+    """Is the folder itself a Delta table?"""
+    return (folder / DELTA).is_dir()
+
+
+def check_no_table(folders: Sequence[Path]) -> None:
+    """Raises UsageError where one of the folders of plain files is a table of a lake: files that no longer count would
+    be read as data."""
+    logs = [one for one in folders if one.name == DELTA]
+    logs += [one for one in folders if one.name == ICEBERG and any(one.glob(METADATA))]
+    if not logs:
+        return
+    table, kind = min(log.parent for log in logs), "Delta" if logs[0].name == DELTA else "Iceberg"
+    remedy = "give its own folder as SOURCE" if kind == "Delta" else "write it as plain Parquet"
+    raise UsageError(
+        f"{table}: a table of {kind} has files that no longer count; {remedy}, or in Python a Polars frame"
+    )
+
+
+def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
+    """The files of a Delta table that count now, and what is said of all rows of each. Raises UsageError without the
+    package deltalake, for a damaged log, and for a table whose files say less than its log."""
+    import polars as pl
+
+    with require_extra("delta"):
+        from deltalake import DeltaTable
+    with readable("Delta"):
+        table = DeltaTable(str(folder))
+        protocol, actions = table.protocol(), pl.DataFrame(table.get_add_actions(flatten=True))
+    features = set(protocol.reader_features or []) - _PLAIN
+    if protocol.min_reader_version == 2 or features:
+        named = ", ".join(sorted(features)) or "columnMapping"
+        raise UsageError(
+            f"{folder}: the Delta table uses {named}; write it as plain Parquet, or without these features"
+        )
+    keys = [name for name in actions.columns if name.startswith(_PARTITION)]
+    for row in actions.select("path", *keys).sort("path").iter_rows(named=True):
+        said = {key.removeprefix(_PARTITION): str(row[key]) for key in keys if row[key] is not None}
+        yield folder / unquote(row["path"]), said
+
+
+_NANOSECOND = 1e-9
+#: Of ISO 8601: what stands at the end of a time that says its distance from UTC.
+_OFFSET = r"([+-])(\d\d):?(\d\d)$"
+_FORM = "%Y-%m-%d %H:%M:%S%.f"
+
+
+def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> pl.Expr:
+    """[s] as float64, missing where it is none; kind: type of the column `name`; factor: seconds per unit of a number.
+
+    Numbers, dates with a time, with or without a zone, durations, and text that is a number or a date of ISO 8601; UTC
+    where no zone is named. Raises UsageError for a day without a time, a time without a day, and what is none.
+    """
+    import polars as pl
+
+    if kind == pl.Datetime:
+        return column.dt.epoch("ns").cast(pl.Float64) * _NANOSECOND
+    if kind == pl.Duration:
+        return column.cast(pl.Duration("ns")).cast(pl.Int64).cast(pl.Float64) * _NANOSECOND
+    if kind in (pl.Date, pl.Time):
+        raise UsageError(
+            f"the column {name!r} is of type {kind}, half of a time: give a column that has both the day and the time"
+        )
+    if not (kind.is_numeric() or kind == pl.String):
+        raise UsageError(f"the column {name!r} is of type {kind}, which is no time")
+    number = column.cast(pl.Float64, strict=False)
+    number = number if factor == 1 else number * factor
+    return number if kind != pl.String else pl.coalesce(number, _parse_dates(column))
+
+
+def _parse_dates(column: pl.Expr) -> pl.Expr:
+    """Times in text of ISO 8601."""
+    import polars as pl
+
+    short = pl.when(column.str.len_bytes() <= LONGEST_CELL).then(column)  # a packed file may repeat a long one
+    text = short.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
+    plain = text.str.replace(_OFFSET, "").str.strip_suffix("Z").str.strip_chars_end()
+    # a day ends in a sign and digits, too: an offset follows a time
+    plain = pl.when(text.str.contains(":")).then(plain)
+    hours, minutes = (text.str.extract(_OFFSET, k).cast(pl.Float64, strict=False) for k in (2, 3))
+    sign = pl.when(text.str.extract(_OFFSET, 1) == "-").then(-1.0).otherwise(1.0)
+    ahead = (sign * (3600.0 * hours + 60.0 * minutes)).fill_null(0.0)
+    stamps = plain.str.to_datetime(_FORM, time_unit="ns", strict=False)
+    return stamps.dt.epoch("ns").cast(pl.Float64) * _NANOSECOND - ahead
+
+
+def other_unit(first: float, last: float, factor: float) -> str:
+    """What to do where times [s] lie beyond this century and another unit makes dates of it; empty where they do not.
+    factor: seconds per unit that was taken."""
+    if last < EPOCHS[1]:
+        return ""
+    fitting = [
+        unit
+        for unit, length in UNITS.items()
+        if EPOCHS[0] <= first / factor * length and last / factor * length < EPOCHS[1]
+    ]
+    if not fitting:
+        return ""
+    return (
+        f'its times are dates of this century in {fitting[0]}: give [record] time_unit = "{fitting[0]}", or where the '
+        "other files have another unit, write them in that"
+    )
+
+
+def too_coarse(first: float) -> float:
+    """What a time [s] of 32 bits can tell apart there [s]."""
+    import numpy as np
+
+    return float(np.spacing(np.float32(first)))
+
 
 #: Names of the columns of every frame that leaves this module.
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"

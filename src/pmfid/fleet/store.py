@@ -1,24 +1,23 @@
-"""The folder of a history: what is done stays done. Files are whole or not there, and are named by what they came
-from."""
+"""What is done and kept."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from pmfid import __version__
-from pmfid.durable.lock import NAME as LOCK
-from pmfid.durable.lock import hold
+from pmfid.durable import NAME as LOCK
+from pmfid.durable import hold
 from pmfid.errors import UsageError
-from pmfid.fleet.survey import RowProblem, Survey
-from pmfid.fleet.walk import RESULTS
+from pmfid.fleet.plan import RowProblem, Survey
+from pmfid.fleet.source import RESULTS
 
 if TYPE_CHECKING:
     import polars as pl
@@ -123,3 +122,74 @@ def whole(path: Path, write: Callable[[Path], object]) -> None:
             part.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"{path}: {reason}; make room, or choose another folder") from None
+
+
+class TableWithProblems(Protocol):
+    """A table and its problems."""
+
+    @property
+    def rows(self) -> pl.DataFrame:
+        """The table."""
+        ...
+
+    @property
+    def problems(self) -> tuple[RowProblem, ...]:
+        """What could not be used."""
+        ...
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A table, here or on the disk, and its problems."""
+
+    here: pl.DataFrame | None
+    path: Path | None
+    problems: tuple[RowProblem, ...]
+
+    def rows(self) -> pl.DataFrame:
+        """The table. Raises UsageError where it has gone from the disk since."""
+        import polars as pl
+
+        if self.here is not None:
+            return self.here
+        if self.path is None or not self.path.exists():
+            raise UsageError("what was estimated is gone from the folder; run it again")
+        return pl.read_parquet(self.path, hive_partitioning=False)
+
+
+class Keep:
+    """The folder of a history, or none; keys: all that were asked for; reused: how many were there."""
+
+    def __init__(self, store: Store | None) -> None:
+        self._store = store
+        self.keys: list[str] = []
+        self.reused = 0
+
+    @property
+    def lasting(self) -> bool:
+        """Whether another call will find it."""
+        return self._store is not None
+
+    def fetch(
+        self, keys: Sequence[str], make: Callable[[Sequence[int]], Iterator[TableWithProblems]], *, here: bool = False
+    ) -> Iterator[Kept]:
+        """The table of each key, in their order. make: called once with the indices of the missing keys, yields their
+        tables in order, which are stored one by one. here: in memory, too. Raises UsageError if the disk is full."""
+        self.keys += keys
+        there = [self._there(key, here) for key in keys]
+        made = make([k for k, one in enumerate(there) if one is None])
+        for key, one in zip(keys, there, strict=True):
+            yield self._put(key, next(made), here) if one is None else one
+
+    def _there(self, key: str, here: bool) -> Kept | None:
+        found = None if self._store is None else self._store.get(key)
+        if self._store is None or found is None:
+            return None
+        self.reused += 1
+        return Kept(found.rows if here else None, self._store.path(key), found.problems)
+
+    def _put(self, key: str, found: TableWithProblems, here: bool) -> Kept:
+        if self._store is None:
+            return Kept(found.rows, None, found.problems)
+        self._store.put(key, found.rows, found.problems)
+        return Kept(found.rows if here else None, self._store.path(key), found.problems)

@@ -1,6 +1,4 @@
-"""Which axes need attention: axes that changed, drift, or differ from the others of their type. False ones are few
-enough to look at, however many axes there are. Axes that only wander, up and down, are reported, but need no attention.
-"""
+"""Verdicts on axes, and their words."""
 
 from __future__ import annotations
 
@@ -8,15 +6,15 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from pmfid.fleet.changes import Step, Trend, step_of, trend_of
-from pmfid.fleet.periods import codes_of, quality_of, standing
-from pmfid.fleet.series import Series, mean_of
-from pmfid.fleet.sorts import sorts_of
-from pmfid.fleet.wander import Beyond, compare_with_wander
+from pmfid.estimators.facts import INPUT_GAIN
+from pmfid.fleet.changes import Beyond, Step, Trend, compare_with_wander, sorts_of, step_of, trend_of
+from pmfid.fleet.series import Series, codes_of, mean_of, quality_of, standing
+from pmfid.records.clock import EPOCHS
 from pmfid.types import Floats
 
 #: Axes that are named by chance, of a whole fleet in which nothing is the matter, for each way of being named.
@@ -249,3 +247,43 @@ def ranking(verdicts: Iterable[AxisVerdict]) -> list[int]:
     order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, WANDERS: 2, "": 3}
     pairs = enumerate(verdicts)
     return [k for k, one in sorted(pairs, key=lambda pair: (order[pair[1].kind], -pair[1].weight, pair[0]))]
+
+
+#: What the parameters are in a sentence.
+_WORDS = {INPUT_GAIN: "force per input", "friction": "all friction"}
+
+
+def when(time: float) -> str:
+    """A time [s], as a date (UTC) where it is one, else as hours, minutes and seconds from zero."""
+    if not math.isfinite(time):
+        return ""
+    if EPOCHS[0] <= time < EPOCHS[1]:
+        return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    minutes, second = divmod(round(time), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02}:{second:02}"
+
+
+def format_span(since: float, until: float) -> str:
+    """The words for a span from `since` to `until` [s], with a common date once."""
+    first, last = when(since), when(until)
+    same = " " in first and first.partition(" ")[0] == last.partition(" ")[0]
+    return f"between {first} and {last.partition(' ')[2] if same else last}"
+
+
+def sentence(verdict: AxisVerdict) -> str:
+    """Why the axis needs attention, or what else there is to say; empty where there is nothing."""
+    what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
+    size, std = 100 * verdict.size, 100 * verdict.std
+    if verdict.kind == CHANGED:
+        return f"{what} {size:+.1f} % ± {std:.1f} % {format_span(verdict.since, verdict.until)}"
+    if verdict.kind == DRIFTS:
+        if verdict.days >= 1:
+            return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"
+        span = when(verdict.days * 86_400.0)
+        return f"{what} drifts by {size * verdict.days:+.2g} % ± {std * verdict.days:.1g} % within {span}"
+    if verdict.kind == WANDERS:
+        return f"{what} wanders by {size:.2g} % about its mean"
+    if verdict.kind == DIFFERS:
+        return f"{what} {size:+.0f} % from the median of its type"
+    return "no estimate: see its findings" if verdict.kind == UNKNOWN else ""

@@ -1,9 +1,12 @@
-"""The kernel's configuration as one structure, filled by name: every field must be given, none can be forgotten."""
+"""The kernel's configuration, filled by name."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, cast
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -117,3 +120,100 @@ def _set(structure: Structured, name: str, value: object) -> None:
         raise ValueError(f"{name} has the shape {shape}, the kernel holds {field.shape}")
     if all(shape):
         field[tuple(slice(size) for size in shape)] = rows
+
+
+_KERNEL = constants_of(None)
+_OF = {name: _KERNEL[f"PMF_OF_{name.upper()}"] for name in ("speed", "square", "place")}
+#: Forces that it holds, and knots of all their tables.
+MOST_SHAPES, MOST_KNOTS = _KERNEL["PMF_MAX_SHAPES"], _KERNEL["PMF_MAX_KNOTS"]
+FIRST_NODE = _KERNEL["PMF_SIGNALS"]
+
+
+@dataclass(frozen=True)
+class ShapeTable:
+    """knots (k,) from `start` on in steps, of a speed or a place; beyond them the last one holds, or a periodic table
+    repeats. of "square": the square of the speed, without knots. positive: as of the `Shape`."""
+
+    of: Literal["speed", "square", "place"]
+    knots: tuple[float, ...] = (0.0, 1.0)
+    start: float = 0.0
+    step: float = 1.0
+    periodic: bool = False
+    positive: bool = False
+
+
+#: A table, and whether the force acts against the motion.
+Acting = tuple[ShapeTable, bool]
+
+
+def shape_values(
+    shapes: Sequence[Acting], nodes: Sequence[int], measured: Sequence[int] | None = None
+) -> dict[str, object]:
+    """The fields of `pmf_shapes_config_t`; nodes: where the mean of each over an interval goes; measured: and where its
+    value at the place of the counts, 0: nowhere. Raises ValueError if the kernel has no room for the tables."""
+    rows, knots, sums = [], [0.0], [0.0]  # never none, for an array of C has one element or more
+    for (table, resists), node, seen in zip(shapes, nodes, measured or [0] * len(nodes), strict=True):
+        own = np.array(table.knots)
+        form = (_OF[table.of], int(resists), int(table.positive), int(table.periodic))
+        rows.append((*form, len(knots), own.size - 1, node, seen, table.start, 1 / table.step))
+        knots += own.tolist()
+        sums += [0.0, *np.cumsum((own[1:] + own[:-1]) / 2).tolist()]
+    if refused := too_many([table for table, _ in shapes]):
+        raise ValueError(refused)
+    return {"n": len(rows), "shape": rows, "knot": knots, "sum": sums}
+
+
+def too_many(tables: Sequence[ShapeTable]) -> str:
+    """Why the kernel cannot hold them, with a remedy; empty where it can."""
+    knots = 1 + sum(len(table.knots) for table in tables)
+    if len(tables) <= MOST_SHAPES and knots <= MOST_KNOTS:
+        return ""
+    return (
+        f"the model has {len(tables)} forces of a given form with {knots} knots, the kernel holds {MOST_SHAPES} and "
+        f"{MOST_KNOTS}; use fewer"
+    )
+
+
+@lru_cache
+def shape_bytes(shapes: tuple[Acting, ...]) -> bytes:
+    """The same for the simulation alone (`_kernel64.simulate`); empty without any."""
+    if not shapes:
+        return b""
+    config = np.zeros((), structures(None, "float64")["pmf_shapes_config_t"])
+    fill(config, shape_values(shapes, range(FIRST_NODE, FIRST_NODE + len(shapes))))
+    return config.tobytes()
+
+
+#: exp(-t / lag) over a part of a sample: its end, its integral, and the integral of t times it; t in samples.
+Decay = tuple[float, float, float]
+
+
+def late_values(
+    dt: float, dead_time: float, lag: float, room: int | None = None, precision: str = "float64"
+) -> dict[str, object]:
+    """The fields of `pmf_late_config_t` for a dead time and a lag [s]; room: whole samples of the longest dead time,
+    None: of this one."""
+    room = max(1, math.ceil(dead_time / dt)) if room is None else room
+    real = np.float32 if precision == "float32" else np.float64
+    samples = min(float(real(dead_time) * real(1 / dt)), float(room))  # as the kernel reckons it
+    return {
+        "room": room,
+        "rate": 1 / dt,
+        "dead_time": dead_time,
+        "found": 0,
+        "within": 0,
+        "counts": 0.0,
+        "growth": 1.0,
+        "lags": int(lag > 0),
+        "decay": decays(samples - math.floor(samples), lag / dt) if lag > 0 else [(0.0, 0.0, 0.0)] * 2,
+    }
+
+
+def decays(part: float, lag: float) -> list[Decay]:
+    """Of a lag > 0 [samples] over `part` of a sample and over the rest of it."""
+    return [_decay(part, lag), _decay(1 - part, lag)]
+
+
+def _decay(time: float, lag: float) -> Decay:
+    rest, gone = math.exp(-time / lag), -math.expm1(-time / lag)
+    return rest, lag * gone, lag * (lag * gone - time * rest)

@@ -10,7 +10,7 @@ from numbers import Real
 from typing import Literal
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.kernel.shapes import ShapeTable
+from pmfid.kernel.configuration import ShapeTable
 from pmfid.models.axes import LINEAR, Units, rotary, units_by
 from pmfid.models.shapes import ESTIMATE as ESTIMATE
 from pmfid.models.shapes import Shape, Stribeck

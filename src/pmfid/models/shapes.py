@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
-from pmfid.kernel.shapes import ShapeTable
+from pmfid.kernel.configuration import ShapeTable
 from pmfid.types import Floats
 
 #: Straight pieces of a smooth form.

@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from pmfid.monitor.calibration import Calibration as Calibration
     from pmfid.monitor.calibration import calibrate as calibrate
     from pmfid.monitor.events import Alarm as Alarm
+    from pmfid.monitor.events import FleetRows as FleetRows
     from pmfid.monitor.events import Outlier as Outlier
     from pmfid.monitor.events import Settled as Settled
     from pmfid.monitor.events import StateChange as StateChange
     from pmfid.monitor.events import Watch as Watch
     from pmfid.monitor.fleet import MonitorFleet as MonitorFleet
     from pmfid.monitor.monitor import Monitor as Monitor
-    from pmfid.monitor.rows import FleetRows as FleetRows
 
 _PUBLIC = {
     "Alarm": "events",
     "Calibration": "calibration",
-    "FleetRows": "rows",
+    "FleetRows": "events",
     "Monitor": "monitor",
     "MonitorFleet": "fleet",
     "Outlier": "events",

@@ -1,28 +1,111 @@
-"""One axis: its blocks lead to suspicions, alarms and new references."""
+"""The monitor of one axis."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid._estimate import Estimate
-from pmfid._stage import Inputs
+from pmfid._stage import Inputs, Watcher
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, forces_of
 from pmfid.estimators.iv import IV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.monitor.arrays import Disturbed, Watched
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.cause import TRANSITION, Cause, ChangeEvidence, explain, new_gain
-from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
-from pmfid.monitor.rows import STATES
-from pmfid.monitor.scores import Blocks, ScoreFilter, Scoring, start_blocks
-from pmfid.monitor.watching import REASONS, Watching
+from pmfid.monitor.detectors import Detector
+from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
+from pmfid.monitor.scores import Blocks, Disturbed, Scale, ScoreFilter, Scoring, Watched, start_blocks
 from pmfid.status import Status
 from pmfid.types import Floats
+
+#: Reasons of the state CANNOT_TELL, by the numbers of the watcher.
+REASONS = ("", "the estimate has not started", "poor excitation", "standstill", "the motion tells nothing")
+
+
+@dataclass(frozen=True)
+class Watching:
+    """Configuration that all axes share. detector, threshold: of its statistic; relative: deviation that is no change;
+    noise: (p, p) of the estimator; wait: blocks for a reference (p,); silent_blocks: blocks without information until
+    the state is CANNOT_TELL; block_time [s]."""
+
+    calibration: Calibration
+    detector: Detector
+    threshold: float
+    relative: float
+    noise: Floats
+    wait: Callable[[Floats], int]
+    silent_blocks: int
+    block_time: float
+
+    @property
+    def _seen(self) -> Scale:
+        """Scale of the units that the detector takes."""
+        work = self.calibration.work
+        return self.calibration.scale if work is None else work.scale
+
+    def rescale(self, sigma: Floats) -> Scale:
+        """The scale for axes with other references: sigma is (n, p) or (p,)."""
+        return replace(self._seen, sigma=sigma)
+
+    def sizes(self, theta: Floats) -> Floats:
+        """(n,) noise at references (n, p), over the noise at the calibration's reference."""
+        first = float(self._square(self.calibration.theta[None])[0])
+        return np.asarray(np.sqrt(self._square(theta) / max(first, 1e-300)))
+
+    def _square(self, theta: Floats) -> Floats:
+        total = np.zeros(len(theta))
+        for i, j in np.ndindex(self.noise.shape):
+            total = total + theta[:, i] * self.noise[i, j] * theta[:, j]
+        return total
+
+    def derive(self, own: Watched) -> None:
+        """What follows from the references."""
+        own.sigma[:] = self.sizes(own.theta)[:, None] * self._seen.sigma
+        own.tolerance[:] = self.relative * np.abs(own.theta) / own.sigma
+        known: dict[bytes, int] = {}
+        for axis, theta in enumerate(own.theta):
+            key = theta.tobytes()
+            if key not in known:
+                known[key] = self.wait(theta)
+            own.wait[axis] = known[key]
+
+    def refer(self, own: Watched, theta: Floats) -> None:
+        """Starts to watch for deviations from references (n, p)."""
+        own.theta[:] = theta
+        self.derive(own)
+        own.waiting[:] = own.wait
+        own.silence[:] = own.members[:] = own.units[:] = 0
+        own.opened[:] = own.opening[:] = own.begun[:] = own.statistic[:] = 0.0
+        self.restart(own)
+
+    def restart(self, own: Watched) -> None:
+        """Resets the detector."""
+        own.detection[:] = self.detector.start(own.theta.shape)
+
+    def detection_rows(self, p: int) -> int:
+        """Rows of p numbers of the detector's state."""
+        return self.detector.detection(p).rows
+
+    @cached_property
+    def watcher(self) -> Watcher:
+        """Kernel of these decisions."""
+        work = self.calibration.work
+        return Watcher(
+            self.calibration.scale.norms,
+            self._seen.norms,
+            self.detector.detection(self.calibration.theta.size),
+            None if work is None else (work.size, work.offset, work.limit),
+            self.threshold,
+            self.block_time,
+            self.silent_blocks,
+        )
+
 
 #: Time without informative blocks after which the state is CANNOT_TELL [s], and the least number of such blocks.
 SILENT_TIME, SILENT_BLOCKS = 2.0, 6

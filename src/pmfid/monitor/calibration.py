@@ -1,12 +1,4 @@
-"""Thresholds from a mean time between false alarms, by simulation of normal work.
-
-The input of a record of normal work drives the reference model from random positions on the encoder's lattice; the
-statistic of a detector is then chance. Its maxima over intervals much longer than its memory are counted; their tail is
-exponential (Gumbel's domain), so log(rate) falls linearly with the threshold, and a rate that was too rare to be seen
-often is read off that line. Where the record itself deviates by more than the simulation, its own units of work take
-the place of the simulated blocks (`work`, `reference`): they run through the very detectors, in many more hours than
-the record has, and parts of the record alone say how sure that is.
-"""
+"""Thresholds, calibrated for a false alarm rate."""
 
 from __future__ import annotations
 
@@ -16,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmfid._stage import centred, weights
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.motion import mean_velocity
 from pmfid.monitor.detectors import EDGE, ChiSquare, Detector, make_detectors, statistics
-from pmfid.monitor.reference import noisier, piece_length, resample_units
 from pmfid.monitor.scores import (
     UNUSABLE,
     UNUSABLE_AT_REST,
@@ -32,8 +24,167 @@ from pmfid.monitor.scores import (
     scores,
     start_blocks,
 )
-from pmfid.monitor.work import NormalWork, learn
 from pmfid.types import Counts, Floats
+
+#: Lengths of sums that are compared [blocks]; the longest is what the detectors look back on.
+LENGTHS = (1, 2, 4, 8, 16, 32)
+#: Units of a piece, and what more of them may change the variance of their sum by.
+PIECES, SAME = (1, 2, 4, 8, 16), 0.1
+#: Excess of a record's power over the simulated one that counts: in standard errors, and as a ratio.
+LARGER, AT_LEAST = 3.0, 1.3
+
+
+def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
+    """Mean square of sums of blocks x, w: (runs, n, p), over their information; of each of LENGTHS, (lengths, p), and
+    standard errors of that. Sums without information count for nothing; edge: as in `detectors`."""
+    means, errors = [], []
+    for length in LENGTHS:
+        n = x.shape[1] // length * length
+        sums = [part[:, :n].reshape(x.shape[0] * (n // length), length, x.shape[2]).sum(axis=1) for part in (x, w)]
+        informed = sums[1].mean(axis=1) > 0
+        power = sums[0][informed] ** 2 / (sums[1][informed] + edge)
+        count = max(1, len(power))
+        means.append(power.mean(axis=0) if len(power) else np.ones(x.shape[2]))
+        errors.append(power.std(axis=0) / math.sqrt(count) if len(power) else np.full(x.shape[2], np.inf))
+    return np.array(means), np.array(errors)
+
+
+def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edge: float) -> bool:
+    """Whether sums of blocks of the record x, w: (n, p) deviate by more than those of the simulation (runs, n, p)."""
+    mean, error = powers(record[0][None], record[1][None], edge)
+    normal, _ = powers(*simulated, edge)
+    return bool(np.any(mean - np.maximum(LARGER * error, (AT_LEAST - 1) * normal) > normal))
+
+
+def piece_length(x: Floats) -> int:
+    """Number of units of a piece of x (n, p), so that pieces keep the correlation of neighbouring units.
+
+    It is the smallest number whose sums have, per unit and within chance, the variance of sums of four times as many.
+    """
+    for length in PIECES[:-1]:
+        n = len(x) // (4 * length)
+        chance = 2 * math.sqrt(2 / max(n, 1))
+        short, long = (_variance(x, pieces) for pieces in (length, 4 * length))
+        if np.all(np.abs(long / short - 1) <= max(SAME, chance)):
+            return length
+    return PIECES[-1]
+
+
+def _variance(x: Floats, length: int) -> Floats:
+    """(p,) of sums of `length` of x (n, p), for each of them."""
+    n = len(x) // length * length
+    if n == 0:
+        return np.ones(x.shape[1])
+    return np.asarray((x[:n].reshape(-1, length, x.shape[1]).sum(axis=1) ** 2).mean(axis=0) / length)
+
+
+def resample_units(
+    x: Floats, w: Floats, shape: tuple[int, int], length: int, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Units (runs, n, p) of pieces of `length` of a record x, w: (n, p), from random places.
+
+    Mean and standard deviation of each run come from a second record of the original length, drawn in the same way. So
+    their errors are those of such a record.
+    """
+    drawn = _rows(len(x), shape, length, rng)
+    learned = _rows(len(x), (shape[0], len(x)), length, rng)
+    mean = x[learned].sum(axis=1) / w[learned].sum(axis=1)
+    std = np.sqrt(((x[learned] - w[learned] * mean[:, None]) ** 2).mean(axis=1))
+    return (x[drawn] - w[drawn] * mean[:, None]) / std[:, None], w[drawn]
+
+
+def _rows(n: int, shape: tuple[int, int], length: int, rng: np.random.Generator) -> np.ndarray:
+    """(runs, n) places in a record of n."""
+    starts = rng.integers(n, size=(shape[0], -(-shape[1] // length), 1))
+    return np.asarray(((starts + np.arange(length)) % n).reshape(shape[0], -1)[:, : shape[1]])
+
+
+#: Information of a unit [average blocks]; the first size at which neighbouring units correlate by less than ALIKE.
+SIZES = (16.0, 32.0, 64.0)
+ALIKE = 0.3
+#: Least units for a scale.
+LEAST_UNITS = 100
+#: Part of the units of normal work that deviate within the limit.
+WITHIN = 0.97
+#: Passes in which limit and mean are found.
+PASSES = 5
+
+
+@dataclass(frozen=True)
+class NormalWork:
+    """Normal work in units. size: information of a unit [average blocks]; offset: (p,) constant deviation of the
+    parameters by unmodelled effects [unit of theta]; scale: of units; limit: (p,) deviations, in standard deviations of
+    the scale, beyond which a unit counts for less."""
+
+    size: float
+    offset: Floats
+    scale: Scale
+    limit: Floats
+
+    def units(self, blocks: Blocks, information: Floats) -> Blocks:
+        """Whole units of blocks with (n,) information, in average blocks."""
+        return self.weigh(self.centre(sum_blocks(blocks, information, self.size)))
+
+    def centre(self, blocks: Blocks) -> Blocks:
+        """Blocks, or sums of blocks, without the constant deviation."""
+        return replace(blocks, score=centred(blocks.score, blocks.cross, self.offset))
+
+    def weigh(self, units: Blocks) -> Blocks:
+        """Centred units, each with its weight."""
+        weight = weights(self.scale.standardise(units)[0], self.limit)
+        return Blocks(
+            units.score * weight[:, None], units.cross * weight[:, None, None], units.square * weight[:, None, None]
+        )
+
+
+def sum_blocks(blocks: Blocks, information: Floats, size: float) -> Blocks:
+    """Sums of blocks; each sum has at least `size` of the (n,) information."""
+    ends, gathered = [0], 0.0
+    for k, part in enumerate(information.tolist()):
+        gathered += part
+        if gathered >= size:
+            ends.append(k + 1)
+            gathered = 0.0
+    begins = np.array(ends[:-1], int)
+    if not begins.size:
+        return blocks[:0]
+    used = blocks[: ends[-1]]
+    return Blocks(*(np.add.reduceat(part, begins, axis=0) for part in (used.score, used.cross, used.square)))
+
+
+def learn(blocks: Blocks, information: Floats) -> NormalWork:
+    """From the blocks of normal work and their (n,) information, in average blocks."""
+    found = _learn_units(units := sum_blocks(blocks, information, SIZES[0]), SIZES[0])
+    for size in SIZES[1:]:
+        larger = sum_blocks(blocks, information, size)
+        if _alike(found.scale.standardise(found.weigh(found.centre(units)))[0]) <= ALIKE:
+            return found
+        if len(larger.score) < LEAST_UNITS:
+            return found
+        units, found = larger, _learn_units(larger, size)
+    return found
+
+
+def _alike(x: Floats) -> float:
+    """The largest correlation of x (n, p) with the next one."""
+    return float(np.max(np.abs((x[1:] * x[:-1]).mean(axis=0) / (x**2).mean(axis=0))))
+
+
+def _learn_units(units: Blocks, size: float) -> NormalWork:
+    p = units.score.shape[1]
+    found = NormalWork(size, np.zeros(p), make_scale(units), np.full(p, np.inf))
+    for _ in range(PASSES):
+        counted = found.weigh(found.centre(units))
+        step = np.linalg.solve(counted.cross.sum(axis=0), counted.score.sum(axis=0))
+        found = replace(found, offset=found.offset + step)
+        scale = make_scale(found.weigh(found.centre(units)))
+        x, _ = scale.standardise(found.centre(units))
+        found = replace(found, scale=scale, limit=np.quantile(np.abs(x), WITHIN, axis=0))
+    x, w = found.scale.standardise(found.weigh(found.centre(units)))
+    sigma = np.sqrt((x**2).mean(axis=0))
+    scale = replace(found.scale, sigma=found.scale.sigma * sigma, energy=found.scale.energy * w.mean(axis=0))
+    return replace(found, scale=scale, limit=found.limit / sigma)
+
 
 #: Length of one simulated run [s], and of the intervals whose maxima are counted.
 RUN_TIME = 1800.0
@@ -58,7 +209,7 @@ LEAST_BLOCKS = 200
 #: Least blocks of a record of normal work: the scatter of fewer does not determine its noise.
 LEAST_RECORD_BLOCKS = 8
 #: Units of work in the record whose scatter gives thresholds: each quarter needs a scatter of its own.
-LEAST_UNITS = PARTS * LEAST_RECORD_BLOCKS
+LEAST_RECORD_UNITS = PARTS * LEAST_RECORD_BLOCKS
 
 
 @dataclass(frozen=True)
@@ -198,12 +349,12 @@ def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, coun
 
 
 def _check_units(units: int, time: float) -> None:
-    if units < LEAST_UNITS:
-        enough = LEAST_UNITS / max(units, 1) * time
+    if units < LEAST_RECORD_UNITS:
+        enough = LEAST_RECORD_UNITS / max(units, 1) * time
         raise UsageError(
             f"the record of normal work is noisier than the encoder explains, and has {units} units of work in "
-            f"{time:.3g} s: thresholds from its scatter need {LEAST_UNITS}; record {enough:.3g} s or more, without a "
-            "change of the machine"
+            f"{time:.3g} s: thresholds from its scatter need {LEAST_RECORD_UNITS}; record {enough:.3g} s or more, "
+            "without a change of the machine"
         )
 
 

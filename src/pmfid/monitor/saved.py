@@ -18,11 +18,9 @@ from pmfid._kernel64 import ManyKernel
 from pmfid._stage import KEPT
 from pmfid.errors import UsageError
 from pmfid.kernel.structures import layout_number
-from pmfid.monitor.arrays import Disturbed, RowArrays, Sampled, Watched
-from pmfid.monitor.events import SETTLING, SUSPICIOUS
-from pmfid.monitor.rows import STATES
-from pmfid.monitor.scores import Scoring
-from pmfid.monitor.watching import Watching
+from pmfid.monitor.axis import Watching
+from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS
+from pmfid.monitor.scores import Disturbed, RowArrays, Sampled, Scoring, Watched
 from pmfid.types import Floats, Places
 
 #: Header of the saved states. layout: of a row; config: number of the configuration; checksum: CRC-32 of all else.

@@ -6,11 +6,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from pmfid.pipeline.identify import Comparison
+from pmfid.pipeline.result import ProcessResult
 from pmfid.report.figures import GREY, figure_style
-from pmfid.report.files import write_json
-from pmfid.report.html import Section, svg, write_report
-from pmfid.session.compare import Comparison
-from pmfid.session.result import ProcessResult
+from pmfid.report.html import Section, svg, write_json, write_report
 
 #: Most panels in a row; the numbers of more would not fit.
 PANELS = 4

@@ -18,7 +18,7 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
-from pmfid.estimators.track import Track
+from pmfid.estimators.results import Track
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 

@@ -8,10 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pmfid.estimators.friction_curve import FrictionCurve
+from pmfid.pipeline.friction import curve_json
 from pmfid.report.figures import COLOURS, GREY, WIDTH, figure_style
-from pmfid.report.files import write_json
-from pmfid.report.html import Section, svg, write_report
-from pmfid.session.friction import curve_json
+from pmfid.report.html import Section, svg, write_json, write_report
 
 
 def write_curve(out: Path, found: FrictionCurve, name: str) -> None:

@@ -1,11 +1,13 @@
-"""The report: one HTML file that needs no other file."""
+"""The HTML of reports, and its file."""
 
 from __future__ import annotations
 
 import io
+import json
+import os
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from numbers import Integral, Real
@@ -16,7 +18,29 @@ from matplotlib.figure import Figure
 
 from pmfid.errors import UsageError
 from pmfid.report.figures import figure_style
-from pmfid.report.files import replace_file
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Writes `data` in place of what was at the path; a link is replaced, not followed; a device is written to.
+
+    Raises OSError if that cannot be: then the file is what it was.
+    """
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def write_json(path: Path, content: Mapping[str, object]) -> None:
+    """Writes an object as JSON, as `replace_file` does."""
+    replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+
 
 Cell = str | int | float
 #: Letters from which on a cell goes over several lines.

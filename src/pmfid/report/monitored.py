@@ -1,16 +1,188 @@
-"""The page of a monitored run: in two seconds, what happened; below, why it is believed."""
+"""The report of a monitored run."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from pmfid.monitor.calibration import Calibration
+from pmfid.models.axes import LINEAR, Units
+from pmfid.monitor.calibration import Calibration, Tail
+from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING
+from pmfid.pipeline.monitored.run import MonitoredRun, Notice, RunHistory
+from pmfid.pipeline.monitored.setup import Setup
+from pmfid.report.figures import (
+    COLOURS,
+    GREY,
+    MAGENTA,
+    WIDTH,
+    Style,
+    _finish_time,
+    _label,
+    _legend,
+    _line,
+    decimation,
+    figure_style,
+    plain_ticks,
+    stretches,
+)
 from pmfid.report.html import Section, svg, write_report
-from pmfid.report.monitored_figures import RunData, calibration_figure, run_figure
-from pmfid.session.monitored.run import MonitoredRun, Notice, RunHistory
-from pmfid.session.monitored.setup import Setup
+from pmfid.status import Status
+from pmfid.types import Flags, Floats
+
+#: Rows of the strip, from above: state of the monitor, or status bits of the estimate.
+STATES = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
+STRIP_BITS = {
+    "poor excitation": Status.POOR_EXCITATION,
+    "standstill": Status.STANDSTILL,
+    "fallback": Status.FALLBACK,
+    "unmodelled": Status.UNMODELLED,
+    "bad input": Status.SAMPLE_REJECTED | Status.RESET,
+}
+#: Samples with one of these were left out.
+LEFT_OUT = Status.SAMPLE_REJECTED
+
+
+@dataclass(frozen=True)
+class RunData:
+    """n rows of p parameters. t: (n,) [s]; u, velocity, innovation: (n,); theta, std: (n, p); status: (n,) bits;
+    state: (n,) words; nominal: (p,); alarms: as for JSON."""
+
+    names: Sequence[str]
+    units: Sequence[str]
+    t: Floats
+    u: Floats
+    velocity: Floats
+    theta: Floats
+    std: Floats
+    innovation: Floats
+    status: NDArray[np.uint32]
+    state: NDArray[np.str_]
+    nominal: Floats
+    alarms: Sequence[Notice]
+    motion: Units = LINEAR
+
+
+def run_figure(data: RunData) -> Figure:
+    """Estimates against nominal, state and validity as a strip, input, motion and innovation."""
+    p, strip = len(data.names), _strip_rows(data)
+    heights = [1.9] * p + [0.25 + 0.2 * len(strip)] + [1.1] * 3
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 1.1 + sum(heights)), layout="constrained")
+        panels = list(figure.subplots(p + 4, 1, sharex=True, height_ratios=heights))
+        for i in range(p):
+            _estimate_panel(panels[i], data, i)
+        _strip_panel(panels[p], data.t, strip)
+        signals = (("input", data.u, "unit of u"), ("velocity", data.velocity, data.motion.speed))
+        for axes, (name, values, unit) in zip(
+            panels[p + 1 :], (*signals, ("innovation", data.innovation, data.motion.force)), strict=True
+        ):
+            _line(axes, data.t, values, lw=0.8, color=COLOURS[0])
+            axes.set_ylabel(_label(name, unit))
+            _show_accepted(axes, values, data.status)
+        trusted = np.abs(data.innovation[_select_trusted(data)])
+        spread = 1.5 * np.percentile(trusted, 99.9) if trusted.size else 0.0
+        if spread > 0:
+            panels[-1].set_ylim(-spread, spread)
+        for axes in panels:
+            _mark_alarms(axes, data.alarms)
+        figure.align_ylabels(panels)
+        _finish_time(panels[-1], data.t)
+        _legend(figure, panels)
+    return figure
+
+
+def _estimate_panel(axes: Axes, data: RunData, i: int) -> None:
+    known = (data.status & Status.STARTING) == 0
+    theta = np.where(known, data.theta[:, i], np.nan)
+    band = np.where(known & np.isfinite(data.std[:, i]), 2 * data.std[:, i], np.nan)
+    low, high = theta - band, theta + band
+    rows = np.union1d(decimation(low, 1000), decimation(high, 1000))
+    _line(axes, data.t, theta, color=COLOURS[0], label="estimate")
+    style: Style = {"color": COLOURS[0], "alpha": 0.25, "lw": 0, "zorder": 1, "label": "±2 std"}
+    axes.fill_between(data.t[rows], low[rows], high[rows], where=np.isfinite(band[rows]), **style)
+    axes.axhline(data.nominal[i], color=MAGENTA, ls="--", lw=1.2, label="nominal")
+    axes.set_ylabel(_label(data.names[i], data.units[i]).replace(" friction", "\nfriction"))
+    _limits(axes, theta[_select_trusted(data)], float(data.nominal[i]))
+
+
+def _select_trusted(data: RunData) -> Flags:
+    """(n,) samples at which the estimate is neither starting nor settling after an alarm."""
+    doubtful = Status.NOT_AN_ESTIMATE
+    return np.asarray(((data.status & doubtful) == 0) & (data.state != SUSPICIOUS))
+
+
+def _show_accepted(axes: Axes, values: Floats, status: NDArray[np.uint32]) -> None:
+    """Sets the range of the axis without samples that were left out, as at a jump of the counts.
+
+    Their neighbours do not count either, because their difference quotients use such a sample. With them all other
+    samples would look flat.
+    """
+    left_out = np.pad((status & LEFT_OUT) != 0, 1)
+    shown = values[~(left_out[:-2] | left_out[1:-1] | left_out[2:]) & np.isfinite(values)]
+    if 0 < shown.size < values.size:
+        margin = max(0.05 * float(np.ptp(shown)), 1e-12)
+        axes.set_ylim(float(shown.min()) - margin, float(shown.max()) + margin)
+
+
+def _limits(axes: Axes, values: Floats, nominal: float) -> None:
+    values = values[np.isfinite(values)]
+    low, high = np.percentile(values, (1, 99)) if values.size else (nominal, nominal)
+    low, high = min(float(low), nominal), max(float(high), nominal)
+    margin = max(0.15 * (high - low), 0.05 * abs(nominal), 1e-12)
+    axes.set_ylim(low - margin, high + margin)
+
+
+def _strip_rows(data: RunData) -> list[tuple[str, str, Flags]]:
+    """Label, colour and flags (n,) of the rows that occur."""
+    rows = [(state, colour, data.state == state) for state, colour in STATES.items()]
+    rows += [
+        (name, COLOURS[4 if name == "standstill" else 1], (data.status & int(bits)) != 0)
+        for name, bits in STRIP_BITS.items()
+    ]
+    return [row for row in rows if np.any(row[2])]
+
+
+def _strip_panel(axes: Axes, t: Floats, rows: Sequence[tuple[str, str, Flags]]) -> None:
+    for k, (_, colour, flags) in enumerate(rows):
+        axes.broken_barh(stretches(t, flags), (k - 0.38, 0.76), color=colour, lw=0)
+    axes.set_yticks(range(len(rows)), [name for name, _, _ in rows], fontsize=9)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.grid(axis="y", visible=False)
+
+
+def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
+    for alarm in alarms[:200]:
+        axes.axvline(alarm["time"], color=COLOURS[1], lw=1.6, label="alarm", zorder=3)
+        axes.axvline(alarm["changed_at"], color=COLOURS[1], lw=1.2, ls=":", label="change", zorder=3)
+
+
+def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) -> Figure:
+    """Rate of false alarms over the threshold, of each detector relative to its threshold for mtbf_hours."""
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        axes = figure.add_subplot()
+        for colour, (name, tail) in zip(cycle(COLOURS), tails.items(), strict=False):
+            unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
+            rate = np.arange(1, maxima.size + 1) / tail.hours
+            axes.semilogy(maxima / unit, rate, "o", ms=3, color=colour, alpha=0.7)
+            line = np.linspace(tail.level, unit * 1.05, 20)
+            fitted = tail.rate * np.exp(-(line - tail.level) / tail.slope)
+            axes.semilogy(line / unit, fitted, color=colour, label=name + (" (in use)" if name == used else ""))
+        plain_ticks(axes.yaxis)
+        axes.axhline(1 / mtbf_hours, color=MAGENTA, ls="--", lw=1.2, label=f"one in {mtbf_hours:g} h")
+        axes.axvline(1.0, color=GREY, lw=0.8)
+        axes.set_xlabel("statistic over the threshold in use [-]")
+        axes.set_ylabel("false alarms [1/h]")
+        figure.legend(loc="outside upper center", ncols=5)
+    return figure
+
 
 SHOWN_ALARMS = 200
 

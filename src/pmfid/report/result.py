@@ -1,12 +1,318 @@
-"""The files of one identification, whatever the kind of plant."""
+"""The report of a result."""
 
 from __future__ import annotations
 
+import io
+import os
 from pathlib import Path
 
-from pmfid.report.process import write_process
-from pmfid.report.record import write_drive
-from pmfid.session.result import DriveResult, ProcessResult, Result
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pmfid.diagnostics.processes import search_notes
+from pmfid.io.row_file import fresh
+from pmfid.linear.order import Search
+from pmfid.linear.process import Process
+from pmfid.models.axes import LINEAR
+from pmfid.pipeline.processes import search_json
+from pmfid.pipeline.result import DriveResult, ProcessResult, Result, findings_lines, parameter_header, parameter_rows
+from pmfid.records.record import Record
+from pmfid.report.checks import model_checks
+from pmfid.report.figures import (
+    COLOURS,
+    GREY,
+    WIDTH,
+    decimation,
+    estimate_figure,
+    figure_style,
+    plain_ticks,
+    residual_figure,
+    signals_figure,
+    status_figure,
+)
+from pmfid.report.html import Section, replace_file, svg, write_json, write_report
+
+HOW_TO_READ = (
+    "std: how far the value varies from record to record of this length. model spread: how far friction, a load or a "
+    "dead time that the model lacks may move it, which no longer record would show. 95 %: between these values the "
+    "parameter is with both."
+)
+
+
+def write_drive(out: Path, result: DriveResult) -> None:
+    """Writes report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
+
+    A track.parquet that is there stays under another name, track-2.parquet and so on: it is of an earlier run, or has
+    nothing to do with this program.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    track = out / "track.parquet"
+    if os.path.lexists(track) and not track.is_dir():
+        track.rename(fresh(track))
+    write_json(out / "result.json", result.to_json())
+    if result.track is not None:
+        _write_track(track, result)
+    title = f"{result.record.name}: {result.estimator.method}"
+    write_report(out / "report.html", title, [_drive_parameters(result), *_figures(result), *model_checks(result)])
+
+
+def _write_track(path: Path, result: DriveResult) -> None:
+    import polars as pl
+
+    track = result.track
+    if track is None:
+        return
+    columns: dict[str, np.ndarray] = {"t": np.arange(track.status.size) * result.record.dt}
+    for i, name in enumerate(track.names):
+        columns |= {name: track.theta[:, i], f"{name}_std": track.theta_std[:, i]}
+    columns |= {"innovation": track.innovation, "status": track.status}
+    buffer = io.BytesIO()
+    pl.DataFrame(columns).write_parquet(buffer)
+    replace_file(path, buffer.getvalue())
+
+
+def _drive_parameters(result: DriveResult) -> Section:
+    estimator = result.estimator
+    zeros = ", ".join(f"{zero:.3g}" for zero in estimator.zeros)
+    text = (
+        f"{result.record.u.size} samples, dt = {result.record.dt:.6g} s, "
+        f"resolution {result.record.resolution:.4g} per count. "
+        f"Filters: order {estimator.order}, cutoff {estimator.cutoff:g} rad/s"
+        + (f", pre-filter zeros {zeros} rad/s" if zeros else "")
+        + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %."
+    )
+    text = "\n\n".join([text, HOW_TO_READ, *findings_lines(result)])
+    return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
+
+
+def motion_figure(record: Record, speed: str = LINEAR.speed) -> Figure:
+    """Input and velocity of a record; speed: its unit."""
+    velocity = np.gradient(record.counts * record.resolution, record.dt)
+    signals = signals_figure(np.arange(record.u.size) * record.dt, record.u, velocity, velocity_unit=speed)
+    signals.axes[0].set_ylabel("input u")  # no record says in which unit
+    return signals
+
+
+def _figures(result: DriveResult) -> list[Section]:
+    record, own = result.record, result.estimator.equation.motion
+    t = np.arange(record.u.size) * record.dt
+    sections = [Section("Input and motion", svg=svg(motion_figure(record, own.speed)))]
+    if result.track is not None:
+        sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
+        sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
+    if result.fit is not None:
+        used = t[record.u.size - result.fit.samples :]
+        figure = residual_figure(used, result.fit.residual, unit=own.force)
+        sections.append(Section("Residual of the filtered equation", svg=svg(figure)))
+    return sections
+
+
+#: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
+DECADES, SETTLING = 1.0, 8.0
+POINTS = 400
+#: Structures in the table of a search.
+ROWS = 15
+
+
+def write_process(out: Path, result: ProcessResult) -> None:
+    """Writes report.html and result.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "result.json", result.to_json())
+    sections = [
+        _process_parameters(result),
+        _dynamics(result.process),
+        *([Section("Measured and simulated output", svg=svg(output_figure(result)))] if result.fit is not None else []),
+        Section("Frequency response", BAND, svg=svg(bode_figure(result))),
+        Section("Step response", BAND, svg=svg(step_figure(result.process))),
+        Section("Residual", _residual_text(result), svg=svg(correlation_figure(result))),
+    ]
+    write_report(out / "report.html", f"transfer function: {result.estimator.method}", sections)
+
+
+BAND = "Band: two standard deviations."
+
+
+def _process_parameters(result: ProcessResult) -> Section:
+    text = f"{result.name}: {result.samples} samples. {result.fit_text.capitalize()}."
+    return Section(
+        "Parameters", "\n\n".join([text, *findings_lines(result)]), (parameter_header(result), parameter_rows(result))
+    )
+
+
+def _dynamics(process: Process) -> Section:
+    header = ("", "value", "std", "")
+    text = "Poles and zeros in rad/s, their standard deviations of real and imaginary part. Time constant: 1 / |pole|."
+    return Section("Poles, zeros, gain", text, (header, process.rows))
+
+
+def _residual_text(result: ProcessResult) -> str:
+    checks = result.assessment
+    parts = [
+        "white" if checks.white else "not white: the noise is coloured, or the model lacks something",
+        "not correlated with the input" if checks.independent else "correlated with the input: the model is too small",
+    ]
+    parts += ["correlated with later inputs: feedback"] if checks.feedback else []
+    return f"The residual is {'; '.join(parts)}. Grey: bounds that 99 % of an independent residual stay within."
+
+
+def output_figure(result: ProcessResult) -> Figure:
+    """Measured and simulated output of every record over time."""
+    with figure_style():
+        records = result.experiments
+        figure = Figure(figsize=(WIDTH, 2.2 * len(records)), layout="constrained")
+        checks = result.assessment
+        parts = list(zip(checks.records, checks.samples, checks.simulated, strict=True))
+        for row, experiment in enumerate(records):
+            axes = figure.add_subplot(len(records), 1, row + 1)
+            shown = decimation(experiment.y)
+            axes.plot(experiment.times[shown], experiment.y[shown], color=GREY, label="measured")
+            for record, samples, simulated in parts:
+                if record == row:
+                    kept = decimation(simulated)
+                    t = experiment.times[samples[kept]]
+                    axes.plot(t, simulated[kept], color=COLOURS[0], label="simulated")
+            axes.set_ylabel(f"y, {experiment.name}")
+        axes.set_xlabel("time [s]")
+        handles, labels = axes.get_legend_handles_labels()
+        figure.legend(handles[:2], labels[:2], loc="outside upper right", ncols=2)
+    return figure
+
+
+def bode_figure(result: ProcessResult) -> Figure:
+    """Of a result; see `bode_of`."""
+    return bode_of(result.process, result.estimator.dt)
+
+
+def bode_of(process: Process, dt: float) -> Figure:
+    """Magnitude and phase over frequency with two standard deviations, up to half the sampling frequency; dt [s]."""
+    corners = np.abs(np.r_[process.poles, process.zeros])
+    corners = corners[corners > 0]
+    nyquist = np.pi / dt
+    low, high = np.log10(np.min(corners)) - DECADES, min(np.log10(np.max(corners)) + DECADES, np.log10(nyquist))
+    w = np.logspace(low, max(high, low + DECADES), POINTS)
+    G, magnitude, phase = process.frequency_response(w)
+    size, angle = 20 * np.log10(np.abs(G)), np.unwrap(np.angle(G))
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+        upper = figure.add_subplot(2, 1, 1)
+        _draw_band(upper, w, size, 2 * 20 / np.log(10) * magnitude)
+        upper.set_ylabel("magnitude [dB]")
+        lower = figure.add_subplot(2, 1, 2, sharex=upper)
+        _draw_band(lower, w, np.degrees(angle), 2 * np.degrees(phase))
+        lower.set_ylabel("phase [degrees]")
+        lower.set_xlabel("frequency [rad/s]")
+        upper.set_xscale("log")
+        plain_ticks(lower.xaxis)
+    return figure
+
+
+def step_figure(process: Process) -> Figure:
+    """Step response with two standard deviations."""
+    speeds = np.abs(process.poles.real[process.poles != 0])
+    fastest = float(np.max(np.abs(process.poles), initial=0.0)) or 1.0  # integrators alone have no time of their own
+    slowest = float(np.max(1 / np.maximum(speeds, 1e-3 * fastest), initial=1 / fastest))
+    t = np.linspace(0, SETTLING * slowest + 2 * process.delay, POINTS)
+    y, std = process.step_response(t)
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+        axes = figure.add_subplot()
+        _draw_band(axes, t, y, 2 * std)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("response to a unit step")
+    return figure
+
+
+def correlation_figure(result: ProcessResult) -> Figure:
+    """Autocorrelation of the residual, its correlation with the input, and their bounds."""
+    checks = result.assessment
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+        panels = (
+            (np.arange(checks.autocorrelation.size), checks.autocorrelation, checks.autocorrelation_bound, "residual"),
+            (
+                checks.lags,
+                checks.cross,
+                checks.cross_bound,
+                "residual and reference"
+                if any(e.reference is not None for e in result.experiments)
+                else "residual and input",
+            ),
+        )
+        for row, (lags, values, bound, label) in enumerate(panels):
+            axes = figure.add_subplot(2, 1, row + 1)
+            axes.axhspan(-bound, bound, color="#DDDDDD")
+            axes.vlines(lags, 0, values, color=COLOURS[0])
+            axes.plot(lags, values, "o", color=COLOURS[0], markersize=3)
+            axes.set_ylabel(f"correlation,\n{label}")
+        axes.set_xlabel("lag [samples]; negative: the input comes later")
+    return figure
+
+
+def _draw_band(axes: Axes, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> None:
+    axes.fill_between(x, y - half, y + half, color=COLOURS[0], alpha=0.25, linewidth=0)
+    axes.plot(x, y, color=COLOURS[0])
+
+
+def search_header() -> tuple[str, ...]:
+    """Headings of the columns of `search_rows`."""
+    return ("n", "m", "delay", "criterion", "fit [%]", "condition")
+
+
+def search_rows(search: Search) -> list[list[str]]:
+    """The best structures; the criterion as the distance from the best."""
+    return [
+        [
+            str(row.n),
+            str(row.m),
+            str(row.delay),
+            f"{row.bic - search.best.bic:.1f}",
+            f"{row.fit:.2f}",
+            f"{row.condition:.1e}" + ("" if row.settled else " (not settled)") + (" (refused)" if row.refused else ""),
+        ]
+        for row in search.candidates[:ROWS]
+    ]
+
+
+def search_figure(search: Search) -> Figure:
+    """Criterion of the best structure of each size, and which it is."""
+    best: dict[int, int] = {}
+    for index, row in enumerate(search.candidates):
+        best.setdefault(row.n + row.m + 1, index)
+    sizes = sorted(best)
+    values = [search.candidates[best[size]].bic - search.best.bic for size in sizes]
+    with figure_style():
+        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+        axes = figure.add_subplot()
+        axes.plot(sizes, values, "o-", color=COLOURS[0])
+        for size, value in zip(sizes, values, strict=True):
+            row = search.candidates[best[size]]
+            place = f"{row.n}, {row.m}, {row.delay}"
+            halo = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
+            axes.annotate(place, (size, value), (0, 7), textcoords="offset points", ha="center", bbox=halo)
+        axes.set_yscale("symlog", linthresh=10)
+        plain_ticks(axes.yaxis)
+        axes.margins(y=0.25)
+        axes.set_xlabel("parameters; above the point: n, m, delay of the best such structure")
+        axes.set_ylabel("criterion above the best")
+    return figure
+
+
+def write_search(out: Path, search: Search, name: str) -> None:
+    """Writes order.html and order.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "order.json", search_json(search))
+    text = (
+        f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} cannot be better. "
+        "Criterion: Schwarz (1978), after the whitening filter of the noise, as the distance from the best structure. "
+        "Less is better; a difference below about 10 is not significant. Refused: identify has no estimate, or an "
+        "estimate with a pole that the record does not determine. "
+        "Condition: of the scaled sensitivities; large if poles and zeros nearly cancel."
+    )
+    text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])
+    table = (search_header(), search_rows(search))
+    sections = [Section("Structures", text, table), Section("Criterion", svg=svg(search_figure(search)))]
+    write_report(out / "order.html", f"{name}: poles, zeros and dead time", sections)
 
 
 def write_result(out: Path, result: Result) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from pmfid.judge.balance import Balance
+from pmfid.diagnostics.balance import Balance
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -17,11 +17,9 @@ from pmfid.models.equation import (
     VISCOUS_FORWARD,
     Equation,
 )
+from pmfid.pipeline.terms import NestedModel, TermSearch
 from pmfid.report.figures import COLOURS, WIDTH, figure_style
-from pmfid.report.files import write_json
-from pmfid.report.html import Section, svg, write_report
-from pmfid.session.nested import NestedModel
-from pmfid.session.terms import TermSearch
+from pmfid.report.html import Section, svg, write_json, write_report
 from pmfid.types import Floats
 
 Rows = tuple[list[str], list[list[str]]]

@@ -6,12 +6,11 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from pmfid.judge.free_run import FreeRun
+from pmfid.diagnostics.free_run import FreeRun
+from pmfid.pipeline.validation import Validation
+from pmfid.report.checks import followed_figure
 from pmfid.report.figures import COLOURS, WIDTH, figure_style, plain_ticks
-from pmfid.report.files import write_json
-from pmfid.report.followed import followed_figure
-from pmfid.report.html import Section, svg, write_report
-from pmfid.session.validation import Validation
+from pmfid.report.html import Section, svg, write_json, write_report
 
 Rows = tuple[list[str], list[list[str]]]
 

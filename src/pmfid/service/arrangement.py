@@ -9,9 +9,9 @@ from pathlib import Path
 from time import monotonic, time
 from typing import Any
 
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.records import Record
+from pmfid.records.record import Record
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
 

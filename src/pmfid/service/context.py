@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from pmfid.config.axis import Axis
+from pmfid.config.toml_file import FileSection
 from pmfid.service.sources import Source
-from pmfid.session.config import Axis
-from pmfid.session.toml_file import FileSection
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 
 __all__ = ["Axes", "Context", "SourceSection"]
 

@@ -9,10 +9,9 @@ from time import monotonic
 from typing import Any
 
 from pmfid.stream.checkpoint import Draft, StateBuffer, draft, state_size
-from pmfid.stream.counters import Counters
-from pmfid.stream.crash import crash_point
+from pmfid.stream.commands import Counters
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.vault import Vault
+from pmfid.stream.vault import Vault, crash_point
 
 __all__ = ["Checkpoints"]
 

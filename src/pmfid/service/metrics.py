@@ -11,7 +11,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector, generate_late
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 
 __all__ = ["HELP", "exposition"]
 

@@ -1,4 +1,4 @@
-"""PLANT.toml: the axes of a plant, where their data come from and where estimates go, validated once and frozen."""
+"""PLANT.toml, and what its keys mean."""
 
 from __future__ import annotations
 
@@ -11,24 +11,92 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationError, create_model
 
+from pmfid.config.explain import ReferenceEntry, keys_in, tables
+from pmfid.config.model import Name
+from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
-from pmfid.service.kinds import REMOVED, SINKS, SOURCES
-from pmfid.service.sinks.section import SinkSection
-from pmfid.service.web.config import PageConfig
-from pmfid.session.model_config import Name
-from pmfid.session.toml_file import FileSection, validate_sections
+from pmfid.service.sinks.queued import SinkSection
+from pmfid.service.web.config import HERE, PORT, PageConfig
 
-__all__ = [
-    "MOST_AXES",
-    "AxisSection",
-    "FleetSection",
-    "Plant",
-    "ServiceSection",
-    "load_plant",
-    "page_config",
-    "single_axis",
-]
+__all__ = ["REMOVED", "SINKS", "SOURCES"]
+
+
+def _file() -> type[SourceSection]:
+    from pmfid.service.sources.file import FileSource
+
+    return FileSource
+
+
+def _stdin() -> type[SourceSection]:
+    from pmfid.service.sources.file import StdinSource
+
+    return StdinSource
+
+
+def _mqtt() -> type[SourceSection]:
+    from pmfid.service.sources.mqtt import MqttSourceSection
+
+    return MqttSourceSection
+
+
+def _execd() -> type[SourceSection]:
+    from pmfid.service.sources.execd import ExecdSection
+
+    return ExecdSection
+
+
+def _serial() -> type[SourceSection]:
+    from pmfid.service.sources.serial import SerialSection
+
+    return SerialSection
+
+
+def _file_sink() -> type[SinkSection]:
+    from pmfid.service.sinks.file import FileSinkSection
+
+    return FileSinkSection
+
+
+def _mqtt_sink() -> type[SinkSection]:
+    from pmfid.service.sinks.mqtt import MqttSinkSection
+
+    return MqttSinkSection
+
+
+def _sqlite() -> type[SinkSection]:
+    from pmfid.service.sinks.sqlite import SqliteSection
+
+    return SqliteSection
+
+
+def _webhook() -> type[SinkSection]:
+    from pmfid.service.sinks.webhook import WebhookSection
+
+    return WebhookSection
+
+
+SOURCES: dict[str, Callable[[], type[SourceSection]]] = {
+    "execd": _execd,
+    "file": _file,
+    "mqtt": _mqtt,
+    "serial": _serial,
+    "stdin": _stdin,
+}
+SINKS: dict[str, Callable[[], type[SinkSection]]] = {
+    "file": _file_sink,
+    "mqtt": _mqtt_sink,
+    "sqlite": _sqlite,
+    "webhook": _webhook,
+}
+_BY_TELEGRAF = "use the kind mqtt or file, which Telegraf reads for any database"
+#: Removed kinds, and the programs or kinds that replace them.
+REMOVED: dict[str, str] = {
+    "arrow": _BY_TELEGRAF,
+    "line_protocol": _BY_TELEGRAF,
+    "opcua": "use the kind execd with Telegraf's inputs.opcua",
+    "plotjuggler": "use the kind mqtt, to which PlotJuggler subscribes",
+}
 
 #: More axes than one process can serve.
 MOST_AXES = 1_000_000
@@ -254,3 +322,57 @@ def _read_kind(
     if kind not in kinds:
         raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     return _section(f"{where}.{name}", kinds[kind](), table)
+
+
+_KEY = "key of PLANT.toml"
+_ABOUT = {
+    "service": "The service as a whole.",
+    "page": f"Without this section there is a page on {HERE}:{PORT}.",
+    "axes": "A section for each axis, `[axes.NAME]`.",
+    "fleets": "A section for each group of axes that are alike, `[fleets.NAME]`.",
+    "sources": 'A section for each source, `[sources.NAME]`, with `kind = "{kind}"`.',
+    "sinks": 'A section for each sink, `[sinks.NAME]`, with `kind = "{kind}"`.',
+}
+_HEAD = """\
+# All keys of PLANT.toml
+
+Written by `pmfid explain --plant --page`, from the models that validate the file. `pmfid explain KEY` says the same of
+one key, as `pmfid explain service.window`, or `pmfid explain sources.mqtt` of a kind. What a plant is, and how it is
+begun: [guide/service.md](guide/service.md); the axes themselves: [axis_toml.md](axis_toml.md).
+"""
+
+
+def plant_entries() -> tuple[ReferenceEntry, ...]:
+    """Entries of all keys; keys of sources and sinks stand under their kind."""
+    return tuple(_entries())
+
+
+def _entries() -> Iterator[ReferenceEntry]:
+    for section, model in (("service", ServiceSection), ("page", PageConfig)):
+        yield from keys_in(section, model, _KEY)
+    for section, one in (("axes", AxisSection), ("fleets", FleetSection)):
+        yield from keys_in(section, one, _KEY)
+    for section, kinds in (("sources", SOURCES), ("sinks", SINKS)):
+        for kind, made in kinds.items():
+            yield from keys_in(f"{section}.{kind}", made(), _KEY)
+
+
+def strip_names(word: str) -> list[str]:
+    """What a word with a name of someone's plant may mean: axes.x1.config is axes.config, and sources.hall.qos that key
+    of each kind."""
+    found = re.fullmatch(r"\[?(axes|fleets|sources|sinks)\.[^.\]]+\]?[. ](\w+)", word.strip())
+    if found is None:
+        return []
+    table, key = found.groups()
+    kinds = {"sources": list(SOURCES), "sinks": list(SINKS)}.get(table)
+    return [f"{table}.{key}"] if kinds is None else [f"{table}.{kind}.{key}" for kind in kinds]
+
+
+def plant_page() -> str:
+    """The page of all keys, in Markdown."""
+    return "\n".join([_HEAD, *tables(plant_entries(), _describe_section)])
+
+
+def _describe_section(section: str) -> str:
+    table, _, kind = section.partition(".")
+    return f"{_ABOUT[table].format(kind=kind)}\n\n"

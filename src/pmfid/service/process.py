@@ -12,8 +12,8 @@ from time import monotonic
 from types import FrameType
 from typing import Any
 
-from pmfid.session.monitored.stream import catch_signals
-from pmfid.stream.counters import Counters
+from pmfid.pipeline.monitored.stream import catch_signals
+from pmfid.stream.commands import Counters
 
 __all__ = ["PauseWatch", "SignalRequests", "notify"]
 

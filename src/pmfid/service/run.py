@@ -1,15 +1,18 @@
-"""A service from its start to its end: the order of start and end, and signals."""
+"""The running service."""
 
 from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
+from pmfid.config.axis import Axis
 from pmfid.errors import PmfidError, UsageError
+from pmfid.records.record import Record, read_record
 from pmfid.service.arrangement import Configurations, arrange_groups, remember, tell_configurations
 from pmfid.service.board import Board
 from pmfid.service.context import Context
@@ -17,19 +20,114 @@ from pmfid.service.keeping import Checkpoints
 from pmfid.service.log import NoticeLog
 from pmfid.service.plant import Plant, page_config
 from pmfid.service.process import PauseWatch, SignalRequests, notify
-from pmfid.service.running import Sources
 from pmfid.service.sinks.queued import Queued
+from pmfid.service.sources import Source
 from pmfid.service.web.server import Page
-from pmfid.session.config import Axis
-from pmfid.session.records import Record, read_record
 from pmfid.stream.checkpoint import Snapshot, read_snapshot
-from pmfid.stream.counters import Counters
-from pmfid.stream.engine import StreamEngine
+from pmfid.stream.commands import Counters
+from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.engine import Inbox, StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Notice, Outlet
 from pmfid.stream.vault import Vault
 
-__all__ = ["Service"]
+__all__ = ["Running", "Sources"]
+
+#: Pauses after an unexpected error [s]: the first, and the longest.
+FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
+
+Tell = Callable[[dict[str, Any]], None]
+
+
+@dataclass
+class Running:
+    """A source in its thread. failed: the reported error that ended it; ended: no further delivery will come."""
+
+    source: Source
+    inbox: Inbox
+    tell: Tell
+    marks: Mapping[str, Mark]
+    failed: PmfidError | None = field(default=None, init=False)
+    ended: bool = field(default=False, init=False)
+    _mark: Mark | None = field(default=None, init=False)
+    _broken: bool = field(default=False, init=False)
+    _stopped: Event = field(default_factory=Event, init=False)
+
+    def start(self) -> None:
+        """Starts the thread."""
+        self._thread = Thread(target=self._run, name=f"source {self.source.name}", daemon=True)
+        self._thread.start()
+
+    def _take(self, delivery: Delivery) -> bool:
+        if self._broken:
+            self._broken = False
+            self.tell({"event": "source", "source": self.source.name, "problem": ""})
+        taken = self.inbox.put(delivery)
+        if taken and delivery.mark is not None:
+            self._mark = delivery.mark  # start of a restart: the marks of the engine are older
+        return taken
+
+    def _run(self) -> None:
+        pause = FIRST_PAUSE
+        while not self._stopped.is_set():
+            try:
+                self.source.run(self._take, self._mark or self.marks.get(self.source.name))
+                break
+            except PmfidError as error:
+                self.failed = error
+                self.tell({"event": "source", "source": self.source.name, "problem": str(error), "ended": True})
+                break
+            except Exception as error:
+                place = traceback.extract_tb(error.__traceback__)[-1]
+                problem = f"{type(error).__name__}: {error} ({place.name}, line {place.lineno}); it begins again"
+                self._broken = True
+                self.tell({"event": "source", "source": self.source.name, "problem": problem})
+                self._stopped.wait(pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+        self.ended = True
+
+    def stop(self) -> None:
+        """Asks the source to end."""
+        self._stopped.set()
+        self.source.stop()
+
+    def join(self, timeout: float) -> None:
+        """Waits for its end, at most `timeout` [s]."""
+        self._thread.join(timeout)
+
+
+@dataclass
+class Sources:
+    """All sources that run, by name."""
+
+    inbox: Inbox
+    tell: Tell
+    marks: Mapping[str, Mark]
+    running: dict[str, Running] = field(default_factory=dict, init=False)
+
+    def start(self, source: Source) -> None:
+        """Starts a source."""
+        self.running[source.name] = Running(source, self.inbox, self.tell, self.marks)
+        self.running[source.name].start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether none of them will hand over anything more."""
+        return all(one.ended for one in self.running.values())
+
+    @property
+    def failed(self) -> PmfidError | None:
+        """The first error, where every one of them ended with one."""
+        errors = [one.failed for one in self.running.values()]
+        return errors[0] if errors and all(errors) else None
+
+    def stop(self, within: float) -> None:
+        """Ends all of them."""
+        for one in self.running.values():
+            one.stop()
+        for one in self.running.values():
+            one.join(within)
+
 
 #: How often signals are looked at, and how long sources and sinks have to end [s].
 LOOK, ENDING = 0.1, 10.0
@@ -199,7 +297,7 @@ class Service:
             return {}
         if page.made_token is None or self.log.stream.isatty():
             return {"page": page.start_url, "notes": list(page.notes)}
-        from pmfid.service.web.tokens import keep_token
+        from pmfid.service.web.security import keep_token
 
         return {"page": page.url, "notes": [*page.notes, keep_token(page.made_token, plant.state)]}
 

@@ -1,11 +1,16 @@
 """The laboratory drive, simulated exactly; it knows the truth, so nothing below this room may import it."""
 
-from pmfid.simulation.changes import friction_growth, mass_ramp, mass_step, slipping_belt
-from pmfid.simulation.control import position_control
-from pmfid.simulation.drive import DriveParameters, Motion, Schedule, simulate_drive
+from pmfid.simulation.drive import (
+    DriveParameters,
+    Machine,
+    Motion,
+    Schedule,
+    control_machine,
+    drive_machine,
+    position_control,
+    simulate_drive,
+)
 from pmfid.simulation.encoder import NO_FAULTS, Faults, quantize
-from pmfid.simulation.files import axis_toml, write_csv
-from pmfid.simulation.machine import Machine, control_machine, drive_machine
 from pmfid.simulation.scenarios import (
     CART,
     CART_CONTROL,
@@ -15,8 +20,14 @@ from pmfid.simulation.scenarios import (
     CART_RESOLUTION,
     SCENARIOS,
     Scenario,
+    axis_toml,
+    friction_growth,
     make_scenario,
+    mass_ramp,
+    mass_step,
     resolution_of,
+    slipping_belt,
+    write_csv,
 )
 from pmfid.simulation.signals import mls, multisine, prbs, random_moves, s_curve, steps, stop_and_go, trapezoid
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.simulation.checks import check_number
+from pmfid.simulation.encoder import check_number
 from pmfid.simulation.signals import mls
 from pmfid.types import Floats
 

@@ -1,18 +1,45 @@
-"""Named, seeded runs of the laboratory cart: the same name and seed give the same bytes."""
+"""Scenarios, changes of a machine, and their files."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from pmfid.simulation.changes import friction_growth, mass_ramp, mass_step, slipping_belt
-from pmfid.simulation.checks import check_number, check_whole
-from pmfid.simulation.control import position_control
-from pmfid.simulation.drive import DriveParameters, Motion, Schedule, simulate_drive
-from pmfid.simulation.encoder import NO_FAULTS, Faults, quantize
+from pmfid.simulation.drive import DriveParameters, Motion, Schedule, position_control, simulate_drive
+from pmfid.simulation.encoder import NO_FAULTS, Faults, check_number, check_whole, quantize
 from pmfid.simulation.signals import multisine, prbs, random_moves, steps, stop_and_go
 from pmfid.types import Counts, Floats
+
+
+def mass_step(parameters: DriveParameters, mass: float, at: float) -> Schedule:
+    """A load is put down: the mass becomes `mass` [kg] at the time `at` [s] > 0. Raises ValueError."""
+    return Schedule(((0.0, parameters), (at, replace(parameters, mass=mass))))
+
+
+def mass_ramp(parameters: DriveParameters, mass: float, at: float, ramp: float) -> Schedule:
+    """A container fills: the mass moves to `mass` [kg] from `at` [s] > 0 on in `ramp` [s]. Raises ValueError."""
+    return Schedule(((0.0, parameters), (at, replace(parameters, mass=mass))), (0.0, ramp))
+
+
+def friction_growth(parameters: DriveParameters, factor: float, at: float, ramp: float) -> Schedule:
+    """A guide runs dry: viscous and Coulomb friction grow by `factor` from `at` [s] > 0 on in `ramp` [s]."""
+    worn = replace(
+        parameters,
+        viscous_friction=factor * parameters.viscous_friction,
+        coulomb_friction=factor * parameters.coulomb_friction,
+    )
+    return Schedule(((0.0, parameters), (at, worn)), (0.0, ramp))
+
+
+def slipping_belt(parameters: DriveParameters, part: float, at: float) -> Schedule:
+    """A belt slips: from `at` [s] > 0 on only `part` of the force arrives (input_gain). Raises ValueError.
+
+    An estimator that goes on with the old input_gain finds every parameter larger by 1 / part.
+    """
+    return Schedule(((0.0, parameters), (at, replace(parameters, input_gain=part * parameters.input_gain))))
+
 
 CART = DriveParameters(mass=1.07, viscous_friction=12.8, coulomb_friction=0.8, input_gain=2.0)
 CART_LOADED = replace(CART, mass=1.44)
@@ -163,3 +190,61 @@ def make_scenario(
         motion = simulate_drive(parameters, INPUTS[recipe.signal](samples, rng), CART_DT)
         counts = quantize(motion.x, resolution, phase, bits, faults)
     return Scenario(name, motion, counts, resolution, CART_DT, parameters, bits)
+
+
+_AXIS = """\
+# {name}: {summary}.
+
+[record]
+input = "u"             # V
+output = "counts"
+output_kind = "counts"
+time = "t"              # s
+
+[encoder]
+resolution = {resolution!r}  # m per count
+{bits}
+[model]
+kind = "drive"
+input_gain = {input_gain!r}        # N per V
+
+[estimator]
+method = "auto"
+cutoff = {cutoff:.6g}        # rad/s: a filter time constant of three samples
+forgetting = {forgetting!r}{memory}
+"""
+#: Forgetting where a parameter changes; a memory of two seconds.
+FORGETTING = 0.995
+
+
+def axis_toml(scenario: Scenario) -> str:
+    """The AXIS.toml that goes with the record of a scenario; it forgets where the scenario changes."""
+    recipe, bits = SCENARIOS[scenario.name], scenario.bits
+    changes = len(scenario.schedule.changes) > 1
+    return _AXIS.format(
+        name=scenario.name,
+        summary=recipe.summary,
+        resolution=scenario.resolution,
+        bits="" if bits is None else f"bits = {bits}               # the counter wraps at 2**bits\n",
+        input_gain=CART.input_gain,
+        cutoff=1 / (3 * scenario.dt),
+        forgetting=FORGETTING if changes else 1.0,
+        memory=f"      # memory of {scenario.dt / (1 - FORGETTING):g} s" if changes else "        # never",
+    )
+
+
+def write_csv(scenario: Scenario, path: str | Path, truth: bool = False) -> None:
+    """Write the columns t [s], u [V], counts; floats read back to the same bits, lines end in a line feed.
+
+    truth: also x [m], v [m/s], mass, viscous_friction, coulomb_friction, input_gain and offset at every sample.
+    Raises OSError if the file can't be written.
+    """
+    motion, names = scenario.motion, ["t", "u", "counts"]
+    columns = [motion.t, motion.u, scenario.counts]
+    if truth:
+        names += ["x", "v", "mass", "viscous_friction", "coulomb_friction", "input_gain", "offset"]
+        columns += [motion.x, motion.v, *scenario.schedule.sample(motion.t, scenario.dt)]
+    with open(path, "w", encoding="ascii", newline="\n") as file:
+        file.write(",".join(names) + "\n")
+        for row in zip(*(np.asarray(column).tolist() for column in columns), strict=True):
+            file.write(",".join(map(repr, row)) + "\n")

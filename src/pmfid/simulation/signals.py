@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.simulation.checks import check_number, check_signal, check_whole, sample_times
+from pmfid.simulation.encoder import check_number, check_signal, check_whole, sample_times
 from pmfid.types import Floats
 
 _MAX_STAGES = 24

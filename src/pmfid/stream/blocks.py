@@ -1,38 +1,127 @@
-"""Consecutive binary blocks of numbered samples: docs/wire.md documents each byte.
-
-Sizes are checked before they are used, the checksum before the content is. A block that cannot be used costs its
-neighbours nothing: the next block begins at its end, or else at the next MAGIC.
-"""
+"""Blocks of samples as messages carry them."""
 
 from __future__ import annotations
 
 import math
+import struct
 import zlib
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.session.monitored.reading import MAX_COUNT, MOST_TIME
-from pmfid.stream.alike import read_alike_blocks
+from pmfid.pipeline.monitored.lines import MAX_COUNT, MOST_TIME
 from pmfid.stream.delivery import Block, Table, Unusable
-from pmfid.stream.layout import (
-    COUNTS,
-    CRC,
-    HEADER,
-    LONGEST_NAME,
-    MAGIC,
-    MOST_EPOCH,
-    MOST_NUMBER,
-    MOST_SAMPLES,
-    VERSION,
-    WIDE_COUNTS,
-    WIDE_U,
-    U,
-)
-from pmfid.types import Counts, Floats
+from pmfid.types import Counts, Flags, Floats
 
-__all__ = ["BlockStream", "decode", "encode", "items", "problem_of"]
+__all__ = [
+    "COUNTS",
+    "CRC",
+    "HEADER",
+    "LONGEST_NAME",
+    "MAGIC",
+    "MOST_BYTES",
+    "MOST_EPOCH",
+    "MOST_NUMBER",
+    "MOST_SAMPLES",
+    "VERSION",
+    "WIDE_COUNTS",
+    "WIDE_U",
+    "U",
+    "block_type",
+]
+
+MAGIC, VERSION = b"PMFB", 1
+MOST_SAMPLES, LONGEST_NAME = 1024, 64
+#: Epochs have 32 bits; from this number of samples on neighbours are no longer separate doubles, as JSON has them.
+MOST_EPOCH, MOST_NUMBER = 2**32, 2**53
+#: Bits of the flags: u are float64 in place of float32, counts int64 in place of int32.
+WIDE_U, WIDE_COUNTS = 1, 2
+U, COUNTS = (np.dtype("<f4"), np.dtype("<f8")), (np.dtype("<i4"), np.dtype("<i8"))
+#: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt; the same by name in `block_type`.
+HEADER = struct.Struct("<4sBBHIB3xQdd")
+CRC = struct.Struct("<I")
+#: Bytes of the longest block.
+MOST_BYTES = HEADER.size + LONGEST_NAME + 16 * MOST_SAMPLES + CRC.size
+
+
+@lru_cache(64)
+def block_type(flags: int, samples: int, letters: int) -> np.dtype[np.void]:
+    """A whole block of that form, by the names of its fields; letters: bytes of the name. The numbers are within the
+    bounds above."""
+    return np.dtype(
+        [
+            *(("magic", "S4"), ("version", "u1"), ("flags", "u1"), ("samples", "<u2"), ("epoch", "<u4")),
+            *(("letters", "u1"), ("zero", "V3"), ("first", "<u8"), ("time", "<f8"), ("dt", "<f8")),
+            *(("name", f"S{letters}"), ("rest", f"V{-letters % 8}")),
+            *(("u", U[flags & WIDE_U], (samples,)), ("counts", COUNTS[flags >> 1], (samples,)), ("crc", "<u4")),
+        ]
+    )
+
+
+#: Fewest blocks for which one pass is faster.
+FEWEST = 4
+#: Names are the same in each message of a gateway: number of lists that are cached, and most names of one list.
+LISTS, NAMES = 1024, 256
+#: Bytes of the header that blocks have in common: magic, version, flags, samples; and the name's length.
+_COMMON, _LETTERS = slice(0, 8), 12
+
+
+def read_alike_blocks(data: bytes) -> Table | None:
+    """The blocks of a message if all have the same form and all are valid; None otherwise."""
+    if len(data) < HEADER.size or not data.startswith(MAGIC):
+        return None
+    _, version, flags, samples, _, letters, *_ = HEADER.unpack_from(data)
+    if not (version == VERSION and 0 < samples <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < 4):
+        return None
+    form = block_type(flags, samples, letters)
+    if len(data) % form.itemsize or len(data) < FEWEST * form.itemsize:
+        return None
+    rows = np.frombuffer(data, form)
+    whole = rows.view(np.uint8).reshape(rows.size, form.itemsize)
+    same = (whole[:, _COMMON] == whole[0, _COMMON]).all() and (whole[:, _LETTERS] == letters).all()
+    if not (same and _sums_fit(data, rows) and _are_in_range(rows, samples)):
+        return None
+    names = (_read_names if rows.size <= NAMES else _read_names.__wrapped__)(rows["name"].tobytes(), letters)
+    return None if names is None else _build_table(rows, names)
+
+
+def _sums_fit(data: bytes, rows: np.ndarray) -> bool:
+    view, size = memoryview(data), rows.itemsize
+    sums = [zlib.crc32(view[place : place + size - 4]) for place in range(0, len(data), size)]
+    return bool(sums == rows["crc"].tolist())
+
+
+def _are_in_range(rows: np.ndarray, samples: int) -> bool:
+    """Whether all numbers are within their ranges."""
+    time, dt, counts = rows["time"], rows["dt"], rows["counts"]
+    with np.errstate(invalid="ignore"):
+        fine: Flags = (dt > 0) & (dt < math.inf) & (np.isnan(time) | (np.abs(time) < MOST_TIME))
+    narrow = counts.dtype.itemsize == 4 or bool(((counts > -MAX_COUNT) & (counts < MAX_COUNT)).all())
+    return bool(
+        fine.all() and narrow and (rows["first"] <= MOST_NUMBER - samples).all() and not np.isinf(rows["u"]).any()
+    )
+
+
+@lru_cache(LISTS)
+def _read_names(text: bytes, letters: int) -> tuple[str, ...] | None:
+    """Consecutive names of `letters` bytes each; None if one of them is not a valid name."""
+    try:
+        names = tuple(text[k : k + letters].rstrip(b"\0").decode() for k in range(0, len(text), letters))
+    except UnicodeDecodeError:
+        return None
+    # what ends in zeros is shorter than it says
+    whole = all(map(str.isprintable, names)) and all(len(name.encode()) == letters for name in names)
+    return names if whole else None
+
+
+def _build_table(rows: np.ndarray, names: tuple[str, ...]) -> Table:
+    # copies: they are aligned, and do not keep the whole message
+    epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
+    time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
+    return Table(names, epoch, first, time, dt, u, counts)
+
 
 #: How often in one message a block is looked for by MAGIC alone: each may cost the checksum of a whole block.
 _MOST_SEARCHES = 16

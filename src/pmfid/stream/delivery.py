@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.session.monitored.timeline import Line
+from pmfid.pipeline.monitored.timeline import Line
 from pmfid.types import Counts, Floats
 
 __all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "join_arrays", "split_tables"]

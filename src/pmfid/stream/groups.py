@@ -1,26 +1,196 @@
-"""Axes of one configuration: calibrated once, stepped together."""
+"""Groups of monitors that step together."""
 
 from __future__ import annotations
 
+import math
+import struct
+from bisect import insort
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from hashlib import sha256
+from hashlib import blake2b, sha256
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.config.axis import Axis, load_axis
+from pmfid.errors import UsageError
 from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.session.config import Axis, load_axis
-from pmfid.session.monitored.setup import Setup, set_up
-from pmfid.session.records import Record
-from pmfid.stream.order import Order
+from pmfid.pipeline.monitored.setup import Setup, set_up
+from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Found, Line, Metronome, Sample, Saved, Timeline
+from pmfid.records.record import Record
+from pmfid.stream.delivery import Lines
+from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
-from pmfid.stream.positions import PositionRow, Positions
-from pmfid.stream.timed import Timed
 
-__all__ = ["Group", "Pace", "Prepared", "Seat", "prepare"]
+__all__ = ["Timed"]
+
+#: Number of consecutive lines before the window that show a clock set back.
+MOST_LATE = 5
+#: Number of consecutive samples after lines of another period until samples are used again.
+PROBATION = 50
+#: Most lines that wait, and number of last lines that are recognised if a source repeats them after a restart.
+MOST, KNOWN = 100_000, 1000
+
+_LINE = struct.Struct("<ddq")
+
+
+def _get_time(line: Line) -> float:
+    return line.time
+
+
+class Timed:
+    """Converts lines to samples. dt: sample period [s]; window: time for which lines wait for older ones [s], 0: none;
+    timed: the lines have a time.
+
+    A line has no number, so only its content shows a repetition. Digests of the last lines survive a restart, for a
+    source that repeats lines after it. Without the digests, old lines in a row would show a clock that was set back.
+    """
+
+    def __init__(self, dt: float, window: float, timed: bool) -> None:
+        self.dt, self.window, self.timed = dt, window, timed
+        self._grid = self._make_grid()
+        self._held: list[Line] = []
+        self._newest, self._late_in_row = -math.inf, 0
+        self._recent: deque[str] = deque(maxlen=KNOWN)  # digests of lines
+        self._latest = -math.inf
+        self._before: frozenset[str] = frozenset()  # digests of before the restart
+        self._until = -math.inf  # the latest time of these
+        self._doubtful = 0  # consecutive samples still needed before samples are used
+
+    def _make_grid(self) -> Timeline | Metronome:
+        return Timeline(self.dt) if self.timed else Metronome(self.dt)
+
+    def take(self, item: Lines, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport:
+        """Appends the samples that are known now to `pieces`."""
+        verdict, samples = ItemReport(), list[Sample]()
+        for given in item.lines:
+            if self.timed and self._is_repeated(given):
+                verdict.lines[REPEATED] = verdict.lines.get(REPEATED, 0) + 1
+                continue
+            for line in self._sort_line(given):
+                samples += self._samples(line, verdict)
+        pieces += _join_samples(samples, received, turn, verdict)
+        return verdict
+
+    def _is_repeated(self, line: Line) -> bool:
+        """Whether a line came before the restart."""
+        # 64 bits: with fewer, one line in some thousand restarts would be mistaken for another one, and lost
+        digest = blake2b(_LINE.pack(line.time, line.u, line.counts), digest_size=8).hexdigest()
+        if self._before and not line.time > self._until and digest in self._before:
+            return True
+        self._recent.append(digest)
+        self._latest = max(self._latest, line.time)
+        return False
+
+    def _sort_line(self, line: Line) -> list[Line]:
+        """The lines that are older than the newest one by the window."""
+        if not self.window or math.isnan(line.time):
+            return [line]
+        if line.time < self._newest - self.window:
+            return self._take_late(line)
+        self._late_in_row = 0
+        self._newest = max(self._newest, line.time)
+        insort(self._held, line, key=_get_time)
+        due = 0
+        while due < len(self._held) and (
+            self._held[due].time <= self._newest - self.window or len(self._held) - due > MOST
+        ):
+            due += 1
+        ready, self._held = self._held[:due], self._held[due:]
+        return ready
+
+    def _take_late(self, line: Line) -> list[Line]:
+        """Passes a late line to the timeline, which classifies it; MOST_LATE of them show a clock set back."""
+        self._late_in_row += 1
+        if self._late_in_row < MOST_LATE:
+            return [line]
+        held, self._held = self._held, []
+        self._newest, self._late_in_row = line.time, 0
+        return [*held, line]
+
+    def _samples(self, line: Line, verdict: ItemReport) -> list[Sample]:
+        try:
+            found = self._grid.take(line)
+        except UsageError as error:
+            if not self._doubtful:
+                verdict.events.append({"event": "period", "problem": str(error)})
+            self._grid, self._doubtful = self._make_grid(), PROBATION
+            verdict.refused += 1
+            return []
+        samples = [one for one in found if isinstance(one, Sample)]
+        self._count_skipped(found, verdict)
+        return self._check_probation(samples, verdict) if self._doubtful and samples else samples
+
+    def _check_probation(self, samples: list[Sample], verdict: ItemReport) -> list[Sample]:
+        """Refuses samples after lines of another period, until PROBATION samples fit."""
+        verdict.refused += len(samples)
+        self._doubtful = max(0, self._doubtful - len(samples))
+        if self._doubtful:
+            return []
+        last = samples[-1]
+        verdict.refused -= 1
+        return [Sample(last.time, last.u, last.counts, 0, math.inf)]
+
+    def _count_skipped(self, found: list[Found], verdict: ItemReport) -> None:
+        for one in found:
+            if not isinstance(one, Sample) and one.kind != COMMENT:
+                verdict.lines[one.kind] = verdict.lines.get(one.kind, 0) + 1
+                verdict.events.append({"event": one.kind, "time": one.time, "problem": one.problem})
+
+    def save_state(self) -> Saved:
+        """The state, for JSON with NaN and infinity."""
+        return {
+            "timed": self.timed,
+            "newest": self._newest,
+            "behind": self._late_in_row,
+            "doubtful": self._doubtful,
+            "recent": list(self._recent),
+            "latest": self._latest,
+            "held": [[line.time, line.u, line.counts, line.problem] for line in self._held],
+            "grid": self._grid.save_state(),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Restores a saved state. Raises KeyError, TypeError or ValueError for anything else."""
+        self.timed = bool(saved["timed"])
+        self._newest, self._late_in_row = float(saved["newest"]), int(saved["behind"])
+        self._doubtful = int(saved["doubtful"])
+        self._held = [Line(*entry) for entry in saved["held"]]
+        self._recent = deque((str(digest) for digest in saved["recent"]), KNOWN)
+        self._latest = self._until = float(saved["latest"])
+        self._before = frozenset(self._recent)
+        self._grid = self._make_grid()
+        self._grid.restore(saved["grid"])
+
+
+def _join_samples(samples: list[Sample], received: float, turn: int, verdict: ItemReport) -> list[SamplePiece]:
+    """Pieces of consecutive samples."""
+    pieces, begun = list[SamplePiece](), 0
+    for k, sample in enumerate(samples):
+        if sample.missing or sample.jump:
+            pieces += _piece(samples[begun:k], received, turn)
+            begun = k
+            verdict.events.append(_interruption(sample))
+    return pieces + _piece(samples[begun:], received, turn)
+
+
+def _interruption(sample: Sample) -> dict[str, object]:
+    if sample.missing:
+        return {"event": "gap", "time": sample.time, "missing": sample.missing}
+    return {"event": "clock", "time": sample.time, "jump": sample.jump if math.isfinite(sample.jump) else None}
+
+
+def _piece(samples: list[Sample], received: float, turn: int) -> list[SamplePiece]:
+    if not samples:
+        return []
+    lead = samples[0].missing or (UNKNOWN_GAP if samples[0].jump else 0)
+    u, counts = np.array([s.u for s in samples]), np.array([s.counts for s in samples], np.int64)
+    times = np.array([s.time for s in samples])
+    return [SamplePiece(lead, False, u, counts, math.nan, 0, received, turn, times)]
+
 
 #: Number of notices of a kind, such as bad lines and gaps, that an axis gets one by one. Later notices come after
 #: twice as many events each.

@@ -1,15 +1,19 @@
-"""Notices: their numbers and their outlets."""
+"""Notices, and silence as an alarm."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
-from pmfid.stream.alarms import AlarmRecord, Alarms
-from pmfid.stream.groups import Seat
-from pmfid.stream.outcome import Notice, Outlet
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.stream.commands import Counters
+from pmfid.stream.groups import Group, Seat
+from pmfid.stream.outcome import AlarmRecord, Alarms, Notice, Outlet
 
 __all__ = ["Notices"]
 
@@ -75,3 +79,153 @@ class Notices:
         for outlet in self.outlets:
             outlet.notice(notice)
         return notice
+
+
+#: Time between two tests [s]; longest counted pause of the engine [s], because no data could come while the process was
+#: stopped.
+LOOK, LONGEST_PAUSE = 1.0, 5.0
+#: Sample periods for which an axis may be quiet, however short the limit is.
+PERIODS = 5.0
+#: Most axes that get an alarm each if they fall silent between two tests, beyond which they share one alarm; names in
+#: that alarm.
+MOST, MOST_NAMES = 100, 100
+
+Key = tuple[str, str]
+
+
+class Taker(Protocol):
+    """A sink that takes rows from a queue."""
+
+    name: str
+
+    def works(self, since: float) -> bool | None:
+        """Whether the sink takes its outcomes; None while unknown, as for a failure that began after `since`
+        (`time.monotonic()`)."""
+        ...
+
+
+@dataclass
+class Silence:
+    """Raises and clears alarms on silence.
+
+    limit: time until silence is an alarm [s], 0: never; sources: names of the expected sources; sinks: the watched
+    sinks. `tick` feeds its clock, whose time is `now` [s]. An alarm lasts until its source, its sink or the last of its
+    axes is back. After a restart the alarms of the checkpoint restore it.
+    """
+
+    notices: Notices
+    counters: Counters
+    limit: float = 0.0
+    sources: Sequence[str] = ()
+    sinks: Sequence[Taker] = ()
+    now: float = field(default=0.0, init=False)
+    _open: dict[int, Notice | AlarmRecord] = field(default_factory=dict, init=False)
+    _alarms: dict[Key, int] = field(default_factory=dict, init=False)  # of sources and sinks
+    _heard: dict[Key, float] = field(default_factory=dict, init=False)
+    _ticked: float | None = field(default=None, init=False)
+    _looked: float = field(default=-math.inf, init=False)
+    _looked_at: float = field(default=-math.inf, init=False)  # by the clock of `tick`
+
+    def restore(self, alarms: Iterable[AlarmRecord]) -> None:
+        """Restores the alarms of a checkpoint; their axes, sources and sinks are silent until new data."""
+        self._open = {one.number: one for one in alarms if "silent" in one.what and one.cleared is None}
+        named = [(number, one.what) for number, one in self._open.items() if one.what["silent"] in ("source", "sink")]
+        self._alarms = {(str(what["silent"]), str(what["name"])): number for number, what in named}
+        self._heard = dict.fromkeys(self._alarms, -math.inf)
+
+    def tick(self, at: float) -> None:
+        """Advances the clock to `at` [s] of a monotonic clock."""
+        if self._ticked is not None:
+            self.now += min(at - self._ticked, LONGEST_PAUSE)
+        self._ticked = at
+
+    def note_delivery(self, source: str) -> None:
+        """Notes that a source has handed over a delivery."""
+        self._heard["source", source] = self.now
+
+    def look(self, groups: Sequence[Group]) -> bool:
+        """Raises and clears alarms if a test is due. Returns whether there were any."""
+        if self.now - self._looked < LOOK:
+            return False
+        before = self.notices.last
+        self._look_at_axes(groups)
+        self._look_at_others()
+        self._clear(groups)
+        self._count(groups)
+        self._looked, self._looked_at = self.now, self._ticked or self._looked_at
+        return self.notices.last != before
+
+    # --- axes ---------------------------------------------------------------------------------------------------------
+
+    def _look_at_axes(self, groups: Sequence[Group]) -> None:
+        found = [(group, self._find_silent(group)) for group in groups]
+        if sum(index.size for _, index in found) > MOST:
+            self._raise_for_many(found)
+            return
+        for group, index in found:
+            for k in index.tolist():
+                group.positions.alarm[k] = self._raise("axis", group.kindred.axes[k])
+
+    def _find_silent(self, group: Group) -> NDArray[np.int64]:
+        """Numbers of the silent axes without an alarm; clears the alarm of axes that are back."""
+        known = group.positions
+        known.heard[np.isnan(known.heard)] = self.now
+        silent = self.now - known.heard > max(self.limit or math.inf, PERIODS * group.dt)
+        known.alarm[~silent] = 0
+        return np.flatnonzero(silent & (known.alarm == 0))
+
+    def _raise_for_many(self, found: Sequence[tuple[Group, NDArray[np.int64]]]) -> None:
+        names = [group.kindred.axes[k] for group, index in found for k in index.tolist()]
+        number = self._raise("axes", f"{len(names)} axes", axes=names[:MOST_NAMES])
+        for group, index in found:
+            group.positions.alarm[index] = number
+
+    # --- sources and sinks --------------------------------------------------------------------------------------------
+
+    def _look_at_others(self) -> None:
+        for sink in self.sinks:
+            works = sink.works(self._looked_at)
+            if works or (works is None and ("sink", sink.name) not in self._alarms):
+                self._heard["sink", sink.name] = self.now
+        here = [*(("source", name) for name in self.sources), *(("sink", sink.name) for sink in self.sinks)]
+        silent = [key for key in here if self.now - self._heard.setdefault(key, self.now) > (self.limit or math.inf)]
+        self._alarms = {key: self._alarms.get(key) or self._raise(*key) for key in silent}
+
+    # --- alarms -------------------------------------------------------------------------------------------------------
+
+    def _raise(self, kind: str, name: str, **more: object) -> int:
+        what = {"event": "alarm", "silent": kind, "name": name, "seconds": self.limit, **more}
+        problem = _PROBLEMS[kind].format(name=name, limit=self.limit)
+        notice = self.notices.publish_own(name if kind == "axis" else "", {**what, "problem": problem})
+        self._open[notice.number] = notice
+        return notice.number
+
+    def _clear(self, groups: Sequence[Group]) -> None:
+        """Clears the alarms whose axes, source or sink are back."""
+        if not self._open:
+            return
+        left = set(self._alarms.values())
+        for group in groups:
+            left.update(np.unique(group.positions.alarm).tolist())
+        for number in sorted(self._open.keys() - left):
+            alarm = self._open.pop(number)
+            what = {key: alarm.what[key] for key in ("silent", "name")}
+            seconds = round(max(self.notices.wall() - alarm.wall, 0.0) + alarm.what["seconds"], 1)
+            self.notices.publish_own(alarm.axis, {"event": "cleared", "alarm": number, **what, "seconds": seconds})
+
+    def _count(self, groups: Sequence[Group]) -> None:
+        for group in groups:
+            silent = int(np.count_nonzero(group.positions.alarm))
+            self.counters.put("pmfid_axes_silent", silent, group=group.kindred.config)
+        for name in self.sources:
+            self.counters.put("pmfid_source_silent", float(("source", name) in self._alarms), source=name)
+        for sink in self.sinks:
+            self.counters.put("pmfid_sink_silent", float(("sink", sink.name) in self._alarms), sink=sink.name)
+
+
+_PROBLEMS = {
+    "axis": "no usable sample for {limit:g} s; look at its sender and at the source",
+    "axes": "no usable sample of {name} for {limit:g} s; look at their senders and at the source",
+    "source": "nothing came from the source {name} for {limit:g} s; look at its line and at who sends there",
+    "sink": "the sink {name} took nothing for {limit:g} s; look at where it writes: alarms wait for it",
+}

@@ -1,22 +1,178 @@
-"""Blocks of one axis in the order of their numbers: repeated blocks are dropped, early blocks wait.
-
-The numbers alone decide, never the time of arrival: any order of the blocks within the window gives the same samples.
-A hole becomes a gap of known length once the waiting blocks span more than the window; until then a lower number may
-still come. Blocks for a gap are late. A higher epoch, and the first block of all, wait as long.
-"""
+"""The order of blocks, decided by their numbers."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
-from pmfid.stream.clock import Clock, period_fits
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.monitor.scores import RowArrays
 from pmfid.stream.delivery import Block
-from pmfid.stream.positions import Column, PositionRow, Positions
-from pmfid.types import Counts, Floats
+from pmfid.types import Counts, Flags, Floats
 
-__all__ = ["UNKNOWN_GAP", "ItemReport", "Order", "SamplePiece"]
+__all__ = ["Column", "PositionRow", "Positions"]
+
+T = TypeVar("T", int, float, bool)
+
+
+@dataclass
+class Positions(RowArrays):
+    """Columns (axes,).
+
+    epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the sender's clock [s],
+    NaN while unknown; start, first: time and number at which the measurement of that clock's rate began; wrong_rate:
+    the last measured rate was outside its tolerance; wrong_period: a notice has reported samples of another period;
+    waits: some blocks are early; heard: time of its last used samples by the clock of `Silence` [s], NaN before;
+    alarm: number of the alarm on its silence, 0 for none.
+    """
+
+    epoch: NDArray[np.int64]
+    expected: NDArray[np.int64]
+    time: Floats
+    number: NDArray[np.int64]
+    start: Floats
+    first: NDArray[np.int64]
+    wrong_rate: Flags
+    wrong_period: Flags
+    waits: Flags
+    heard: Floats
+    alarm: NDArray[np.int64]
+
+    @classmethod
+    def fresh(cls, axes: int) -> Positions:
+        """Rows of axes without any data."""
+        zeros, unknown, no = np.zeros(axes, np.int64), np.full(axes, np.nan), np.zeros(axes, np.bool_)
+        clock = unknown, zeros.copy(), unknown.copy(), zeros.copy()
+        flags = no, no.copy(), no.copy()
+        return cls(zeros - 1, zeros, *clock, *flags, unknown.copy(), zeros.copy())
+
+    def add(self, axes: int) -> None:
+        """Adds rows of axes without any data."""
+        vars(self).update(vars(self.join_rows(Positions.fresh(axes))))
+
+    def forget(self, index: int) -> None:
+        """Resets the row of an axis; the duration of its silence stays."""
+        here, fresh = slice(index, index + 1), Positions.fresh(1)
+        fresh.heard, fresh.alarm = self.heard[here], self.alarm[here]
+        self.put(here, fresh)
+
+    def fall_silent(self, index: int, alarm: int) -> None:
+        """Marks an axis that was silent before a restart as silent until new data; alarm: its number, 0: not silent."""
+        if alarm:
+            self.heard[index], self.alarm[index] = -np.inf, alarm
+
+    def remove(self, index: Sequence[int]) -> None:
+        """Removes rows; the others move up in order."""
+        left = np.delete(np.arange(self.epoch.size), list(index))
+        vars(self).update(vars(self.take_rows(left)))
+
+
+class PositionRow:
+    """The row of an axis, which moves up when other axes are removed."""
+
+    __slots__ = ("index", "positions")
+
+    def __init__(self, positions: Positions, index: int) -> None:
+        self.positions, self.index = positions, index
+
+
+class Column(Generic[T]):
+    """An attribute of something with a `place`, kept in a column of its positions."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, one: object, kind: type | None = None) -> T:
+        place: PositionRow = one.place  # type: ignore[attr-defined]
+        found: T = getattr(place.positions, self._name).item(place.index)
+        return found
+
+    def __set__(self, one: object, value: T) -> None:
+        place: PositionRow = one.place  # type: ignore[attr-defined]
+        getattr(place.positions, self._name)[place.index] = value
+
+
+#: Largest deviation of a clock that was not set [s]: stamps may have a resolution of whole seconds.
+SET = 1.5
+#: Rate of the sender's clock compared with its numbers: fewest samples and shortest time [s] of a measurement, and the
+#: tolerance of the rate.
+RATE_SAMPLES, RATE_TIME, RATE = 500, 60.0, 0.005
+#: Tolerance of the sender's sample period, relative to the period of the configuration.
+PERIOD = 1e-3
+
+#: The tests apply to one block, or to the blocks of many axes: a number, or one number for each.
+Real = float | Floats
+Whole = int | NDArray[np.int64]
+Answer = bool | Flags
+
+
+def period_fits(period: Real, dt: float) -> Answer:
+    """Whether a sender has the sample period of the configuration."""
+    return (period - dt <= PERIOD * dt) & (dt - period <= PERIOD * dt)
+
+
+def clock_runs(off: Real) -> Answer:
+    """Whether a clock with this deviation [s] was not set; False for an unknown deviation."""
+    return (off <= SET) & (-off <= SET)
+
+
+def rate_is_due(samples: Whole, time: Real) -> Answer:
+    """Whether the rate of a clock is tested after `samples` samples and `time` seconds."""
+    return (samples >= RATE_SAMPLES) & (time >= RATE_TIME)
+
+
+def rate_fits(rate: Real) -> Answer:
+    """Whether the rate of a clock is within its tolerance."""
+    return (rate - 1 <= RATE) & (1 - rate <= RATE)
+
+
+class Clock:
+    """The sender's clock compared with its numbers.
+
+    dt: sample period [s]; expected: time of sample `number` [s], NaN while unknown; start, first: time and number at
+    which the measurement of the rate began; wrong_rate: the last measured rate was outside its tolerance.
+    """
+
+    __slots__ = ("dt", "place")
+    expected, number = Column[float]("time"), Column[int]("number")
+    start, first = Column[float]("start"), Column[int]("first")
+    wrong_rate = Column[bool]("wrong_rate")
+
+    def __init__(self, dt: float, place: PositionRow) -> None:
+        self.dt, self.place = dt, place
+
+    def reset(self) -> None:
+        """Forgets all measurements of the clock."""
+        self.expected, self.number, self.start, self.first, self.wrong_rate = math.nan, 0, math.nan, 0, False
+
+    def look(self, first: int, end: int, time: float) -> dict[str, object] | None:
+        """Tests the clock at the next block. Returns a notice object if the clock was set or its rate is wrong."""
+        if math.isnan(time):
+            return None
+        off = time - self.expected - (first - self.number) * self.dt
+        self.expected, self.number = time + (end - first) * self.dt, end
+        if not clock_runs(off):
+            self.start, self.first = time, first
+            return None if math.isnan(off) else {"event": "clock", "time": time, "jump": off}
+        if rate_is_due(first - self.first, time - self.start):
+            return self._rate(first, time)
+        return None
+
+    def _rate(self, first: int, time: float) -> dict[str, object] | None:
+        rate = (time - self.start) / ((first - self.first) * self.dt)
+        self.start, self.first = time, first
+        wrong, known = not rate_fits(rate), self.wrong_rate
+        self.wrong_rate = wrong
+        if not wrong or known:
+            return None
+        period = rate * self.dt
+        problem = f"by the sender's clock a sample takes {period:.6g} s, by its configuration {self.dt:.6g} s"
+        return {"event": "clock", "time": time, "jump": 0.0, "rate": rate, "problem": problem}
+
 
 #: In place of a number of missing samples: the sender restarted, and the number is unknown.
 UNKNOWN_GAP = -1

@@ -1,26 +1,194 @@
-"""What the checks look at: an estimator, and its result on records of its own model."""
+"""Cases: plants, records and tolerances."""
 
 from __future__ import annotations
 
 import copy
+import math
 import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
 
 from pmfid._estimate import Estimate
+from pmfid.encoder import Encoder, quantize
 from pmfid.errors import PmfidError, UsageError
-from pmfid.estimators.arguments import check_arrays
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.configuration import change_arguments, configuration_of
-from pmfid.estimators.results import Fit
-from pmfid.estimators.track import Track
-from pmfid.testing.plants import ContractRecord, plant_for, wrap_record
+from pmfid.estimators.configuration import change_arguments, check_arrays, configuration_of
+from pmfid.estimators.results import Fit, Track
+from pmfid.models.drive import Model
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    DEAD_TIME,
+    ESTIMATE,
+    MASS,
+    OFFSET,
+    STIFFNESS,
+    VISCOUS_FORWARD,
+)
+from pmfid.models.transfer_function import TransferFunction
 from pmfid.types import Counts, Floats
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+SAMPLES = 3000
+#: Changes of a random input in the shortest record.
+CHANGES = 250
+#: Of the time constant of the filters: how long an input lasts, of a drive and of a process.
+DRIVE_HOLD, PROCESS_HOLD = 3.0, 0.8
+#: Time constant of a drive in those of the filters; friction and load as parts of the force; what differs backward.
+DRIVE_TIME, COULOMB, LOAD, BACKWARD = 3.0, 0.15, 0.05, 1.3
+#: Natural frequency on a spring, as a part of the cutoff.
+SPRING = 0.2
+#: Poles of a process as parts of the cutoff: frequency of each pair, or of what is left over; damping; zeros.
+FREQUENCIES, DAMPING, ZEROS = (0.5, 0.2, 0.8), 0.5, -1.5
+#: A dead time that is to be found, in samples.
+LATE = 2.5
+#: Standard deviation of a process, in times what a drive moves in a sample.
+RANGE = 100.0
+
+
+@dataclass(frozen=True)
+class ContractRecord:
+    """A record and its parameters. u, counts: (n,); theta: (p,), None if it is not known."""
+
+    u: Floats
+    counts: Counts
+    theta: Floats | None
+
+
+def wrap_record(u: Floats, counts: Counts) -> ContractRecord:
+    """A record of the user."""
+    return ContractRecord(_freeze(u), _freeze(counts), None)
+
+
+def plant_for(estimator: Estimator, per_sample: float, seed: int) -> ContractRecord:
+    """A record of the estimator's model; per_sample: counts that a drive moves in a sample, by the order of size.
+
+    Raises UsageError if nothing simulates the equation.
+    """
+    seen = min(per_sample, _most(estimator.encoder, estimator.dt))
+    return _plant(RecordSetting(estimator.model, estimator.encoder, estimator.dt, estimator.cutoff, seen), seed)
+
+
+@lru_cache
+def _plant(setting: RecordSetting, seed: int) -> ContractRecord:
+    model, rng = setting.model, np.random.default_rng(seed)
+    if isinstance(model, TransferFunction):
+        return _process(setting, model, rng)
+    # at which speeds and places a form bends is its own matter: a made-up motion may not come there
+    missing = model.equation.without_simulation or ("its forces of a given form" if model.equation.shaped else "")
+    if missing:
+        raise UsageError(f"no record can be simulated: {missing}; give check_estimator a record (u, counts)")
+    return _drive(setting, rng)
+
+
+@dataclass(frozen=True)
+class RecordSetting:
+    """Data from which a record is made; per_sample: counts."""
+
+    model: Model
+    encoder: Encoder
+    dt: float
+    cutoff: float
+    per_sample: float
+
+
+def _most(encoder: Encoder, dt: float) -> float:
+    """Counts in a sample: a quarter of what the encoder allows, and a part of its range."""
+    speed = math.inf if encoder.max_speed is None else 0.25 * encoder.max_speed * dt / encoder.resolution
+    return min(speed, 2.0 ** (encoder.bits - 4))
+
+
+def _freeze(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    """A copy that nobody can write to: several cases share it."""
+    copy = array.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+def _input(setting: RecordSetting, hold: float, rng: np.random.Generator) -> Floats:
+    """Random steps of four sizes, each for `hold` time constants of the filters."""
+    samples = max(1, round(hold / (setting.cutoff * setting.dt)))
+    changes = max(CHANGES, -(-SAMPLES // samples))
+    return rng.choice([-1.0, -0.6, 0.6, 1.0], changes).repeat(samples)
+
+
+def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
+    from pmfid import _kernel64
+
+    equation, cutoff = setting.model.equation, setting.cutoff
+    resolution, dt, force = setting.encoder.resolution, setting.dt, abs(equation.input_gain)
+    u = _input(setting, DRIVE_HOLD, rng)
+    viscous = force * dt / (setting.per_sample * resolution)  # at the steady speed: per_sample counts in a sample
+    mass = viscous * DRIVE_TIME / cutoff
+    roles = np.zeros(len(equation.roles))
+    roles[MASS], roles[OFFSET] = mass, LOAD * force
+    roles[VISCOUS_FORWARD : VISCOUS_FORWARD + 2], roles[COULOMB_FORWARD : COULOMB_FORWARD + 2] = (
+        viscous,
+        COULOMB * force,
+    )
+    if equation.symmetric is not equation:  # what the two directions share is a friction and a constant load
+        roles[COULOMB_BACKWARD] *= BACKWARD
+        roles[OFFSET] = 0.0
+    roles[STIFFNESS] = mass * (SPRING * cutoff) ** 2
+    present = np.array([index is not None for index in equation.roles])
+    velocity = _kernel64.simulate(list(np.where(present, roles, 0.0)), equation.input_gain, dt, u)[0]
+    y = np.r_[0.0, np.cumsum(velocity[:-1])] * dt
+    theta = np.zeros(len(equation.names))
+    for index, value in zip(equation.roles, roles, strict=True):
+        if index is not None:
+            theta[index] = value
+    return ContractRecord(_freeze(u), _freeze(quantize(y, resolution)), theta)
+
+
+def _process(setting: RecordSetting, model: TransferFunction, rng: np.random.Generator) -> ContractRecord:
+    u = _input(setting, PROCESS_HOLD, rng)
+    denominator = _denominator(model, setting.cutoff)
+    numerator = np.atleast_1d(np.poly(ZEROS * setting.cutoff * np.arange(1, model.m + 1)))
+    late = LATE * setting.dt if model.dead_time == ESTIMATE else float(model.dead_time) + model.delay * setting.dt
+    y = _respond(numerator, denominator, u, setting.dt, late / setting.dt)
+    scale = RANGE * setting.per_sample * setting.encoder.resolution / float(np.std(y))
+    values = {f"a{i}": value for i, value in enumerate(denominator[::-1])}
+    values |= {f"b{j}": scale * value for j, value in enumerate(numerator[::-1])}
+    values[DEAD_TIME] = late
+    names = (*model.equation.names, *dict(model.equation.further))
+    theta = np.array([values.get(name, 0.0) for name in names])
+    return ContractRecord(_freeze(u), _freeze(quantize(scale * y, setting.encoder.resolution)), theta)
+
+
+def _denominator(model: TransferFunction, cutoff: float) -> Floats:
+    """Descending powers; poles in damped pairs, and those at zero."""
+    left = model.n - model.integrators
+    coefficients: Floats = np.ones(1)
+    for part in FREQUENCIES:
+        pole = part * cutoff
+        factors = {0: [1.0], 1: [1.0, pole]}
+        coefficients = np.convolve(coefficients, factors.get(left, [1.0, 2 * DAMPING * pole, pole**2]))
+        left = max(0, left - 2)
+    return np.asarray(np.r_[coefficients, np.zeros(model.integrators)])
+
+
+def _respond(numerator: Floats, denominator: Floats, u: Floats, dt: float, late: float) -> Floats:
+    """Output (n,) from rest under a held input that comes `late` samples late, exact at the samples."""
+    n, whole, part = denominator.size - 1, int(late), late - int(late)
+    b = np.r_[numerator[::-1], np.zeros(n + 1 - numerator.size)]
+    C = b[:n] - b[n] * denominator[:0:-1]
+    A = np.zeros((n + 1, n + 1))  # the last state is the input
+    A[: n - 1, 1:n], A[n - 1, :n], A[n - 1, n] = np.eye(n - 1), -denominator[:0:-1], 1.0
+    before, after = expm(A * part * dt)[:n], expm(A * (1 - part) * dt)[:n]
+    delayed = np.r_[np.zeros(whole + 1), u]
+    x, y = np.zeros(n), np.empty(u.size)
+    for k in range(u.size):
+        y[k] = C @ x + b[n] * delayed[k if part else k + 1]
+        x = after @ np.r_[before @ np.r_[x, delayed[k]], delayed[k + 1]]
+    return y
+
 
 #: Counts in a sample, by the order of size: with FINE the encoder does not matter, with COARSE it does.
 FINE, COARSE = 5000.0, 5.0

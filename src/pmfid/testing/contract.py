@@ -1,16 +1,182 @@
-"""The checks by name, and the one that runs them all."""
+"""The contract that every estimator keeps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.errors import UsageError
+from pmfid._estimate import Estimate
+from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.testing import common, off_line, on_line
-from pmfid.testing.case import Case, ContractError, OffLine, OnLine, name_of
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.results import Fit
+from pmfid.status import Status
+from pmfid.testing import common
+from pmfid.testing.case import (
+    COPIES,
+    Case,
+    ContractError,
+    OffLine,
+    OnLine,
+    last,
+    name_of,
+    require,
+    require_refusal,
+    result_of,
+)
+from pmfid.testing.common import OTHER_DT
+from pmfid.types import Counts, Floats
+
+SYMMETRIC = 1e-9
+
+
+def copies_fit_alike(case: Case) -> None:
+    """Also one of an estimator that has been at work."""
+    worker, expected = case.configured, case.short_result.theta
+    for name, again in COPIES.items():
+        found = result_of(again(worker), *case.short).theta
+        require(np.array_equal(found, expected), f"{name} fits other numbers")
+
+
+def rest_is_not_identifiable(case: Case) -> None:
+    """An output that does not move says nothing: NotIdentifiableError, not numbers."""
+    n = case.fine.u.size
+    still = np.zeros(n, np.int64)
+    require_refusal(NotIdentifiableError, "a record at rest", lambda: result_of(case.configured, np.ones(n), still))
+
+
+def covariance_is_one(case: Case) -> None:
+    """Symmetric and positive definite; the residual is smaller than the target."""
+    fit = case.coarse_result
+    if not isinstance(fit, Fit):
+        raise ContractError(f"fit gives a {type(fit).__name__}, not a Fit")
+    correlation = fit.theta_cov / np.outer(fit.theta_std, fit.theta_std)
+    require(bool(np.max(np.abs(correlation - correlation.T)) < SYMMETRIC), "theta_cov is not symmetric")
+    require(bool(np.all(np.linalg.eigvalsh(correlation) > 0)), "theta_cov is not positive definite")
+    require(0 <= fit.relative_error < 1, f"relative_error is {fit.relative_error}")
+
+
+#: Samples before a copy is made or a state saved, and after it.
+BEFORE, AFTER = 1000, 400
+#: Relative difference of the two precisions.
+SINGLE = 2e-3
+HOSTILE = (0.0, 3.0, -3.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40)
+HOSTILE_SAMPLES = 20_000
+
+
+def copies_go_on_alone(case: Case) -> None:
+    """After some samples: the copy goes on with the same bits, and the original does not move meanwhile."""
+    u, counts = _later(case)
+    for name, again in COPIES.items():
+        estimator = _run_some(case)
+        before, other = estimator.get_state(), again(estimator)
+        moved = _bits(other, u, counts)
+        require(estimator.get_state() == before, f"the original moves with its {name}")
+        require(_bits(estimator, u, counts) == moved, f"{name} goes on with other bits")
+
+
+def equality_is_of_the_configuration(case: Case) -> None:
+    """Not of the samples, so that a running estimator can be a key."""
+    begun: object = _run_some(case)
+    require(begun == case.configured, "samples make it another configuration")
+    require(hash(begun) == hash(case.configured), "samples change the hash")
+
+
+def parts_are_the_whole(case: Case) -> None:
+    """A run in parts, the second of it by steps and from a saved state, has the bits of the whole run."""
+    u, counts = _later(case)
+    whole = case.start_estimator().run(case.fine.u[: BEFORE + AFTER], case.fine.counts[: BEFORE + AFTER])
+    resumed = case.start_estimator()
+    resumed.set_state(_run_some(case).get_state())
+    stepped = [resumed.step(float(value), int(count)).theta for value, count in zip(u, counts, strict=True)]
+    require(np.array_equal(np.array(stepped), whole.theta[BEFORE:]), "step from a saved state has other bits than run")
+    require(np.array_equal(resumed.estimate.theta, stepped[-1]), "estimate is not the one of the last step")
+
+
+def reset_is_a_start(case: Case) -> None:
+    estimator = _run_some(case)
+    estimator.reset()
+    require(estimator.get_state() == case.start_estimator().get_state(), "reset leaves something of the samples")
+
+
+def a_foreign_state_is_refused(case: Case) -> None:
+    """With a UsageError, and without a trace: one of another configuration, a damaged one, and no state at all."""
+    estimator = _run_some(case)
+    before = estimator.get_state()
+    other = Case(replace(case.configured, dt=OTHER_DT * case.configured.dt)).start_estimator()
+    damaged = before[:-1] + bytes([before[-1] ^ 1])
+    for what, state in (("of another dt", other.get_state()), ("that is damaged", damaged), ("of no bytes", b"")):
+        require_refusal(UsageError, f"a state {what}", partial(estimator.set_state, state))
+    require(estimator.get_state() == before, "a refused state leaves a trace")
+
+
+def counts_are_integers(case: Case) -> None:
+    require_refusal(TypeError, "a count of 7.9", lambda: case.start_estimator().step(1.0, 7.9))  # type: ignore[arg-type]
+
+
+def rest_says_poor_excitation(case: Case) -> None:
+    """No input and no motion: finite numbers, and the status says that nothing is learned."""
+    n = 2 * case.fine.u.size // 3
+    track = case.start_estimator().run(np.zeros(n), np.zeros(n, np.int64))
+    require(bool(np.all(np.isfinite(track.theta))), "theta is not finite at rest")
+    flagged = track.flagged(Status.POOR_EXCITATION) | track.flagged(Status.STARTING)
+    require(bool(np.all(flagged[-n // 2 :])), "the status says neither poor excitation nor starting")
+
+
+def anything_leaves_numbers(case: Case) -> None:
+    """Inputs of any size, also none, and counts that jump: theta stays finite, and no error bar is NaN."""
+    rng = np.random.default_rng(9)
+    u = rng.choice(HOSTILE, HOSTILE_SAMPLES)
+    track = case.start_estimator().run(u, rng.integers(-(2**31), 2**31, HOSTILE_SAMPLES))
+    require(bool(np.all(np.isfinite(track.theta))), "theta is not finite")
+    require(not np.any(np.isnan(track.theta_std)), "theta_std is NaN")
+
+
+def precisions_agree(case: Case) -> None:
+    double, single = (
+        last(result_of(replace(case.configured, precision=precision), case.fine.u, case.fine.counts).theta)
+        for precision in ("float64", "float32")
+    )
+    size = np.maximum(np.abs(double), SINGLE * np.max(np.abs(double)))
+    require(bool(np.all(np.abs(single - double) < SINGLE * size)), f"float32 finds {single}, float64 {double}")
+
+
+def the_kernels_own(case: Case) -> None:
+    """Of what stands on the kernel: the public class of an estimate, runners that share nothing, axes side by side."""
+    estimator = _run_some(case)
+    if not isinstance(estimator, RecursiveEstimator):
+        return
+    require(isinstance(estimator.estimate, Estimate), "the estimate is no pmfid.Estimate")
+    before, (u, counts) = estimator.get_state(), _later(case)
+    runner = estimator.start(before)
+    moved, many = _bits(runner, u, counts), estimator.run_many(u, counts[None])
+    require(estimator.get_state() == before, "the estimator moves with a runner or a fleet")
+    require(np.array_equal(many.theta[0, -1], runner.estimate.theta), "a fleet has other bits")
+    require(_bits(estimator, u, counts) == moved, "a runner has other bits")
+
+
+def _run_some(case: Case) -> OnLine:
+    """The estimator after BEFORE samples."""
+    estimator = case.start_estimator()
+    estimator.run(case.fine.u[:BEFORE], case.fine.counts[:BEFORE])
+    return estimator
+
+
+def _later(case: Case) -> tuple[Floats, Counts]:
+    """The samples after those."""
+    part = slice(BEFORE, BEFORE + AFTER)
+    return case.fine.u[part], case.fine.counts[part]
+
+
+def _bits(estimator: OnLine, u: Floats, counts: Counts) -> bytes:
+    """What the samples (n,) make of it, and its state after them."""
+    track = estimator.run(u, counts)
+    return b"".join((track.theta.tobytes(), track.theta_std.tobytes(), track.status.tobytes(), estimator.get_state()))
+
 
 Check = Callable[[Case], None]
 
@@ -30,18 +196,18 @@ COMMON = _list_checks(
     common.mirrored,
     common.scales_with_the_units,
 )
-OFF_LINE = _list_checks(off_line.copies_fit_alike, off_line.rest_is_not_identifiable, off_line.covariance_is_one)
+OFF_LINE = _list_checks(copies_fit_alike, rest_is_not_identifiable, covariance_is_one)
 ON_LINE = _list_checks(
-    on_line.copies_go_on_alone,
-    on_line.equality_is_of_the_configuration,
-    on_line.parts_are_the_whole,
-    on_line.reset_is_a_start,
-    on_line.a_foreign_state_is_refused,
-    on_line.counts_are_integers,
-    on_line.rest_says_poor_excitation,
-    on_line.anything_leaves_numbers,
-    on_line.precisions_agree,
-    on_line.the_kernels_own,
+    copies_go_on_alone,
+    equality_is_of_the_configuration,
+    parts_are_the_whole,
+    reset_is_a_start,
+    a_foreign_state_is_refused,
+    counts_are_integers,
+    rest_says_poor_excitation,
+    anything_leaves_numbers,
+    precisions_agree,
+    the_kernels_own,
 )
 
 

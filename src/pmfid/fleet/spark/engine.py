@@ -1,20 +1,204 @@
-"""The engine of a cluster: Spark sends the work to its executors, which read the files themselves."""
+"""Spark as the engine of a history."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import os
+import pickle
+import shutil
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar, cast
+from unittest import mock
 
 from pmfid import __version__
-from pmfid.fleet.local import Local
-from pmfid.fleet.spark.session import session_of
-from pmfid.fleet.spark.tasks import RETURNED, answer_task, collect_answers, return_answers
+from pmfid.errors import PmfidError, UsageError
+from pmfid.fleet.data import Local
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from pyspark.sql import SparkSession
+    from pyspark.sql import DataFrame, SparkSession
+
+#: Any of these says that somebody has set up a Spark, or runs within one: its settings stay.
+SET_UP = ("SPARK_REMOTE", "SPARK_HOME", "SPARK_CONF_DIR", "PYSPARK_GATEWAY_PORT", "PYSPARK_SUBMIT_ARGS")
+#: The limit of a container on Linux [bytes].
+CONTAINER = Path("/sys/fs/cgroup/memory.max")
+LOOPBACK = "127.0.0.1"
+NO_PYSPARK = "the engine spark needs PySpark 4.2 or later: pip install 'pmfid[spark]'"
+NO_JAVA = (
+    "Spark needs a Java runtime, 17 or later, and finds none: apt install openjdk-17-jre-headless, or set JAVA_HOME"
+)
+#: Of a session on this machine: nobody else can reach it, and it prints errors alone.
+QUIET = {
+    "spark.driver.bindAddress": LOOPBACK,
+    "spark.driver.host": LOOPBACK,
+    "spark.ui.enabled": "false",
+    "spark.ui.showConsoleProgress": "false",
+    "spark.sql.session.timeZone": "UTC",
+    # each of the processes of Python has one core of the machine, and would start a thread for all
+    "spark.executorEnv.POLARS_MAX_THREADS": "1",
+    "spark.executorEnv.OMP_NUM_THREADS": "1",
+    "spark.executorEnv.OPENBLAS_NUM_THREADS": "1",
+}
+
+
+def running() -> SparkSession | None:
+    """The session that runs already. Raises UsageError where PySpark is missing."""
+    return _spark().getActiveSession()
+
+
+def session_of(master: str | None = None, settings: Mapping[str, str] | None = None) -> SparkSession:
+    """The session that runs already, as on Databricks; else one that is set up by the environment or by `master`; else
+    one of this machine, with all its processors, that nobody else can reach.
+
+    master: as Spark has it, "local[2]", "spark://host:7077", "yarn", "sc://host" (Spark Connect). settings: of Spark;
+    of a session that runs already those that can still be changed. Raises UsageError where PySpark or Java is missing,
+    and where a session runs elsewhere than on `master`.
+    """
+    found, settings = running(), dict(settings or {})
+    if found is not None:
+        return _take_session(found, master, settings)
+    remote = (master or os.environ.get("SPARK_REMOTE", "")).startswith("sc://")
+    if not remote and not _java():
+        raise UsageError(NO_JAVA)
+    if not is_own(master):
+        builder = _spark().builder.appName("pmfid").config(map=settings)
+        place = builder if master is None else builder.remote(master) if remote else builder.master(master)
+        return place.getOrCreate()
+    options = f"-Dlog4j2.configurationFile={Path(__file__).with_name('log4j2.properties').as_uri()}"
+    builder = _spark().builder.appName("pmfid").master(master or "local[*]")
+    with _own_environment():
+        made = builder.config(map=QUIET | {"spark.driver.extraJavaOptions": options} | settings).getOrCreate()
+    warnings.filterwarnings("ignore", "PySpark does not yet fully support pandas", FutureWarning)
+    return made
+
+
+def is_own(master: str | None) -> bool:
+    """Whether a session there is one of this machine alone, which nobody has set up."""
+    return master.startswith("local") if master is not None else not any(name in os.environ for name in SET_UP)
+
+
+def memory() -> int:
+    """Of this machine, or of the container that this process runs in [bytes]."""
+    found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError, ValueError):  # there is no container, or it has no limit
+        found = min(found, int(CONTAINER.read_text()))
+    return found
+
+
+def _take_session(found: SparkSession, master: str | None, settings: Mapping[str, str]) -> SparkSession:
+    there = found.conf.get("spark.master", None)
+    if master is not None and there is not None and there != master:
+        raise UsageError(f"a Spark session runs already, on {there}; leave out the master {master}, or stop it first")
+    for name, value in settings.items():
+        if found.conf.isModifiable(name):
+            found.conf.set(name, value)
+    return found
+
+
+def _spark() -> type[SparkSession]:
+    try:
+        from pyspark.sql import SparkSession
+    except ImportError:
+        raise UsageError(NO_PYSPARK) from None
+    found: type[SparkSession] = SparkSession
+    return found
+
+
+def _java() -> bool:
+    home = os.environ.get("JAVA_HOME")
+    return shutil.which("java", path=f"{home}/bin" if home else None) is not None
+
+
+@contextmanager
+def _own_environment() -> Iterator[None]:
+    """Spark starts the Python that this one is, and asks no name server who this machine is."""
+    own = {"PYSPARK_PYTHON": sys.executable, "SPARK_LOCAL_IP": LOOPBACK}
+    with mock.patch.dict(os.environ, {name: value for name, value in own.items() if name not in os.environ}):
+        yield
+
+
+#: Columns of what comes back: which item or shard, and what was found for it, pickled.
+NUMBER, FOUND = "number", "found"
+RETURNED = f"{NUMBER} long, {FOUND} binary"
+#: Rows that are handed to polars at once: Spark's own batches are small.
+AT_ONCE = 2**20
+NOT_THERE = (
+    "the executors of Spark do not have pmfid: install it in the Python that they run (PYSPARK_PYTHON), or send an "
+    "environment that has it (spark.archives); see docs/guide/fleet.md"
+)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """found: by the work; refused: what it raised on purpose."""
+
+    found: object = None
+    refused: PmfidError | None = None
+
+
+def answer_task(work: Callable[[], object], version: str) -> bytes:
+    """The answer of an executor, packed; version: of the package where the answer goes."""
+    try:
+        if version != __version__:
+            raise UsageError(f"the executors have pmfid {__version__}, the driver {version}: install the same on both")
+        answer = Answer(work())
+    except PmfidError as error:
+        answer = Answer(refused=error)
+    return pickle.dumps(answer)
+
+
+def open_answer(packed: bytes) -> object:
+    """The result of an executor. Raises the error with which the executor refused the work."""
+    answer = pickle.loads(packed)
+    if answer.refused is not None:
+        raise answer.refused
+    return answer.found
+
+
+def return_answers(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordBatch:
+    """Answers as a batch for Spark."""
+    import pyarrow as pa
+
+    return pa.record_batch([pa.array(numbers, pa.int64()), pa.array(found, pa.binary())], [NUMBER, FOUND])
+
+
+def collect_answers(frame: DataFrame) -> dict[int, object]:
+    """The answers of all executors, by number. Raises UsageError where they do not have the package."""
+    table = arrow_of(frame)
+    pairs = zip(table.column(NUMBER).to_pylist(), table.column(FOUND).to_pylist(), strict=True)
+    return {number: open_answer(packed) for number, packed in pairs}
+
+
+def arrow_of(frame: DataFrame) -> pa.Table:
+    """Of a frame, computed. Raises UsageError where the executors do not have the package."""
+    try:
+        return frame.toArrow()
+    except Exception as error:
+        if "No module named 'pmfid" in str(error):
+            raise UsageError(NOT_THERE) from None
+        raise
+
+
+def merge_batches(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
+    """The same rows in fewer tables, none of them empty."""
+    import pyarrow as pa
+
+    waiting: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in batches:
+        waiting.append(batch)
+        rows += batch.num_rows
+        if rows >= AT_ONCE:
+            yield pa.Table.from_batches(waiting)
+            waiting, rows = [], 0
+    if rows:
+        yield pa.Table.from_batches(waiting)
+
 
 A = TypeVar("A")
 B = TypeVar("B")

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pyspark.sql.streaming.stateful_processor import StatefulProcessor, StatefulProcessorHandle
 
-from pmfid.fleet.stream.shard import StreamPlan, StreamShard
-from pmfid.fleet.stream.tables import table_of
+from pmfid.fleet.stream.shard import StreamPlan, StreamShard, table_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmfid.errors import UsageError
+from pmfid.fleet.spark.engine import is_own, memory, session_of
 from pmfid.fleet.spark.log import SparkLog
-from pmfid.fleet.spark.session import is_own, memory, session_of
-from pmfid.fleet.stream.folder import Folder, StreamSettings, open_folder
-from pmfid.fleet.stream.shard import StreamPlan
-from pmfid.fleet.stream.states import States
-from pmfid.fleet.stream.tables import columns_of
+from pmfid.fleet.stream.folder import Folder, States, StreamSettings, open_folder
+from pmfid.fleet.stream.shard import StreamPlan, columns_of
 
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.service.board.panel import Overview, Panel, Records, row_bytes
-from pmfid.stream.alarms import AlarmRecord, Alarms
-from pmfid.stream.counters import Counters
-from pmfid.stream.outcome import EstimateRows, Kindred, Notice
+from pmfid.stream.commands import Counters
+from pmfid.stream.outcome import AlarmRecord, Alarms, EstimateRows, Kindred, Notice
 
 __all__ = ["Board", "News", "Subscription"]
 

@@ -9,9 +9,9 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from pmfid.config.model import Name
 from pmfid.service.sinks.plain import as_json, notice_object, row_object, single_rows
-from pmfid.service.sinks.section import Host, SinkSection
-from pmfid.session.model_config import Name
+from pmfid.service.sinks.queued import Host, SinkSection
 from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["FileSink", "FileSinkSection"]

@@ -11,9 +11,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from pmfid.config.model import Name
 from pmfid.service.sinks.plain import alarm_of, as_json
-from pmfid.service.sinks.section import Host, SinkSection
-from pmfid.session.model_config import Name
+from pmfid.service.sinks.queued import Host, SinkSection
 from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["SqliteSection", "SqliteSink"]

@@ -15,15 +15,15 @@ from typing import Annotated, BinaryIO, Literal
 
 from pydantic import AfterValidator, Field
 
+from pmfid.config.axis import Axis
+from pmfid.config.model import Name
 from pmfid.errors import UsageError
+from pmfid.pipeline.monitored.lines import LineParser
+from pmfid.pipeline.monitored.stream import LONGEST_LINE, Beginning
+from pmfid.pipeline.monitored.timeline import Line
+from pmfid.records.record import Record
 from pmfid.service.context import Context, SourceSection
 from pmfid.service.sources import CHUNK, Source, Take
-from pmfid.session.config import Axis
-from pmfid.session.model_config import Name
-from pmfid.session.monitored.lines import LineParser
-from pmfid.session.monitored.stream import LONGEST_LINE, Beginning
-from pmfid.session.monitored.timeline import Line
-from pmfid.session.records import Record
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 
 __all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
@@ -113,7 +113,7 @@ class Player:
                 return
 
     def _read(self) -> Record:
-        from pmfid.session.records import read_record
+        from pmfid.records.record import read_record
 
         return read_record(self.path, self.config) if self.record is None else self.record
 

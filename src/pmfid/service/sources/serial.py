@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
 
 from pydantic import Field, model_validator
 
+from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
+from pmfid.pipeline.monitored.lines import LineParser, is_comment
+from pmfid.pipeline.monitored.stream import FIRST_LINES
 from pmfid.service.broker import Text, pauses
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.sources import CHUNK, Take
 from pmfid.service.wire.splitter import LineSplitter
-from pmfid.session.config import Axis
-from pmfid.session.monitored.lines import LineParser, is_comment
-from pmfid.session.monitored.stream import FIRST_LINES
 from pmfid.stream.blocks import BlockStream
 from pmfid.stream.delivery import Delivery, Item, Lines, Mark, Unusable
 

@@ -1,4 +1,4 @@
-"""Requests of the page: the plant, streams, histories, the reference; and commands."""
+"""The page's interface."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import io
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
@@ -17,17 +18,33 @@ from starlette.types import Receive, Scope, Send
 
 from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
+from pmfid.records.record import Record
 from pmfid.service.board import Board
-from pmfid.service.web.acts import Acts
-from pmfid.service.web.hub import Hub
-from pmfid.service.web.packed import json_line, pack_array, pack_rows
+from pmfid.service.web.hub import Hub, json_line, pack_array, pack_rows
 from pmfid.service.web.security import json_body
-from pmfid.session.records import Record
 from pmfid.status import ADVICE, Status
-from pmfid.stream.counters import Counters
+from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import Kindred
 
-__all__ = ["Api", "csv_of"]
+__all__ = ["Acts"]
+
+
+class Acts(Protocol):
+    """No command waits; each returns False if the queue of commands is full. A `Notice` reports its result:
+    "acknowledged" with "alarm" (the number) and "note", "reference", or the event of `restart_numbers`."""
+
+    def acknowledge(self, number: int, note: str) -> bool:
+        """Acknowledges the alarm with this notice number."""
+        ...
+
+    def refer(self, axis: str) -> bool:
+        """Makes the present parameters of the axis its reference."""
+        ...
+
+    def restart_numbers(self, axis: str) -> bool:
+        """Has the next samples of the axis taken whatever their numbers."""
+        ...
+
 
 #: Trends that one request may ask for, and characters of a note.
 TRENDS, NOTE = 200, 500

@@ -7,9 +7,9 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from pmfid.config.model import Name, Positive
+from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
-from pmfid.session.model_config import Name, Positive
-from pmfid.session.toml_file import FileSection
 
 __all__ = ["HERE", "PORT", "PageConfig"]
 

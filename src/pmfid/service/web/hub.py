@@ -1,22 +1,64 @@
-"""Content of streams, written once for all browsers with the same view.
-
-An overview is a state: a slow browser gets fewer and larger changes. Rows of an axis are events: the last seconds of
-rows wait for a slow browser, and missed rows are counted and reported.
-"""
+"""What browsers get, packed once for all."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import time
+from base64 import b64encode
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
 
-from pmfid.service.board import Board, News, Subscription
-from pmfid.service.web.packed import json_line, pack_overview, pack_rows
-from pmfid.stream.counters import Counters
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Hub"]
+from pmfid.presentation import plain
+from pmfid.service.board import Board, News, Overview, Subscription
+from pmfid.service.board.panel import Records
+from pmfid.stream.commands import Counters
+
+__all__ = ["json_line", "pack_array", "pack_overview", "pack_rows"]
+
+
+def pack_array(array: NDArray[np.generic], kind: str) -> str:
+    """`kind:base64`; kind: f8, f4, i4, u4 or u1, little endian. NaN and infinity stay what they are."""
+    return f"{kind}:{b64encode(np.ascontiguousarray(array, '<' + kind).tobytes()).decode('ascii')}"
+
+
+def pack_rows(rows: Records) -> dict[str, object]:
+    """Columns of rows by name; of theta and std a list with one for each parameter. Whole numbers are f8, exact to
+    2^53, which is what a browser computes with."""
+    columns: dict[str, object] = {
+        name: pack_array(rows[name], "f8") for name in ("number", "time", "u", "counts", "innovation")
+    }
+    for name in ("theta", "std"):
+        columns[name] = [pack_array(column, "f8") for column in rows[name].T]
+    return {**columns, "status": pack_array(rows["status"], "u4"), "state": pack_array(rows["state"], "u1")}
+
+
+def pack_overview(group: int, overview: Overview, start: float) -> dict[str, object]:
+    """Changes in a group; received: in tenths of a second after `start`, by `time.monotonic()`."""
+    return {
+        "group": group,
+        "axis": pack_array(overview.axis, "i4"),
+        "received": pack_array(np.round(10 * (overview.received - start)), "i4"),
+        "value": pack_array(overview.value, "f4"),
+        "std": pack_array(overview.std, "f4"),
+        "deviation": pack_array(overview.deviation, "f4"),
+        "status": pack_array(overview.status, "u4"),
+        "state": pack_array(overview.state, "u1"),
+    }
+
+
+def json_line(content: Mapping[str, object]) -> bytes:
+    """One line of NDJSON; numbers that JSON does not have are null."""
+    try:
+        text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    except (TypeError, ValueError):
+        text = json.dumps(plain(content), allow_nan=False, separators=(",", ":"))
+    return text.encode() + b"\n"
+
 
 #: Time between two looks at the board [s]; number of looks between two overviews, and between two of many axes.
 TICK, OVERVIEW, OVERVIEW_OF_MANY = 0.25, 2, 4

@@ -10,8 +10,8 @@ from pmfid.service.wire import json_lines, line_protocol
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.points import Readers
 from pmfid.stream import blocks
+from pmfid.stream.blocks import MAGIC
 from pmfid.stream.delivery import Block, Item, Lines, Unusable, split_tables
-from pmfid.stream.layout import MAGIC
 
 __all__ = ["LARGEST", "Form", "Messages"]
 

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 
+from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
+from pmfid.pipeline.monitored.lines import FieldReader
+from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.context import Axes
-from pmfid.session.config import Axis
-from pmfid.session.monitored.reading import FieldReader
-from pmfid.session.monitored.timeline import Line
 from pmfid.stream.delivery import Lines, Unusable
 
 __all__ = ["MOST_POINTS", "Point", "PointColumns", "Readers"]

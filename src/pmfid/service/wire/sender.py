@@ -1,32 +1,180 @@
-"""Samples of many axes to a broker, for gateways and tests: numbered, in blocks, many blocks in a message.
-
-A message is kept until it is acknowledged, and for some time after it: a killed broker forgets messages that it had not
-saved yet. After every new connection all kept messages are sent again, in order; a receiver knows the numbers.
-"""
+"""A sender that keeps what a broker may forget."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import BrokerSection, new_client, pauses
-from pmfid.service.wire.numbering import Numbering
-from pmfid.service.wire.outbox import Outbox
+from pmfid.stream.blocks import MOST_SAMPLES, encode, problem_of
+from pmfid.stream.delivery import Block
+from pmfid.types import Counts, Floats
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags
     from paho.mqtt.properties import Properties
     from paho.mqtt.reasoncodes import ReasonCode
 
-__all__ = ["Sender"]
+__all__ = ["Numbering"]
+
+
+@dataclass
+class _Axis:
+    """Samples that wait for their block. first: number of the first sample; time: of it [s]; u, counts: (n,)."""
+
+    first: int = 0
+    time: float = math.nan
+    u: Floats = field(default_factory=lambda: np.zeros(0))
+    counts: Counts = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+@dataclass
+class Numbering:
+    """Numbers the samples of each axis from 0 on, and makes blocks of them. dt: sample period [s]; epoch: of all
+    blocks; samples: of a block. Raises UsageError for a number of samples that no receiver takes."""
+
+    dt: float
+    epoch: int
+    samples: int
+    _axes: dict[str, _Axis] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.samples <= MOST_SAMPLES:
+            raise UsageError(f"a block has 1 to {MOST_SAMPLES} samples, got {self.samples}; give another number")
+
+    def add(self, axis: str, u: ArrayLike, counts: ArrayLike, time: float) -> list[bytes]:
+        """The blocks that are full with samples u, counts (n,), or one of each, that follow the last ones; time: of the
+        first [s], NaN for none. Raises UsageError for what no block takes."""
+        u, counts = np.atleast_1d(np.asarray(u, np.float64)), np.atleast_1d(np.asarray(counts, np.int64))
+        if u.ndim != 1 or u.shape != counts.shape:
+            raise UsageError(f"u and counts are not of one length: {u.shape} and {counts.shape}")
+        block = Block(axis, self.epoch, 0, time, self.dt, u, counts)
+        if u.size and (problem := problem_of(block, u, counts)) is not None:
+            raise UsageError(f"a receiver would refuse these samples: {problem.problem}")
+        waiting = self._axes.setdefault(axis, _Axis())
+        if not waiting.u.size:
+            waiting.time = time
+        waiting.u, waiting.counts = np.append(waiting.u, u), np.append(waiting.counts, counts)
+        return list(self._blocks(axis, waiting, whole=True))
+
+    def skip(self, axis: str, samples: int) -> list[bytes]:
+        """Leaves numbers of an axis out. Returns the block of its waiting samples before them, if there is one."""
+        waiting = self._axes.setdefault(axis, _Axis())
+        made = list(self._blocks(axis, waiting, whole=False))
+        waiting.first += samples
+        return made
+
+    def rest(self) -> list[bytes]:
+        """Blocks of all that waits."""
+        return [block for axis, waiting in self._axes.items() for block in self._blocks(axis, waiting, whole=False)]
+
+    @property
+    def waits(self) -> bool:
+        """Whether anything does."""
+        return any(waiting.u.size for waiting in self._axes.values())
+
+    def _blocks(self, axis: str, waiting: _Axis, whole: bool) -> Iterator[bytes]:
+        """Blocks of what waits, but for the last one that is not full (whole)."""
+        u, counts, begin = waiting.u, waiting.counts, 0
+        while u.size - begin >= (self.samples if whole else 1):
+            part = slice(begin, begin + self.samples)
+            block = Block(axis, self.epoch, waiting.first, waiting.time, self.dt, u[part], counts[part])
+            begin = begin + block.counts.size
+            waiting.first += block.counts.size
+            waiting.time += block.counts.size * self.dt
+            yield encode(block)
+        waiting.u, waiting.counts = u[begin:], counts[begin:]
+
+
+@dataclass
+class _Message:
+    """payload: blocks; acknowledged: when the broker last said that it has it [s], infinite before; open: not
+    acknowledged on this connection."""
+
+    payload: bytes
+    acknowledged: float = math.inf
+    open: bool = True
+
+
+@dataclass
+class Outbox:
+    """Keeps a message until it is acknowledged and the connection has held for `keep` [s] since; at most `most` bytes,
+    beyond which the oldest go: dropped counts those that were never acknowledged. clock: gives the time [s]."""
+
+    keep: float
+    most: int
+    clock: Callable[[], float] = time.monotonic
+    dropped: int = 0
+    _log: deque[_Message] = field(default_factory=deque, init=False)
+    _sent: dict[int, _Message] = field(default_factory=dict, init=False)
+    _bytes: int = field(default=0, init=False)
+    _next: int = field(default=0, init=False)
+    _open: int = field(default=0, init=False)
+    _room: int = field(default=0, init=False)
+
+    @property
+    def settled(self) -> bool:
+        """Whether all is acknowledged."""
+        return not self._open
+
+    def take(self, payload: bytes) -> None:
+        """A new message."""
+        self._log.append(_Message(payload))
+        self._bytes += len(payload)
+        self._open += 1
+        self._forget()
+
+    def begin(self, room: int) -> None:
+        """Begins a connection that allows `room` messages under way: all kept messages are sent again, in order."""
+        self._room, self._next, self._sent = room, 0, {}
+        for message in self._log:
+            message.open = True
+        self._open = len(self._log)
+
+    def end(self) -> None:
+        """The connection is over: nothing goes out, and nothing becomes safe."""
+        self._room = 0
+
+    def pump(self, publish: Callable[[bytes], int]) -> bool:
+        """Publishes messages while there is room, and notes their numbers. Returns whether there were any."""
+        before = self._next
+        while self._next < len(self._log) and len(self._sent) < self._room:
+            message = self._log[self._next]
+            self._sent[publish(message.payload)] = message
+            self._next += 1
+        return self._next > before
+
+    def note_acknowledged(self, number: int) -> None:
+        """The broker has a message."""
+        message = self._sent.pop(number, None)
+        if message is not None:
+            self._open -= message.open
+            message.open, message.acknowledged = False, self.clock()
+        self._forget()
+
+    def _forget(self) -> None:
+        while self._log and (self._is_safe(self._log[0]) or self._bytes > self.most):
+            message = self._log.popleft()
+            self._bytes -= len(message.payload)
+            self._open -= message.open
+            message.open = False
+            self._next = max(0, self._next - 1)
+            self.dropped += math.isinf(message.acknowledged)
+
+    def _is_safe(self, message: _Message) -> bool:
+        return self._room > 0 and not message.open and message.acknowledged + self.keep < self.clock()
+
 
 #: Messages under way that the broker has not acknowledged, where it does not ask for less.
 _UNDER_WAY = 100

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pmfid.session.monitored.stream import LONGEST_LINE
+from pmfid.pipeline.monitored.stream import LONGEST_LINE
 
 __all__ = ["LineSplitter"]
 

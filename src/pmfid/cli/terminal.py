@@ -1,0 +1,117 @@
+"""Options, output and progress that commands share."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., object])
+
+RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
+CUTOFF = click.option(
+    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; of a machine, default: chosen by the record."
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+
+
+def step(text: str) -> float | str:
+    """A number in SI, or a text with a unit, which the configuration reads as in AXIS.toml."""
+    try:
+        return float(text)
+    except ValueError:
+        if re.search(r"\d", text):
+            return text
+        raise click.BadParameter(f'{text!r} is no number, with a unit or without, as 0.001 or "0.01 mm"') from None
+
+
+def config_option(text: str = "What the record holds, the encoder, the model, the estimator.") -> Callable[[F], F]:
+    """--config AXIS.toml."""
+    return click.option("--config", required=True, type=click.Path(path_type=Path), metavar="AXIS.toml", help=text)
+
+
+def folder_option(text: str) -> Callable[[F], F]:
+    """--out DIR."""
+    return click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)
+
+
+def print_json(content: Mapping[str, object]) -> None:
+    """One object as one line of JSON, with numbers alone: NaN would be no JSON."""
+    click.echo(json.dumps(content, allow_nan=False))
+
+
+#: On a terminal: time before the line appears [s], because shorter work needs none, and between two updates.
+PATIENCE, REFRESH = 1.5, 0.25
+#: Elsewhere: time before the first line and between two lines [s].
+EVERY = 9.0
+#: Goes to the start of the line and clears the line.
+CLEAR = "\r\x1b[K"
+
+
+class ProgressReport:
+    """Reports the progress of long work from a thread, because the work itself may be inside a library.
+
+    rich would take longer to load than the first report may wait.
+    """
+
+    def __init__(self, what: str) -> None:
+        self.what, self.done = what, 0.0
+        self.over = threading.Event()
+        self._start = time.monotonic()
+        self._thread = threading.Thread(
+            target=_redraw if sys.stderr.isatty() else _write_lines, args=(self,), daemon=True
+        )
+        self._thread.start()
+
+    def __call__(self, done: float) -> None:
+        """done: part of the work, 0 to 1; after 1 the rest of the work has an unknown length."""
+        self.done = done
+
+    @property
+    def measured(self) -> bool:
+        return 0.0 < self.done < 1.0
+
+    @property
+    def line(self) -> str:
+        part = f"{self.done:.0%} " if self.measured else ""
+        return f"pmfid: {self.what}: {part}after {time.monotonic() - self._start:.0f} s"
+
+    def end(self) -> None:
+        self.over.set()
+        self._thread.join()
+
+
+@contextmanager
+def progress(what: str) -> Iterator[ProgressReport]:
+    """Yields a report to call with the part of the work that is done; the report lasts until the work ends.
+
+    Nothing may be printed before the end: the line stands on the terminal.
+    """
+    work = ProgressReport(what)
+    try:
+        yield work
+    finally:
+        work.end()
+
+
+def _write_lines(work: ProgressReport) -> None:
+    while not work.over.wait(EVERY):
+        print(work.line, file=sys.stderr, flush=True)
+
+
+def _redraw(work: ProgressReport) -> None:
+    if work.over.wait(PATIENCE):
+        return
+    while True:
+        print(f"{CLEAR}{work.line}", end="", file=sys.stderr, flush=True)
+        if work.over.wait(REFRESH):
+            break
+    print(CLEAR, end="", file=sys.stderr, flush=True)

@@ -1,0 +1,1 @@
+"""AXIS.toml: its keys, their units and what they mean."""

@@ -1,0 +1,206 @@
+"""AXIS.toml: what the record holds, the encoder, the model and the estimator, validated once and frozen.
+
+The description of a field ends the error message about it: it must read well after "give ..."."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from pmfid.config.model import ModelConfig, Name, Positive
+from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig, Sections, axis_kind
+from pmfid.config.toml_file import FileSection, load_sections
+from pmfid.diagnostics.matter import TOLERANCE
+from pmfid.errors import UsageError
+from pmfid.estimators import Method
+from pmfid.estimators.facts import INPUT_GAIN, check_known
+from pmfid.models.equation import ESTIMATE
+from pmfid.monitor.names import DetectorName
+
+__all__ = ["Axis", "check_sampling", "load_axis"]
+
+
+def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
+    if value is not None and value[0] == value[1]:
+        raise ValueError("the two zeros must differ")
+    return value
+
+
+Negative = Annotated[float, Field(lt=0)]
+
+
+class EstimatorConfig(FileSection):
+    """[estimator]: method, filter chain (`cutoff` in rad/s, `order` stages) and memory."""
+
+    method: Method = Field("auto", description="the estimation method")
+    cutoff: Positive | None = Field(
+        None, description="the pole of the filter chain in rad/s, for example 50.0, or leave it out: from the record"
+    )
+    order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
+    forgetting: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
+    )
+    forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
+        "exponential", description="how old samples lose weight if forgetting < 1"
+    )
+    window: Positive | Literal["auto"] | None = Field(
+        None, description='the length in s of the windows of output-error, for example 2.0, or "auto"'
+    )
+    given: dict[str, float] = Field({}, description="values that are known, as { mass = 1.25 }")
+    prior: dict[str, Annotated[tuple[float, float], Field(strict=False)]] = Field(
+        {}, description="a mean and a standard deviation, as { mass = [1.0, 0.1] }"
+    )
+    discretization: Literal["matched", "paper", "exact"] = Field(
+        "matched", description="the discretisation of the filters"
+    )
+    # not strict, because TOML has lists and a frozen object wants a tuple
+    prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
+        None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
+    )
+    precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
+    tolerance: float = Field(
+        TOLERANCE, ge=0, lt=1, description="the relative error of a parameter that is of no matter, for example 0.01"
+    )
+
+    @property
+    def pole(self) -> float:
+        """The cutoff [rad/s]. Raises UsageError if it is not known yet."""
+        if self.cutoff is None:
+            raise UsageError(
+                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s: pmfid identify on a record "
+                "of the axis chooses one"
+            )
+        return self.cutoff
+
+
+class MonitorConfig(FileSection):
+    """[monitor]: what `pmfid monitor` compares with, and how often it may be wrong."""
+
+    reference: Name | None = Field(
+        None, description='a record of normal work with the same columns, in the folder of AXIS.toml: "normal.csv"'
+    )
+    nominal: dict[str, float] | None = Field(
+        None,
+        description="the normal value of every parameter, { mass = 1.07, ... }, or leave it out: from the reference",
+    )
+    detector: DetectorName = Field("glr", description="the detector")
+    mtbf_hours: float = Field(
+        24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
+    )
+    tolerance: float = Field(
+        0.02, ge=0, lt=1, description="the relative deviation that is no change, for example 0.02 for 2 %"
+    )
+
+
+#: Section, key, and whether the key is of a transfer function; otherwise it is of a machine with friction.
+_KEYS_OF_ONE_KIND = (
+    ("record", "gap", True),
+    ("record", "hold", True),
+    ("record", "reference", True),
+    ("record", "input_unit", False),
+    ("record", "output_unit", False),
+    ("encoder", "range", False),
+    ("encoder", "standstill_time", False),
+    ("encoder", "max_speed", False),
+    ("estimator", "window", False),
+    ("estimator", "tolerance", False),
+)
+#: Key -> what serves its purpose instead.
+_CURE = {
+    "gap": ", and cut the record at the gap",
+    "hold": ", the input of an axis is taken to hold between samples",
+}
+
+
+class Axis(FileSection):
+    """One axis of motion: the whole of AXIS.toml."""
+
+    record: RecordConfig = Field(description="a section that names the columns input, output and time")
+    encoder: EncoderConfig = Field(description="a section with at least the resolution")
+    model: ModelConfig = Field(description="a section with at least the input_gain")
+    estimator: EstimatorConfig = Field(EstimatorConfig(), description="a section with method, cutoff and memory")
+    monitor: MonitorConfig = Field(MonitorConfig(), description="a section that names the reference")
+
+    @model_validator(mode="after")
+    def _refuse_unused(self) -> Self:
+        """Refuses a key that the model does not use, so that every given key has an effect."""
+        kind, sections = self.model.kind, {"record": self.record, "encoder": self.encoder, "estimator": self.estimator}
+        for section, key, of_process in _KEYS_OF_ONE_KIND:
+            part = sections[section]
+            value = getattr(part, key)
+            if value != type(part).model_fields[key].default and of_process != (kind == "transfer_function"):
+                cure = f"drop it{_CURE.get(key, '')}"
+                raise UsageError(f'[{section}] {key} = {value!r} is not used with kind = "{kind}"; {cure}')
+        self._check_units()
+        if kind == "transfer_function" and self.estimator.cutoff is None:
+            raise UsageError(
+                "[estimator] cutoff is missing; give the pole of the filters in rad/s, near those of the process"
+            )
+        self._check_known()
+        return self
+
+    def _check_units(self) -> None:
+        """Derives the kind of axis from units, and refuses terms of the position if the output is a velocity."""
+        if self.model.kind != "drive":
+            if self.record.output_kind == "velocity":
+                raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
+            return
+        places = [key for key in ("spring", "gravity", "cogging", "friction_period") if getattr(self.model, key)]
+        if self.record.output_kind == "velocity" and places:
+            raise UsageError(
+                f"a velocity does not determine the position: drop {', '.join(places)}, or record the position"
+            )
+        if axis_kind(Sections(self.record, self.encoder, self.model)) == "rotary":
+            object.__setattr__(self, "model", self.model.model_copy(update={"axis": "rotary"}))
+
+    def _check_known(self) -> None:
+        """Refuses prior information on parameters that the model does not have."""
+        given, prior, find = self.estimator.given, self.estimator.prior, self.model.input_gain == ESTIMATE
+        if self.model.kind == "transfer_function" and (given or prior):
+            raise UsageError("[estimator] given and prior are for machines; of a transfer function drop them")
+        if given or prior or find:
+            equation = self.model.make().equation
+            names = (*equation.names, *(name for name, _ in equation.further), *([INPUT_GAIN] if find else []))
+            check_known(equation, given, prior, names, find)
+
+
+def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:
+    """Read and validate an AXIS.toml.
+
+    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that replace the file's values; None is ignored.
+    Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
+    """
+    return load_sections(Axis, path, overrides, "an AXIS.toml", _add_unit_encoder)
+
+
+def _add_unit_encoder(raw: dict[str, object]) -> None:
+    """Adds [encoder] for a transfer function, which needs none. An unknown kind of model gets one, too: its error
+    message then names the kind alone."""
+    model = raw.get("model")
+    if isinstance(model, dict) and model.get("kind", "drive") not in ("drive", "equation"):
+        raw.setdefault("encoder", {"resolution": NO_ENCODER})
+
+
+def check_sampling(axis: Axis, dt: float) -> None:
+    """Raise UsageError if the filter pole lies past the Nyquist limit, `cutoff * dt > 2` (dt in s)."""
+    cutoff = axis.estimator.pole
+    if cutoff * dt > 2:
+        raise UsageError(
+            f"[estimator] cutoff = {cutoff:g} rad/s is too high for dt = {dt:g} s: the filter pole would be "
+            f"past the Nyquist limit and alternate in sign; {_unit_of_time(axis)}use at most 2/dt = {2 / dt:g} rad/s"
+        )
+
+
+def _unit_of_time(axis: Axis) -> str:
+    """The advice to check the unit of time first: with ms taken for s, a lower cutoff hides a factor of 1000."""
+    if axis.record.time is None:
+        return "check that [record] dt is in s, else "
+    if axis.record.time_unit is None:
+        return 'give [record] time_unit if the time is not in s, for example "ms", else '
+    return ""

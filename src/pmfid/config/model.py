@@ -1,0 +1,200 @@
+"""[model] of AXIS.toml: a drive, a transfer function, or an equation of the user's own terms.
+
+The description of a field ends the error message about it: it must read well after "give ..."."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+
+from pmfid.config.toml_file import FileSection
+from pmfid.config.units import gain, keep_unit, quantity
+from pmfid.errors import UsageError
+from pmfid.models.axes import AxisKind
+from pmfid.models.drive import Drive, EquationModel, Model
+from pmfid.models.equation import Equation, Term
+from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
+from pmfid.models.signals import Signal
+from pmfid.models.transfer_function import TransferFunction
+
+#: Kind -> model class, except for the user's own terms.
+MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
+#: Fields of a model that no file sets: the starts of experiments are always part of the fit.
+NOT_IN_FILES = ("initial_conditions",)
+#: The forms of forces, by their names in files.
+SHAPES: dict[str, Callable[..., Shape]] = {"stribeck": Stribeck, "square": Square, "wave": Wave, "along": Along}
+Positive = Annotated[float, Field(gt=0)]
+
+
+def _travel(value: object, check: ValidatorFunctionWrapHandler) -> object:
+    return keep_unit(value, check, quantity)
+
+
+def _gain(value: object, check: ValidatorFunctionWrapHandler) -> object:
+    return keep_unit(value, check, gain)
+
+
+#: A length, an angle or a speed: a number in SI, or a text with its unit.
+Travel = Annotated[float, Field(gt=0), WrapValidator(_travel)]
+Name = Annotated[str, Field(min_length=1)]
+
+
+def _usable_gain(value: float | Literal["estimate"]) -> float | Literal["estimate"]:
+    try:
+        return Drive(value).input_gain  # one rule for Python and TOML
+    except UsageError as error:
+        raise ValueError(str(error).partition(";")[0]) from None
+
+
+#: A force per unit of input: a number in SI, a text with its unit, or "estimate".
+Gain = Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain), WrapValidator(_gain)]
+FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with start, step and values'
+
+
+class ShapeConfig(FileSection):
+    """The form of a friction or of a force that depends on the position, for a term of the user's own equation."""
+
+    form: Literal["stribeck", "square", "wave", "along"] = Field(description=FORMS)
+    speed: Positive | Literal["estimate"] | None = Field(
+        None, description='the speed of "stribeck" in unit of y per s, or "estimate" to find it'
+    )
+    period: Positive | None = Field(None, description='the period of "wave" in the unit of y')
+    cosine: bool | None = Field(None, description='true if "wave" is a cosine, false for a sine')
+    start: float | None = Field(None, description='the first place of "along" in the unit of y')
+    step: Positive | None = Field(None, description='the distance of the places of "along" in the unit of y')
+    values: tuple[float, ...] | None = Field(None, strict=False, description='the form at the places of "along"')
+
+    def make(self) -> Shape:
+        """The shape of this section. Raises UsageError for a form with other keys than its own."""
+        given = {key: value for key, value in dict(self).items() if key != "form" and value is not None}
+        try:
+            return SHAPES[self.form](**given)
+        except TypeError:
+            raise UsageError(f"a shape has the form {FORMS}; got {self.form} with {list(given)}") from None
+
+
+SIGNAL = 'what the term is of: "input", "output", "direction" of motion, "constant", and others for friction and places'
+DERIVATIVE = "which derivative of the signal, 0 for the signal itself"
+
+
+class UnknownTerm(FileSection):
+    """A term of the user's own equation with an unknown coefficient."""
+
+    signal: Signal = Field(description=SIGNAL)
+    derivative: int = Field(0, description=DERIVATIVE)
+    coefficient: float = Field(1.0, description="a known factor of the term, in addition to the unknown parameter")
+    name: Name = Field(description='the name of the parameter, as "inertia"')
+    unit: str = Field("", description='the unit of the parameter, as "kg m2"')
+    shape: ShapeConfig | None = Field(None, description="the form of a friction or a force at a place")
+
+
+class KnownTerm(FileSection):
+    """A term of the user's own equation with a known coefficient."""
+
+    signal: Signal = Field("input", description=SIGNAL)
+    derivative: int = Field(0, description=DERIVATIVE)
+    coefficient: float = Field(1.0, description="the factor of the term, which is known")
+
+
+class ModelConfig(FileSection):
+    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u, or one
+    of the user's own terms: kind = "equation"."""
+
+    kind: Literal["drive", "equation", "transfer_function"] = Field(
+        "drive", description='"drive", "transfer_function", or "equation" for the terms in unknown and known'
+    )
+    n: int | None = Field(None, description="the number of poles, 1 to 6, of a transfer function")
+    m: int | None = Field(None, description="the number of zeros, 0 to n, of a transfer function")
+    delay: int = Field(0, description="the dead time in whole samples, 0 to 20, of a transfer function")
+    dead_time: float | Literal["estimate"] = Field(
+        0.0, description='the time in s by which the input acts late, any part of a sample, or "estimate" to find it'
+    )
+    lag: float | Literal["estimate"] = Field(
+        0.0, description='the time constant in s of a first-order lag of the input, or "estimate" to find it'
+    )
+    integrators: int = Field(0, description="how many of the n poles of a transfer function are known to be at 0")
+    unstable: bool = Field(
+        False, description="true if a controller holds a transfer function with poles in the right half-plane"
+    )
+    axis: AxisKind = Field("linear", description='"linear" or "rotary", or leave it out if units determine it')
+    input_gain: Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain), WrapValidator(_gain)] | None = (
+        Field(
+            None,
+            description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative if they '
+            'point apart, or "estimate" to '
+            "find it",
+        )
+    )
+    friction: Literal["symmetric", "directional"] = Field(
+        "symmetric", description="whether friction differs between forward and backward"
+    )
+    offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
+    spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
+    stribeck: Annotated[Positive | Literal["estimate"], WrapValidator(_travel)] | None = Field(
+        None, description='the speed over which friction at rest falls, in unit of y per s, or "estimate" to find it'
+    )
+    quadratic: bool = Field(False, description="true if friction grows with the square of the speed as well")
+    gravity: Annotated[bool | Positive, WrapValidator(_travel)] = Field(
+        False, description="true if gravity turns a rotary axis and y is in rad, or the turn in the unit of y"
+    )
+    cogging: Travel | None = Field(None, description="the pitch of a cogging force in the unit of y")
+    friction_period: Travel | None = Field(
+        None, description="the period in the unit of y of friction that changes along the travel"
+    )
+    unknown: tuple[UnknownTerm, ...] = Field(
+        (), strict=False, description='terms as { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" }'
+    )
+    known: tuple[KnownTerm, ...] = Field(
+        (KnownTerm(),), strict=False, description='terms as { signal = "input", coefficient = 0.35 }'
+    )
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.kind == "drive" and self.input_gain is None:
+            raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
+        if self.kind != "equation" and (self.unknown or "known" in self.model_fields_set):
+            raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
+        own = set(keys_of(Drive)) - {"dead_time", "lag"} & self.model_fields_set
+        if self.kind == "equation" and own:
+            raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
+        self._check_transfer_function()
+        try:
+            self.make()
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def _check_transfer_function(self) -> None:
+        wanted, of_drive, of_process = (
+            self.kind == "transfer_function",
+            set(keys_of(Drive)),
+            set(keys_of(TransferFunction)),
+        )
+        own = (of_process - of_drive) & self.model_fields_set
+        if wanted and (self.n is None or self.m is None):
+            raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid order RECORD")
+        if own and not wanted:
+            raise ValueError(f'{", ".join(sorted(own))} is for kind = "transfer_function"; add that, or drop it')
+        foreign = ({*of_drive, "unknown", "known"} - of_process) & self.model_fields_set
+        if wanted and foreign:
+            raise ValueError(f"{', '.join(sorted(foreign))} is not for a transfer function; drop it")
+
+    def make(self) -> Model:
+        """The model that the section describes. Raises UsageError if the terms make no equation."""
+        if self.kind == "equation":
+            unknown = tuple(
+                Term(**(dict(term) | {"shape": None if term.shape is None else term.shape.make()}))
+                for term in self.unknown
+            )
+            known = tuple(Term(**dict(term)) for term in self.known)
+            return EquationModel(Equation(unknown, known, dead_time=self.dead_time, lag=self.lag))
+        cls = MODELS[self.kind]
+        return cls(**{key: getattr(self, key) for key in keys_of(cls)})
+
+
+def keys_of(model: type[Drive | TransferFunction]) -> tuple[str, ...]:
+    """The keys of [model] that make such a model: the names of its fields."""
+    return tuple(field.name for field in fields(model) if field.name not in NOT_IN_FILES)

@@ -1,0 +1,285 @@
+"""The section [record] of AXIS.toml, and the conversion of its columns to SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from pmfid.config.model import ModelConfig, Name, Positive, Travel
+from pmfid.config.toml_file import FileSection
+from pmfid.config.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, known_unit
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.models.axes import AxisKind
+
+__all__ = ["NO_ENCODER", "EncoderConfig", "RecordConfig"]
+
+
+def _usable_scale(value: float | str) -> float | str:
+    if value in (0, ""):
+        raise ValueError("it must be neither zero nor empty")
+    return value
+
+
+def _check_output_unit(text: str) -> str:
+    return known_unit(text, OUTPUTS)
+
+
+def _check_input_unit(text: str) -> str:
+    return known_unit(text, INPUTS)
+
+
+def _forward(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise ValueError("the first time must be before the second")
+    return value
+
+
+Span = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_forward)]
+OutputUnit = Annotated[str, AfterValidator(_check_output_unit)]
+InputUnit = Annotated[str, AfterValidator(_check_input_unit)]
+
+#: Resolution of an output without counts: finer than any encoder.
+NO_ENCODER = 1e-29
+
+
+class RecordConfig(FileSection):
+    """[record]: which columns of the file hold the input u, the output and the time [s]."""
+
+    input: Name = Field(description="the name of the column that holds the input")
+    output: Name = Field(description="the name of the column that holds the position or the counts")
+    output_kind: Literal["position", "counts", "velocity"] = Field(
+        "position", description="what the output column holds"
+    )
+    input_unit: InputUnit | None = Field(
+        None, description='the unit of the input, for example "mA", or leave it out if the column\'s name is right'
+    )
+    output_unit: OutputUnit | None = Field(
+        None, description='the unit of the output, for example "mm" or "deg", or leave it out, as the input\'s'
+    )
+    separator: Literal[",", ";", "\t", "|", " "] | None = Field(
+        None, description='what is between the columns of a text, for example ";", or leave it out: as the text shows'
+    )
+    decimal: Literal[".", ","] | None = Field(
+        None, description='the decimal sign of a text, "." or ",", or leave it out: as the text shows'
+    )
+    time: Name | None = Field(None, description="the name of the time column")
+    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        None, description="the unit of the time column, or leave it out if the column's name or s is right"
+    )
+    reference: Name | None = Field(
+        None, description="the name of the column that holds the reference of a controller, of a transfer function"
+    )
+    hold: Literal["zoh", "foh"] = Field("zoh", description="what the input does between samples: holds, or a line")
+    gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
+    exclude: tuple[Span, ...] = Field(
+        (), strict=False, description="parts to leave out, from and to in s as in the time column: [[1.5, 2.0]]"
+    )
+    mask: Name | None = Field(
+        None, description="the name of a column that is not zero in the rows that are to be left out"
+    )
+    dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
+    input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
+        1.0,
+        description="a factor, u = input_scale * column, or the name of a scalar variable in the file",
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.time is None and self.dt is None:
+            raise ValueError("neither time nor dt is there; give the time column, or dt in s, or both")
+        if self.time is None and self.time_unit is not None:
+            raise ValueError("time_unit is that of the time column; name it with time, or drop time_unit")
+        if len({self.input, self.output, self.time}) < 3:
+            raise ValueError("input, output and time must be different columns; correct the names")
+        return self
+
+
+class EncoderConfig(FileSection):
+    """[encoder]: resolution in unit of y per count, and facts about the counter and the motion."""
+
+    resolution: Travel = Field(
+        description='the unit of y per count, for example 22.75e-6 (m, of a rotary axis rad), or "0.01 deg"'
+    )
+    range: Travel | None = Field(
+        None, description='the travel after which the output wraps, for example "360 deg", or leave it out'
+    )
+    bits: int | None = Field(
+        None,
+        ge=1,
+        le=32,
+        description="the width of the counter that wraps at 2**bits, 1 to 32, or leave it out",
+    )
+    standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
+    max_speed: Travel | None = Field(
+        None, description='the highest possible speed in unit of y per s, or as "3000 rpm"'
+    )
+    guard: bool = Field(True, description="true, or false to keep samples that no motion explains")
+
+    def make_encoder(self, resolution: float) -> Encoder:
+        """The encoder of the estimators, with steps of `resolution` [unit of y per count]."""
+        return Encoder(resolution, standstill_time=self.standstill_time, max_speed=self.max_speed, guard=self.guard)
+
+
+#: Kind of quantity -> kind of axis that has it.
+_KINDS: dict[str, AxisKind] = {
+    "length": "linear",
+    "speed": "linear",
+    "angle": "rotary",
+    "angular speed": "rotary",
+}
+_SPEEDS = ("speed", "angular speed")
+#: Keys with lengths or angles, and with speeds.
+_TRAVELS = (
+    ("encoder", "resolution"),
+    ("encoder", "range"),
+    ("model", "cogging"),
+    ("model", "friction_period"),
+    ("model", "gravity"),
+)
+_RATES = (("encoder", "max_speed"), ("model", "stribeck"))
+
+
+@dataclass(frozen=True)
+class Sections:
+    """The sections of AXIS.toml that have values with units."""
+
+    record: RecordConfig
+    encoder: EncoderConfig
+    model: ModelConfig
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """Factors to SI of u and y; kind: of axis, None if nothing determines it; notes: for people."""
+
+    u: float
+    y: float
+    kind: AxisKind | None
+    notes: tuple[str, ...]
+
+
+def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
+    """The conversion of the columns with these names in the file to SI. Raises UsageError for a unit that the
+    configuration contradicts, and for a configured number that may be in either of two units."""
+    own = {"u": column_unit(input_name, INPUTS), "y": column_unit(output_name, OUTPUTS)}
+    if axis.model.kind != "drive":  # its user says in which units it is, and everything else is in these
+        columns = " and ".join(f"{key} in {unit.name}" for key, unit in own.items() if unit)
+        notes = (f"the file has {columns}: the results are in these units",) if columns else ()
+        return Conversion(1.0, 1.0, None, notes)
+    y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
+    kind = axis_kind(axis, y)
+    named = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
+    notes = (f"the file has {' and '.join(named)}",) if named else ()
+    return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, notes)
+
+
+def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:
+    """The kind of axis by the configuration and by a column in `unit`; None if nothing determines it. Raises UsageError
+    if these contradict each other."""
+    evidence: dict[AxisKind, str] = {}
+    for what, kind in _evidence(axis, unit):
+        evidence.setdefault(kind, what)
+    if len(evidence) > 1:
+        raise UsageError(
+            f"{evidence['rotary']} is of a rotary axis, {evidence['linear']} of a linear one: correct the unit of one "
+            "of them"
+        )
+    return next(iter(evidence), None)
+
+
+def _evidence(axis: Sections, unit: Unit | None) -> Iterator[tuple[str, AxisKind]]:
+    """Each fact that determines the kind of axis, for people, and the kind."""
+    if "axis" in axis.model.model_fields_set:
+        yield f'[model] axis = "{axis.model.axis}"', axis.model.axis
+    for section, key, value in _numbers(axis, (*_TRAVELS, *_RATES)):
+        if isinstance(value, Quantity):
+            yield f"[{section}] {key} in {value.unit.name}", _KINDS[value.unit.of]
+    if isinstance(axis.model.input_gain, Quantity):
+        name = axis.model.input_gain.unit.name
+        yield f"[model] input_gain in {name}", "rotary" if name.partition("/")[0].endswith("N m") else "linear"
+    if unit is None and axis.record.output_kind != "counts":
+        unit = OUTPUTS.get(axis.record.output_unit or "") or column_unit(axis.record.output, OUTPUTS)
+    if unit is not None:
+        yield f"the output column {axis.record.output!r} in {unit.name}", _KINDS[unit.of]
+
+
+def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, str, float]]:
+    """Section, key and value of the keys whose values are numbers."""
+    for section, key in keys:
+        value = getattr(getattr(axis, section), key)
+        if isinstance(value, float):
+            yield section, key, value
+
+
+def _choose_unit(key: str, given: str | None, name: str, table: dict[str, Unit]) -> Unit | None:
+    """The configured unit, or the unit in the column's name; None without either. Raises UsageError if they differ."""
+    named, stated = column_unit(name, table), table.get(given or "")
+    if named and stated and (named.of, named.factor) != (stated.of, stated.factor):
+        raise UsageError(
+            f'the name of the column {name!r} says {named.name}, and [record] {key} = "{given}": write {key} = '
+            f'"{named.name}", or rename the column'
+        )
+    return stated or named
+
+
+def _output_unit(axis: Sections, name: str) -> Unit | None:
+    config = axis.record
+    unit, kind = _choose_unit("output_unit", config.output_unit, name, OUTPUTS), config.output_kind
+    if unit is None:
+        return None
+    fitting = "velocity" if unit.of in _SPEEDS else "position"
+    if kind != fitting:
+        raise UsageError(f'the output column {name!r} is in {unit.name}: give [record] output_kind = "{fitting}"')
+    if not unit.plain:
+        _check_written(axis, name, unit)
+    return unit
+
+
+def _check_written(axis: Sections, name: str, unit: Unit) -> None:
+    """Raises UsageError for configured numbers without a unit if the output column is not in SI."""
+    travel = unit.name.partition("/")[0] if unit.name != "rpm" else "rev"
+    base = SI["angle" if _KINDS[unit.of] == "rotary" else "length"]
+    ways = [(*found, travel, base) for found in _numbers(axis, _TRAVELS)]
+    ways += [(*found, f"{travel}/s", f"{base}/s") for found in _numbers(axis, _RATES)]
+    bare = [way for way in ways if not isinstance(way[2], Quantity)]
+    if bare:
+        written = "; ".join(
+            f'[{section}] {key} = "{value:.9g} {own}" or "{value:.9g} {other}"'
+            for section, key, value, own, other in bare
+        )
+        raise UsageError(
+            f"the output column {name!r} is in {unit.name}, and a number without a unit may be in {unit.name} or in "
+            f"{base}: write {written}"
+        )
+
+
+def _input_unit(axis: Sections, name: str) -> Unit | None:
+    """The unit of the input. A configured scale replaces the unit in the column's name."""
+    scaled = isinstance(axis.record.input_scale, str) or abs(axis.record.input_scale) != 1.0
+    unit = _choose_unit("input_unit", axis.record.input_unit, "" if scaled else name, INPUTS)
+    gain = axis.model.input_gain
+    if unit is None or isinstance(gain, str) or gain is None:
+        return unit
+    if isinstance(gain, Quantity):
+        of = gain.unit.of.partition("/")[2]
+        if of not in (unit.of, "ratio"):
+            raise UsageError(
+                f"the input column {name!r} is in {unit.name}, and [model] input_gain is per {of}: write it per "
+                f"{SI[unit.of]}"
+            )
+    elif not unit.plain:
+        force = "N m" if axis.model.axis == "rotary" else "N"
+        raise UsageError(
+            f"the input column {name!r} is in {unit.name}, and input_gain = {gain:.9g} may be meant for that or for "
+            f'{SI[unit.of]}: write [model] input_gain = "{gain:.9g} {force}/{unit.name}" or '
+            f'"{gain:.9g} {force}/{SI[unit.of]}"'
+        )
+    return unit
+
+
+def _format_unit(unit: Unit) -> str:
+    return unit.name if unit.plain else f"{unit.name} (converted to {SI[unit.of]})"

@@ -1,0 +1,134 @@
+"""TOML files with sections, validated by pydantic models; every problem becomes one clear line.
+
+The description of a field ends the error message about it: it must read well after "give ..."."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from pmfid.errors import UsageError, did_you_mean
+
+__all__ = ["FileSection", "load_sections", "show_value", "validate_sections"]
+
+
+class FileSection(BaseModel):
+    """A section, or the whole, of a file."""
+
+    # strict: a string "50" or the truth value `true` in place of a number is a slip, not a number.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+Whole = TypeVar("Whole", bound=FileSection)
+
+
+def load_sections(
+    whole: type[Whole],
+    path: Path,
+    overrides: Mapping[str, object] | None,
+    kind: str,
+    complete: Callable[[dict[str, object]], None] | None = None,
+) -> Whole:
+    """Read and validate a file whose sections are the fields of `whole`.
+
+    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that replace the file's values; None is ignored. kind:
+    the file to give if this one is unreadable, as "an AXIS.toml". complete: adds derived sections to those of the file.
+    Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
+    """
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    raw = _read_toml(path, kind)
+    if complete is not None:
+        complete(raw)
+    for dotted, value in given.items():
+        section, _, key = dotted.partition(".")
+        table = raw.setdefault(section, {})
+        if isinstance(table, dict):
+            table[key] = value
+    try:
+        return validate_sections(whole, raw, given)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def validate_sections(
+    whole: type[Whole], raw: Mapping[str, object], given: Mapping[str, object] | None = None
+) -> Whole:
+    """The sections of `raw` as an object; given: those dotted keys that came as options. Raises UsageError with all
+    problems in one text."""
+    try:
+        return whole.model_validate(raw)
+    except ValidationError as error:
+        # A misspelt key is also a missing one: the misspelling comes first, as it explains the other.
+        details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    # A value that fits neither number nor name fails twice at one place: one text for each place.
+    problems = {detail["loc"][:2]: _problem(whole, detail, raw, given or {}) for detail in details}
+    raise UsageError("\n  ".join(problems.values()))
+
+
+def _read_toml(path: Path, kind: str) -> dict[str, object]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise UsageError(f"{path}: cannot read the configuration: {error.strerror}; give {kind}") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: the configuration is not UTF-8 text; give {kind}") from None
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
+        raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
+
+
+def _sections(whole: type[FileSection]) -> dict[str, type[BaseModel]]:
+    """Section name -> its model."""
+    types = {name: field.annotation for name, field in whole.model_fields.items()}
+    return {name: cls for name, cls in types.items() if isinstance(cls, type) and issubclass(cls, BaseModel)}
+
+
+def _problem(
+    whole: type[FileSection], error: ErrorDetails, raw: Mapping[str, object], given: Mapping[str, object]
+) -> str:
+    section, *rest = (str(part) for part in error["loc"][:2])
+    label = f"[{section}] {rest[0]}" if rest else f"[{section}]"
+    inside = error["loc"][2:]
+    if len(inside) > 1 and isinstance(inside[0], int):
+        description = str(_sections(whole)[section].model_fields[rest[0]].description)
+        return _entry_problem(f"{label}, term {inside[0] + 1}: {inside[1]}", error, description)
+    if error["type"] == "extra_forbidden":
+        return _unknown(whole, section, rest)
+    field = _sections(whole)[section].model_fields[rest[0]] if rest else whole.model_fields[section]
+    if error["type"] == "missing":
+        return f"{label} is missing; give {field.description}"
+    table = raw[section]
+    message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    message = message.replace("be a valid tuple", "be a list in brackets")
+    if not rest:
+        return f"{label}: {message}" if isinstance(table, dict) else f"{label} must be a section of keys"
+    value = table[rest[0]] if isinstance(table, dict) else None
+    origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
+    return f"{label} = {show_value(value)}{origin}: {message}; give {field.description}"
+
+
+def show_value(value: object) -> str:
+    """A value as it is written; an address without user and password."""
+    return re.sub(r"//[^/'\"\s]*@", "//...@", repr(value))
+
+
+def _entry_problem(place: str, error: ErrorDetails, description: str) -> str:
+    """The problem of a key in one of several entries, such as the terms of an equation."""
+    if error["type"] == "missing":
+        return f"{place} is missing; write {description}"
+    return f"{place} = {error['input']!r}: {error['msg'].replace('Input should', 'it should')}; write {description}"
+
+
+def _unknown(whole: type[FileSection], section: str, rest: list[str]) -> str:
+    sections = _sections(whole)
+    word = rest[0] if rest else section
+    home = next((name for name, model in sections.items() if word in model.model_fields), None)
+    known = list(sections[section].model_fields) if rest else list(sections)
+    what = f"[{section}] {word} is an unknown key" if rest else f"[{section}] is an unknown section or key"
+    hint = f"; it belongs in [{home}]" if home else did_you_mean(word, known)
+    return f"{what}; known are {', '.join(known)}{hint}"

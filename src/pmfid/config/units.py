@@ -1,0 +1,161 @@
+"""Units of columns, by key or by the column's name, and of numbers in AXIS.toml that are written with a unit.
+
+One rule: a number is in SI, a text has its unit, "0.001 mm". With a column in another unit, a number alone is refused,
+because it may be meant in either unit. So no value is ever wrong by a factor of a thousand."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+__all__ = ["INPUTS", "OUTPUTS", "SI", "Quantity", "Unit", "column_unit", "gain", "keep_unit", "known_unit", "quantity"]
+
+_PREFIXES = {"": 1.0, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+_MINUTE = 60.0
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi, "turn": 2 * math.pi}
+_LENGTHS = {f"{prefix}m": _PREFIXES[prefix] for prefix in ("", "c", "m", "u", "n")} | {"in": 0.0254, "inch": 0.0254}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """name: as it is written here; of: the quantity that it measures; factor: SI units in one."""
+
+    name: str
+    of: str
+    factor: float
+
+    @property
+    def plain(self) -> bool:
+        """Is it the SI unit itself?"""
+        return self.factor == 1.0
+
+
+#: SI unit of each thing that is measured.
+SI = {
+    "length": "m",
+    "angle": "rad",
+    "speed": "m/s",
+    "angular speed": "rad/s",
+    "force": "N",
+    "torque": "N m",
+    "voltage": "V",
+    "current": "A",
+    "ratio": "1",
+}
+
+
+def _units(of: str, factors: dict[str, float]) -> dict[str, Unit]:
+    return {name: Unit(name, of, factor) for name, factor in factors.items()}
+
+
+#: What an output may be in, and what an input may be in.
+OUTPUTS = {
+    **_units("length", _LENGTHS),
+    **_units("angle", _ANGLES),
+    **_units("speed", {f"{name}/s": factor for name, factor in _LENGTHS.items()}),
+    **_units("speed", {f"{name}/min": factor / _MINUTE for name, factor in _LENGTHS.items()}),
+    **_units("angular speed", {f"{name}/s": factor for name, factor in _ANGLES.items()}),
+    **_units("angular speed", dict.fromkeys(("rpm", "rev/min"), 2 * math.pi / _MINUTE)),
+}
+INPUTS = {
+    **_units("voltage", {f"{prefix}V": _PREFIXES[prefix] for prefix in ("", "k", "m", "u")}),
+    **_units("current", {f"{prefix}A": _PREFIXES[prefix] for prefix in ("", "k", "m", "u")}),
+    **_units("force", {f"{prefix}N": _PREFIXES[prefix] for prefix in ("", "k", "m", "u")}),
+    **_units("torque", {f"{prefix}N m": _PREFIXES[prefix] for prefix in ("", "k", "m", "u")}),
+    **_units("torque", {"N cm": 1e-2, "N mm": 1e-3}),
+    **_units("ratio", {"%": 1e-2, "permille": 1e-3, "1": 1.0}),
+}
+#: Other ways to write a unit, in small letters without blanks -> the name.
+_ALIASES = {
+    "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "u": "rev", "turns": "rev",
+    "1/min": "rpm", "u/min": "rpm", "min-1": "rpm", "r/min": "rpm", "1/s": "rev/s", "rps": "rev/s", "m.s-1": "m/s",
+    "pct": "%", "percent": "%", "‰": "permille", "arms": "A", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
+    "newton": "N", "metre": "m", "meter": "m", "millimeter": "mm", "radian": "rad", "radians": "rad",
+}  # fmt: skip
+#: Least letters of a unit after an underscore, stroke, blank or point: a single letter is usually an index.
+_LEAST_LETTERS = 2
+
+
+class Quantity(float):
+    """A number in SI, and the unit that it was written in."""
+
+    unit: Unit
+
+    def __new__(cls, value: float, unit: Unit) -> Quantity:
+        made = super().__new__(cls, value * unit.factor)
+        made.unit = unit
+        return made
+
+    def __reduce__(self) -> tuple[Callable[[float, Unit], Quantity], tuple[float, Unit]]:
+        """Copies and pickles have the same bits: nothing is converted twice."""
+        return _make_quantity, (float(self), self.unit)
+
+
+def _make_quantity(value: float, unit: Unit) -> Quantity:
+    made = float.__new__(Quantity, value)
+    made.unit = unit
+    return made
+
+
+def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
+    """The unit in a table that the text names; None without one."""
+    plain = re.sub(r"[µμ]", "u", text.strip()).replace("·", " ").replace("*", " ").replace("^", "")
+    close = plain.replace(" ", "").replace("-", "") if "N" in plain else plain.replace(" ", "")
+    exact = {name.replace(" ", ""): unit for name, unit in table.items()}
+    loose = {name.replace(" ", "").lower(): unit for name, unit in reversed(table.items())}
+    alias = table.get(_ALIASES.get(close.lower(), ""))
+    return exact.get(close) or alias or (loose.get(close.lower()) if close in (close.lower(), close.upper()) else None)
+
+
+def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
+    """The unit in a column's name, as in "Current [mA]", "pos_mm" or "phi (deg)"; None without one."""
+    if found := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
+        return unit_named(found.group(1), table)
+    last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", name) or re.search(r"[\s_/.]([A-Za-zµμ°%]+)$", name)
+    long = last is not None and len(last.group(1)) >= _LEAST_LETTERS
+    return unit_named(last.group(1), table) if last is not None and (long or last.group(1) in "°%") else None
+
+
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+
+
+def keep_unit(value: object, check: Callable[[object], object], read: Callable[[object], object]) -> object:
+    """The value that `read` makes, with its unit, if a field's `check` accepts it as a number."""
+    made = read(value)
+    checked = check(float(made) if isinstance(made, Quantity) else made)
+    return made if isinstance(made, Quantity) else checked
+
+
+def quantity(value: object) -> object:
+    """A text with a number and a unit of travel or speed as a `Quantity`; any other value unchanged. Raises ValueError
+    for an unknown unit."""
+    if not isinstance(value, str) or (found := _NUMBER.match(value)) is None:
+        return value
+    unit = unit_named(found.group(2), OUTPUTS)
+    if unit is None:
+        raise ValueError(f"{found.group(2) or 'nothing'!r} is no unit here; known are {', '.join(OUTPUTS)}")
+    return Quantity(float(found.group(1)), unit)
+
+
+def gain(value: object) -> object:
+    """A text with a number and a force or torque per unit of input as a `Quantity`: "0.35 N m/A". Raises ValueError for
+    an unknown unit."""
+    if not isinstance(value, str) or (found := _NUMBER.match(value)) is None:
+        return value
+    above, stroke, below = found.group(2).partition("/")
+    force, per = unit_named(above, INPUTS), unit_named(below.strip(" ()"), INPUTS) if stroke else INPUTS["1"]
+    if force is None or per is None or force.of not in ("force", "torque"):
+        raise ValueError(f'{found.group(2)!r} is no force or torque per unit of input, as "N/V" or "N m/A" are')
+    return Quantity(
+        float(found.group(1)), Unit(f"{force.name}/{per.name}", f"{force.of}/{per.of}", force.factor / per.factor)
+    )
+
+
+def known_unit(text: str, table: dict[str, Unit]) -> str:
+    """A unit of a table by its name there. Raises ValueError for another."""
+    unit = unit_named(text, table)
+    if unit is None:
+        raise ValueError(f"there is no such unit here; known are {', '.join(table)}")
+    return unit.name

@@ -1,0 +1,302 @@
+"""What an input is worth on machines around nominal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.design.encoder_error import expected_covariance, is_counted
+from pmfid.design.fisher import Criterion, affine, criterion_of, eliminate
+from pmfid.design.problem import Design, InfeasibleError, Problem
+from pmfid.design.simulated import simulated_information
+from pmfid.design.solver import Setting, evaluate, price_of_robustness, setting, solve
+from pmfid.design.standard import StandardInput, standard_inputs
+from pmfid.presentation import Presentable, Summary, plain_dict
+from pmfid.types import Floats
+
+__all__ = ["USUAL", "Choice", "best_input", "choose", "stds"]
+
+#: The profile that engineers use: no parameter may come out worse than with it.
+USUAL = "trapezoid"
+#: Standard motions that a design is compared with: machines are made for them.
+PROFILES = (USUAL, "s_curve", "minimum_time")
+#: The expected deviations are themselves known to a few percent.
+SURELY = 0.95
+#: Least speeds over the one of the limits: the first two leave whole counts per sample, the others keep a machine
+#: moving that is heavier, or has more friction, than its data sheet says.
+FASTER = (1.23, 1.57, 2.5, 4.0, 6.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The chosen input. name: "design", "design, least speed x 1.23", or the name of a standard input; design: the
+    motion to run; std: {unknown parameter: deviation expected after one run}, in its unit; usual: the same for the
+    trapezoid, if it exists."""
+
+    name: str
+    design: Design
+    std: Mapping[str, float]
+    usual: Mapping[str, float]
+
+
+def choose(design: Design, combination: Mapping[str, float] | None = None, *, starts: int = 5, seed: int = 0) -> Choice:
+    """The best input for the problem of a design: that design, others with a larger least speed, or a standard input.
+
+    combination: for criterion "c"; starts, seed: of the search for the others. Where the noise is not that of an
+    encoder it is taken for white, the start for unknown.
+    """
+    problem = design.problem
+    inputs = {"design": design.u} | dict(_others(design, combination, starts, seed))
+    covariances = {name: expected_covariance(problem, u) for name, u in inputs.items()}
+    name = best_input(problem, criterion_of(problem, design.criterion, combination), covariances)
+    chosen = design if name == "design" else evaluate(problem, inputs[name], design.criterion, combination=combination)
+    return Choice(name, chosen, stds(problem, covariances[name]), stds(problem, covariances.get(USUAL)))
+
+
+def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floats | None]) -> str:
+    """Name of the best of some inputs by their covariances (p, p), in the units of the parameters; None: no estimate.
+
+    Of those that leave every unknown parameter surely better known than the trapezoid does, the first with surely no
+    less than the largest value; the trapezoid where there is none. Without a trapezoid, all count.
+    """
+    usual = stds(problem, covariances.get(USUAL))
+    scale = np.outer(problem.scale, problem.scale)
+
+    def value(name: str) -> float:
+        covariance = covariances[name]
+        return 0.0 if covariance is None else rule.value(np.asarray(np.linalg.inv(covariance / scale), float))
+
+    def better(name: str) -> bool:
+        own = stds(problem, covariances[name])
+        return all(own[each] <= SURELY * usual[each] for each in problem.unknown)
+
+    fit = [name for name in covariances if name == USUAL or better(name)] or list(covariances)
+    values = [value(name) for name in fit]
+    return next(name for name, own in zip(fit, values, strict=True) if own >= SURELY**2 * max(values))
+
+
+def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
+    """{unknown parameter: standard deviation}, inf if there is no covariance."""
+    if covariance is None:
+        return dict.fromkeys(problem.unknown, math.inf)
+    return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}
+
+
+def _others(
+    design: Design, combination: Mapping[str, float] | None, starts: int, seed: int
+) -> Iterator[tuple[str, Floats]]:
+    """Names and inputs (K,) within the same limits."""
+    problem = design.problem
+    for factor in FASTER if problem.limits.min_speed > 0 else ():
+        limits = replace(problem.limits, min_speed=factor * problem.limits.min_speed)
+        try:
+            faster = solve(
+                replace(problem, limits=limits), design.criterion, combination=combination, starts=starts, seed=seed
+            )
+        except InfeasibleError:
+            continue
+        yield f"design, least speed x {factor}", faster.u
+    for name in PROFILES:
+        try:
+            yield name, standard_inputs(problem, seed, (name,))[name].u
+        except InfeasibleError:  # the limits leave less room than this profile needs
+            continue
+
+
+#: Part of the claimed information below which a design is warned of.
+SURVIVES = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """The information of one run of an input.
+
+    fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion, over the
+    scenarios if the problem has an average.
+    surviving: part of the claimed information that remains with true stiction; the least over nominal, slightly larger
+    and slightly smaller parameters. None if it cannot be simulated.
+    predicted_std: of each unknown parameter after one run; inf if run and prior do not determine it.
+    std_encoder: expected standard deviation of `pmfid commission` from the encoder's counts, start position unknown
+    (`encoder_covariance`); inf as above, and if the noise is not an encoder's. covariance: (p, p) of the estimate after
+    one run over unknown + nuisance, in their units, for the choice of inputs; None if undetermined.
+    """
+
+    fisher: Floats
+    value: float
+    surviving: float | None
+    predicted_std: Mapping[str, float]
+    std_encoder: Mapping[str, float]
+    covariance: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Appraisal(Presentable):
+    """A design compared with the standard inputs; worths: by name, "design" for the design itself.
+
+    price: part of the nominal information that robustness costs, None if the design is not robust.
+    """
+
+    design: Design
+    rule: Criterion
+    standard: Mapping[str, StandardInput]
+    worths: Mapping[str, Worth]
+    warnings: tuple[str, ...]
+    price: float | None = None
+
+    @property
+    def gain(self) -> dict[str, float]:
+        """Value of the design over the value of each standard input; inf if the latter is 0."""
+        own = self.worths["design"].value
+        values = {name: self.worths[name].value for name in self.standard}
+        return {name: own / value if value > 0 else math.inf for name, value in values.items()}
+
+    @property
+    def recommended(self) -> str:
+        """Name of the input that serves the estimate best, with no unknown parameter worse than by the trapezoid."""
+        covariances = {name: worth.covariance for name, worth in self.worths.items()}
+        return best_input(self.design.problem, self.rule, covariances)
+
+    def to_json(self) -> dict[str, object]:
+        """The object that `--json` prints; null for infinite and unproved numbers."""
+        design, worth = self.design, self.worths["design"]
+        return {
+            "criterion": design.criterion,
+            "value": worth.value,
+            "bound": design.bound,
+            "gap": design.gap,
+            "standard": {name: self.worths[name].value for name in self.standard},
+            "gain": {name: _finite(gain) for name, gain in self.gain.items()},
+            "surviving": worth.surviving,
+            "predicted_std": {name: _finite(std) for name, std in worth.predicted_std.items()},
+            "predicted_std_encoder": {name: _finite(std) for name, std in worth.std_encoder.items()},
+            "recommended": self.recommended,
+            "solve_seconds": design.solve_seconds,
+            "starts": design.starts,
+            "feasible": design.feasible,
+            "warnings": list(self.warnings),
+            "price_of_robustness": self.price,
+        }
+
+    def summary(self) -> Summary:
+        """Predicted standard deviations of each input; the lines are of the design and of the recommended input."""
+        unknown = self.design.problem.unknown
+        rows = [(name, *(f"{worth.predicted_std[own]:.2g}" for own in unknown)) for name, worth in self.worths.items()]
+        title = f"{self.design.criterion}, standard deviations after one run; to be run: {self.recommended}"
+        own = [row for row in rows if row[0] in ("design", self.recommended)]
+        lines = [
+            f"{row[0]}: {', '.join(f'{n} ± {std}' for n, std in zip(unknown, row[1:], strict=True))}" for row in own
+        ]
+        return Summary(title, ("input", *unknown), rows, lines, self.warnings)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each input."""
+        stds = [worth.predicted_std for worth in self.worths.values()]
+        values = {"input": list(self.worths), "value": [worth.value for worth in self.worths.values()]}
+        return values | {f"{name}_std": [std[name] for std in stds] for name in self.design.problem.unknown}
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
+
+
+def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
+    """Compares the design with the standard inputs; combination: for criterion "c"; seed: of the PRBS."""
+    problem = design.problem
+    ready = setting(problem, design.criterion, combination)
+    standard = standard_inputs(problem, seed)
+    inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
+    worths = {name: worth_of(ready, u) for name, u in inputs.items()}
+    price = price_of_robustness(design, combination) if problem.scenarios else None
+    found = Appraisal(design, ready.rule, standard, worths, design.warnings, price)
+    return replace(found, warnings=(*design.warnings, *_warnings(found)))
+
+
+def worth_of(ready: Setting, u: Floats) -> Worth:
+    """What one run of the input u (n,) tells."""
+    problem, maps = ready.problem, ready.maps[0]
+    covariance = expected_covariance(problem, u)
+    F = maps.information(u)
+    return Worth(
+        _on_unknown(problem, F),
+        ready.value(u),
+        _surviving(problem, ready.rule, u, F - maps.prior),
+        _stds(problem, _on_unknown(problem, F)),
+        stds(problem, covariance if is_counted(problem) else None),
+        covariance,
+    )
+
+
+def _on_unknown(problem: Problem, F: Floats) -> Floats:
+    """Information on the unknown parameters in their own units from that on all scaled ones."""
+    size = len(problem.unknown)
+    return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
+
+
+def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Floats, Floats]:
+    """Sample instants (N,) [s] and the value of the criterion for the samples up to each (N,), prior included."""
+    maps = affine(problem)
+    s = maps.weigh_sensitivities(u)
+    F = maps.prior + np.cumsum(np.einsum("in,jn->nij", s, s), axis=0)
+    t = np.arange(1, s.shape[1] + 1) * (problem.horizon / s.shape[1])
+    values = [criterion.value(each) if np.linalg.matrix_rank(each) == len(each) else 0.0 for each in F]
+    return t, np.array(values)
+
+
+def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float | None:
+    """Of the run's own information by the same criterion, or by the trace where that gives the run alone no size."""
+    if problem.drive.friction != "symmetric":
+        return None
+    judge = replace(criterion, name="trace") if criterion.name == "ME" else criterion
+    if not judge.value(claimed) > 1e-9 * np.trace(claimed):
+        judge = Criterion("trace", len(claimed))
+    scale = np.outer(problem.scale, problem.scale)
+    true = [judge.value(simulated_information(problem, u, side=side) * scale) for side in (-1, 0, 1)]
+    whole = judge.value(claimed)
+    return min(true) / whole if whole > 0 else None
+
+
+def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
+    scale = problem.scale[: len(problem.unknown)]
+    values, vectors = np.linalg.eigh(fisher * np.outer(scale, scale))
+    known = values > 1e-12 * max(values[-1], 0.0)
+    variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
+    variance[np.any(vectors[:, ~known] ** 2 > 0, axis=1)] = math.inf
+    return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
+
+
+def _warnings(found: Appraisal) -> list[str]:
+    stiction = _stiction_warnings(found.design, found.worths["design"])
+    return [*stiction, *_encoder_warnings(found.worths, found.recommended)]
+
+
+def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
+    if worth.surviving is None:
+        return ["the design was not checked with stiction, which the simulation has for symmetric friction only"]
+    careful = design.problem.limits.min_speed > 0
+    if worth.surviving >= SURVIVES and careful:
+        return []
+    part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
+    return [f"{part}; raise min_speed" if careful else f"{part}; min_speed is 0: set it above"]
+
+
+def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str]:
+    own, usual = worths["design"].std_encoder, worths[USUAL].std_encoder
+    if not all(map(math.isfinite, own.values())):
+        return []
+    worse = {name: std / usual[name] for name, std in own.items() if std > usual[name] > 0}
+    if not worse:
+        return []
+    worst = max(worse, key=worse.__getitem__)
+    return [
+        f"by the counts of this encoder the design leaves {worst} {worse[worst]:.1f} times as uncertain as a trapezoid "
+        f"does: the axis comes to rest on a machine a little heavier, or the counts repeat along the motion; run the "
+        f"input {recommended!r}, or design with a larger min_speed, apart from whole counts per sample"
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

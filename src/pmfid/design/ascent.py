@@ -1,0 +1,239 @@
+"""Ascent of the information."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pmfid.design.fisher import Affine, Criterion
+from pmfid.design.oracle import Oracle
+from pmfid.types import Floats
+
+__all__ = ["Climber"]
+
+#: Part of the way to the vertex, first for all, then between the neighbours of the best.
+STEPS = np.array([1.0, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02, 0.005])
+#: Shifts of the motion, in fortieths of the horizon.
+SHIFTS = (1, -1, 4, -4, 16, -16)
+#: Relative gain below which a step, or another local optimum, counts for nothing.
+TOLERANCE = 1e-4
+SAME = 1e-5
+#: How far ahead of a full step the next gradient may be taken, in steps.
+FURTHEST = 8.0
+#: Relative gain of a full step that is only a drift.
+DRIFT = 0.05
+
+
+#: How sharply the worst of several cases counts.
+SHARPNESS = 100.0
+
+
+@dataclass
+class Climber:
+    """Searches local optima; remembers those it has met, so that none is left twice.
+
+    maps: one for each case of the problem, a criterion's log value being their mean, or about the worst where `worst`.
+    Not for use by two threads at once.
+    """
+
+    maps: tuple[Affine, ...]
+    criterion: Criterion
+    oracle: Oracle
+    worst: bool = False
+    _known: list[tuple[float, Floats, float, Floats]] = field(default_factory=list)
+
+    def start(self, rng: np.random.Generator) -> tuple[float, Floats]:
+        """(log value, input (K,)) of the best found from a random vertex."""
+        self.oracle.start()
+        return self.climb(self.oracle.maximise(rng.standard_normal(self.oracle.shape.inputs)))
+
+    def climb(self, u: Floats) -> tuple[float, Floats]:
+        """(log value, input) of the local optimum above u that no shift improves."""
+        value, u = self.ascend(u)
+        met = []
+        shifts, place, failed = self._shifts(), 0, 0
+        while failed < len(shifts):
+            known = self._recall(value, u)
+            if known is not None:
+                value, u = known
+                break
+            if not failed:
+                met.append((value, u))
+            better = self._neighbour(value, u, shifts[place % len(shifts)])
+            place, failed = place + 1, failed + 1
+            if better is not None:
+                (value, u), failed = better, 0
+        self._known += [(*local, value, u) for local in met]
+        return value, u
+
+    def ascend(self, u: Floats, tolerance: float = TOLERANCE, steps: int = 60) -> tuple[float, Floats]:
+        """(log value, input) where no vertex promises a relative gain of more than the tolerance."""
+        s = [maps.weigh_sensitivities(u) for maps in self.maps]
+        value = float(self._blend(np.array([self.criterion.log_value(F) for F in self._informations(s)])))
+        ahead, drift, change = 0.0, 0, s
+        for _ in range(steps):
+            # pulses drift interval by interval towards their best place: the gradient further on saves steps
+            slope = self._slope([here + ahead * there for here, there in zip(s, change, strict=True)] if ahead else s)
+            vertex = self.oracle.maximise(slope)
+            gain = float(slope @ (vertex - u))
+            if not ahead and gain < tolerance:
+                break
+            change = [maps.weigh_sensitivities(vertex) - here for maps, here in zip(self.maps, s, strict=True)]
+            part, new = self._line(s, change)
+            if new > value + SAME * bool(ahead):
+                u, value = u + part * (vertex - u), new
+                s = [here + part * there for here, there in zip(s, change, strict=True)]
+                drift = drift + 1 if part == 1.0 and gain < DRIFT else 0
+                ahead = min(2.0 * ahead + 1.0, FURTHEST) if drift > 1 else 0.0
+            elif ahead:
+                ahead, drift = 0.0, 0
+            else:
+                break
+        return value, u
+
+    def _informations(self, s: list[Floats]) -> list[Floats]:
+        return [here @ here.T + maps.prior for maps, here in zip(self.maps, s, strict=True)]
+
+    def _blend(self, values: Floats) -> Floats:
+        """Log value of all cases together, from those of each, (cases, ...)."""
+        if len(values) == 1:
+            return np.asarray(values[0])
+        if not self.worst:
+            return np.asarray(values.mean(axis=0))
+        return np.asarray(
+            values.min(axis=0) - np.log(np.exp(-SHARPNESS * _subtract_least(values)).mean(axis=0)) / SHARPNESS
+        )
+
+    def _slope(self, s: list[Floats]) -> Floats:
+        """Gradient of the log value to the input, from the weighted sensitivities (p, N) of each case."""
+        informations = self._informations(s)
+        weights = np.ones(1)
+        if len(s) > 1:
+            values = np.array([self.criterion.log_value(F) for F in informations])
+            weights = np.exp(-SHARPNESS * _subtract_least(values)) if self.worst else np.ones(len(s))
+            weights /= weights.sum()
+        slope = np.zeros(self.oracle.shape.inputs)
+        for maps, here, F, weight in zip(self.maps, s, informations, weights, strict=True):
+            slope += weight * (maps.matrix.T @ (2.0 * (self.criterion.gradient(F) @ here)).ravel())
+        return slope
+
+    def _line(self, s: list[Floats], change: list[Floats]) -> tuple[float, float]:
+        """(part of the way, log value) of the maximum between s and s + change: there F is a quadratic of the part."""
+        cross = [here @ there.T for here, there in zip(s, change, strict=True)]
+        constant = np.array(self._informations(s))[:, None]
+        linear = np.array([c + c.T for c in cross])[:, None]
+        square = np.array([there @ there.T for there in change])[:, None]
+
+        def best(parts: Floats) -> tuple[int, float]:
+            a = parts[:, None, None]
+            values = self._blend(self.criterion.log_value(constant + a * linear + a * a * square))
+            i = int(values.argmax())
+            return i, float(values[i])
+
+        i, value = best(STEPS)
+        if i == 0 or i == len(STEPS) - 1:
+            return float(STEPS[i]), value
+        parts = np.linspace(STEPS[i + 1], STEPS[i - 1], 17)
+        i, value = best(parts)
+        return float(parts[i]), value
+
+    def _neighbour(self, value: float, u: Floats, shift: int) -> tuple[float, Floats] | None:
+        """A better local optimum that the shifted input leads to, or None."""
+        moved = np.clip(np.arange(len(u)) - shift, 0, len(u) - 1)
+        vertex = self.oracle.maximise(self._slope([maps.weigh_sensitivities(u[moved]) for maps in self.maps]))
+        if np.allclose(vertex, u, rtol=0.0, atol=1e-6 * np.abs(u).max()):
+            return None
+        other, u = self.ascend(vertex)
+        return (other, u) if other > value + SAME else None
+
+    def _shifts(self) -> list[int]:
+        size = self.oracle.shape.inputs
+        return list(dict.fromkeys(s for n in SHIFTS if 0 < abs(s := n * max(1, round(size / 40))) < size))
+
+    def _recall(self, value: float, u: Floats) -> tuple[float, Floats] | None:
+        """Where the search from this local optimum has ended before."""
+        scale = 0.02 * float(np.abs(u).max())
+        for seen, where, best, best_u in self._known:
+            if abs(seen - value) < TOLERANCE and np.abs(where - u).max() < scale:
+                return (best, best_u) if best > value else (value, u)
+        return None
+
+
+def _subtract_least(values: Floats) -> Floats:
+    """Log values over the least of all cases, (cases, ...); also where some are -inf, as at rest."""
+    least = values.min(axis=0)
+    return np.asarray(np.subtract(values, least, out=np.zeros(values.shape), where=values != least))
+
+
+#: A motion may have so much more than its share.
+ENOUGH = 1e-6
+ROUNDS = 2000
+#: Weights below this take no part.
+NEGLIGIBLE = 1e-6
+#: New motions at most, and starts of the search for each.
+MOTIONS, SEARCHES = 30, 4
+
+
+def proportions(rule: Criterion, informations: Floats, rounds: int = ROUNDS) -> Floats:
+    """Weights (m,), summing to 1, with the largest value of the criterion at sum weights[i] informations[i] (m, p, p).
+
+    Multiplicative steps (Silvey, Titterington and Torsney 1978).
+    """
+    weights = np.full(len(informations), 1.0 / len(informations))
+    for _ in range(rounds):
+        mean = np.tensordot(weights, informations, 1)
+        shares = np.tensordot(informations, rule.gradient(mean), 2)
+        if shares.max() < 1.0 + ENOUGH:
+            break
+        weights = weights * np.maximum(shares, 0.0) ** 0.9
+        weights /= weights.sum()
+    return np.where(weights < NEGLIGIBLE, 0.0, weights)
+
+
+def share(rule: Criterion, mean: Floats) -> Floats:
+    """W (p, p) with value(F) <= trace(W F) for every information F, equal at the mean.
+
+    The criteria are homogeneous and concave in F, so that the tangent at the mean is such a bound.
+    """
+    return rule.gradient(mean) * rule.value(mean)
+
+
+def best_mixture(
+    maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Floats], seed: int = 0
+) -> tuple[Floats, list[Floats]]:
+    """Information of the best mixture found, and the inputs that carry it.
+
+    Adds, one at a time, the input with the largest share of the tangent (Fedorov 1972; Wynn 1970).
+    """
+    rng = np.random.default_rng(seed)
+    inputs = list(inputs)
+    for _ in range(MOTIONS):
+        informations = np.array([maps.information(u) for u in inputs])
+        weights = proportions(rule, informations)
+        mean = np.tensordot(weights, informations, 1)
+        u = _largest_share(maps, rule.gradient(mean), oracle, rng)
+        inputs = [v for v, weight in zip(inputs, weights, strict=True) if weight > 0]
+        if np.sum(rule.gradient(mean) * maps.information(u)) < 1.001:
+            break
+        inputs.append(u)
+    return mean, inputs
+
+
+def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.Generator) -> Floats:
+    """Input with the largest trace(weight F(u)) that a few local searches find: full steps climb a convex function."""
+    climber = Climber((_rotate_maps(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
+    return max((climber.start(rng) for _ in range(SEARCHES)), key=lambda found: found[0])[1]
+
+
+def _rotate_maps(maps: Affine, weight: Floats) -> Affine:
+    """The maps after which the plain trace is trace(weight F)."""
+    eigenvalues, vectors = np.linalg.eigh(weight)
+    root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T
+    p = len(weight)
+    return replace(
+        maps,
+        matrix=(root @ maps.matrix.reshape(p, -1)).reshape(maps.matrix.shape),
+        offset=(root @ maps.offset.reshape(p, -1)).ravel(),
+        prior=root @ maps.prior @ root,
+    )

@@ -1,0 +1,205 @@
+"""Parameters from designed runs, by simulation of the position, with prior information.
+
+The general estimators find all parameters from one long record. A designed run is short, starts as designed, and some
+parameters are known. The rest is a small nonlinear problem around a good guess: least squares if the position has
+normal noise; for counts the set of parameters that fit all counts (`counted`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pmfid.design.encoder_error import is_counted, what_is_open
+from pmfid.design.problem import Problem
+from pmfid.design.simulated import STEP, drive_of
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.simulation.drive import simulate_drive
+from pmfid.types import Floats
+
+__all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
+
+MAX_EVALUATIONS = 200
+#: Root mean square of the residual over that of the motion, from which the fit is refused.
+WORST_FIT = 0.2
+#: Deviations that hold 95 % of a normal distribution.
+NORMAL = 1.96
+#: Least values over the nominal ones; 0 for the others.
+LEAST = {"mass": 1e-3, "offset": -np.inf}
+
+
+@dataclass(frozen=True, eq=False)
+class DesignedRun:
+    """One experiment: u (n,), held from sample k to k+1; y (n,), measured position at sample k [m]; dt [s].
+
+    Only changes of y count, its zero is free: the start phase on the encoder's lattice is not known.
+    Raises UsageError for arrays that do not fit each other or are not finite.
+    """
+
+    u: Floats
+    y: Floats
+    dt: float
+
+    def __post_init__(self) -> None:
+        u, y = np.asarray(self.u, float), np.asarray(self.y, float)
+        if u.ndim != 1 or u.shape != y.shape or not (np.isfinite(u).all() and np.isfinite(y).all()):
+            raise UsageError(f"a run needs finite u and y of the same length, got shapes {u.shape} and {y.shape}")
+
+
+@dataclass(frozen=True, eq=False)
+class RunsEstimate:
+    """The estimate from all runs.
+
+    parameters: {name: value}, known ones included. information: (p, p) over unknown + nuisance, in their units, prior
+    included: the inverse of their covariance. interval: {name: (lowest, highest)} that holds 95 %, for each of these.
+    inflation: for normal noise the variance of the residual over the variance of the noise, times the number of samples
+    that correlate; the information of the runs is divided by an inflation above 1. 1 for counts.
+    unexplained: largest distance of the best motion from a count, in counts. More than 0 is an error of the model, and
+    all counts were widened by twice this distance.
+    """
+
+    parameters: Mapping[str, float]
+    information: Floats
+    interval: Mapping[str, tuple[float, float]]
+    inflation: float = 1.0
+    unexplained: float = 0.0
+
+    def std(self, names: tuple[str, ...]) -> dict[str, float]:
+        """Standard deviations of the parameters that the information is over, in its order."""
+        variance = np.linalg.inv(self.information).diagonal()
+        return {name: float(np.sqrt(value)) for name, value in zip(names, variance, strict=True)}
+
+    def update(self, problem: Problem) -> Problem:
+        """The problem with what is known now: nominal values, information as the prior, scenarios around them."""
+        moved = {name: self.parameters[name] / (value or 1.0) for name, value in problem.nominal.items()}
+        scenarios = tuple({name: value * moved[name] for name, value in case.items()} for case in problem.scenarios)
+        return replace(problem, nominal=dict(self.parameters), prior=self.information, scenarios=scenarios)
+
+
+def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
+    """Unknown and nuisance parameters of a problem from its runs, its prior centred on its nominal values.
+
+    Raises UsageError without a run, NotIdentifiableError if the runs leave a parameter open or the simulated
+    position does not follow.
+    """
+    if not runs:
+        raise UsageError("there is no run to estimate from; give at least one")
+    objective = _Objective(problem, runs)
+    found = least_squares(
+        objective, objective.start, objective.jacobian, bounds=(objective.lower, np.inf), max_nfev=MAX_EVALUATIONS
+    )
+    J = objective.jacobian(found.x)
+    _check(problem, objective, found.x, J)
+    by = _estimate_by_counts if is_counted(problem) else _estimate_by_squares
+    return by(problem, objective, found.x, J)
+
+
+def _estimate_by_squares(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
+    inflation = objective.inflation(q)
+    information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
+    apart = NORMAL * np.sqrt(np.linalg.inv(information).diagonal())
+    interval = np.column_stack([q - apart, q + apart]) * objective.scale[:, None]
+    scale = np.outer(objective.scale, objective.scale)
+    return RunsEstimate(objective.parameters(q), information / scale, _name_intervals(problem, interval), inflation)
+
+
+def _estimate_by_counts(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
+    found = what_is_open(
+        objective.counts, q, np.asarray(np.linalg.inv(J.T @ J), float), objective.lower, objective.root
+    )
+    information = np.linalg.inv(found.covariance * np.outer(objective.scale, objective.scale))
+    interval = found.interval * objective.scale[:, None]
+    parameters = objective.parameters(found.mean)
+    return RunsEstimate(parameters, information, _name_intervals(problem, interval), unexplained=found.unexplained)
+
+
+def _name_intervals(problem: Problem, interval: Floats) -> dict[str, tuple[float, float]]:
+    return {name: (float(low), float(high)) for name, (low, high) in zip(problem.names, interval, strict=True)}
+
+
+class _Objective:
+    """Residuals over the encoder's deviation, less their mean in each run, then the prior's; q = theta / scale."""
+
+    def __init__(self, problem: Problem, runs: Sequence[DesignedRun]) -> None:
+        self.problem, self.runs = problem, runs
+        nominal = np.array([problem.nominal[name] for name in problem.names])
+        self.scale = np.where(nominal != 0, np.abs(nominal), 1.0)
+        self.start = nominal / self.scale
+        self.lower = np.array([LEAST.get(name, 0.0) for name in problem.names])
+        prior = np.zeros((nominal.size, nominal.size)) if problem.prior is None else np.asarray(problem.prior)
+        self.prior = prior * np.outer(self.scale, self.scale)
+        values, vectors = np.linalg.eigh(self.prior)
+        self.root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+    def parameters(self, q: Floats) -> dict[str, float]:
+        found = dict(zip(self.problem.names, (q * self.scale).tolist(), strict=True))
+        return {name: found.get(name, value) for name, value in self.problem.nominal.items()}
+
+    def positions(self, parameters: Mapping[str, float]) -> list[Floats]:
+        drive = drive_of(self.problem, parameters)
+        return [centre(simulate_drive(drive, run.u, run.dt, 0.0, self.problem.start[1]).x) for run in self.runs]
+
+    def data(self, q: Floats) -> Floats:
+        pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
+        return np.asarray(np.concatenate([x - centre(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
+
+    def counts(self, q: Floats) -> list[Floats]:
+        """For each run the simulated less the measured position, in counts."""
+        size = float(self.problem.resolution or 1.0)
+        pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
+        return [(x - centre(run.y)) / size for x, run in pairs]
+
+    def __call__(self, q: Floats) -> Floats:
+        return np.asarray(np.r_[self.data(q), self.root @ (q - self.start)])
+
+    def jacobian(self, q: Floats) -> Floats:
+        columns = []
+        for i in range(q.size):
+            low, high = (np.array(q, float) for _ in range(2))
+            # as a part of the nominal value: of an estimate at its bound, 0, a part would be nothing
+            low[i], high[i] = max(q[i] - STEP, self.lower[i]), q[i] + STEP
+            columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
+        return np.vstack([np.column_stack(columns), self.root])
+
+    def inflation(self, q: Floats) -> float:
+        residual = self.data(q)
+        free = max(1, residual.size - len(self.runs) - q.size)
+        ends = np.cumsum([run.y.size for run in self.runs])[:-1]
+        return float(residual @ residual) / free * correlation_time(np.split(residual, ends))
+
+
+def correlation_time(residuals: Sequence[Floats]) -> float:
+    """1 + 2 sum of the autocorrelations of the residuals up to the first that white noise explains."""
+    power = sum(float(e @ e) for e in residuals)
+    total = 1.0
+    for lag in range(1, max(e.size for e in residuals)):
+        rho = sum(float(e[lag:] @ e[:-lag]) for e in residuals if e.size > lag) / max(power, 1e-300)
+        if rho <= 2 / np.sqrt(sum(e.size for e in residuals)):  # within what white noise shows
+            break
+        total += 2 * rho
+    return total
+
+
+def centre(y: Floats) -> Floats:
+    """y (n,) less its mean."""
+    return np.asarray(y - np.mean(y))
+
+
+def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> None:
+    motion = float(
+        np.linalg.norm(np.concatenate([centre(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
+    )
+    left = float(np.linalg.norm(objective.data(q)))
+    if left > WORST_FIT * motion:
+        raise NotIdentifiableError(
+            f"the simulated position does not follow the runs, {left / max(motion, 1e-300):.0%} of the motion is left; "
+            "check the sign and size of input_gain, that the run starts at rest, and for a load that the model lacks"
+        )
+    size = np.linalg.norm(J, axis=0)
+    open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]
+    if open_ or np.linalg.cond(J / size) > 1e6:
+        raise NotIdentifiableError(
+            f"the runs cannot tell {', '.join(open_ or problem.names)}; make another, or take one out of unknown"
+        )

@@ -1,0 +1,363 @@
+"""Fisher information of an input, and criteria of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from pmfid.design.problem import Problem
+from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
+from pmfid.models.drive import Drive
+from pmfid.types import Floats
+
+__all__ = ["Regime", "StateStep", "discretise", "drive_regime"]
+
+#: State of a drive.
+POSITION, VELOCITY = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class Regime:
+    """x' = A x + b u + g, y = c x while the plant stays in it, and how that depends on p parameters.
+
+    A: (n, n); b, g, c: (n,); A_slope: (p, n, n); b_slope, g_slope: (p, n): derivatives to the parameters; c depends
+    on none. entry: (n, n), what the sensitivities of the state are multiplied with where the regime begins: the
+    identity, but for a rest, in which friction takes out every deviation of velocity.
+    """
+
+    A: Floats
+    b: Floats
+    g: Floats
+    c: Floats
+    A_slope: Floats
+    b_slope: Floats
+    g_slope: Floats
+    entry: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class StateStep:
+    """One step of the state and its sensitivities, X = (x, dx/dp_1, ..., dx/dp_p): X+ = A X + b u + g.
+
+    A: (n(p+1), n(p+1)); b, g: (n(p+1),). Exact for an input that is held.
+    """
+
+    A: Floats
+    b: Floats
+    g: Floats
+
+
+def drive_regime(drive: Drive, nominal: Mapping[str, float], names: tuple[str, ...], direction: int) -> Regime:
+    """m v' = input_gain u - d v - direction F_c - offset, or rest where the direction is 0; state (position, velocity).
+
+    names: the p parameters for which derivatives are wanted.
+    """
+    if direction == 0:
+        return _rest(len(names))
+    side = {1: "_forward", -1: "_backward"}[direction]
+    viscous, coulomb = (_present(nominal, name, side) for name in ("viscous_friction", "coulomb_friction"))
+    mass = nominal["mass"]
+    # force on the mass per unit of (position, velocity, input, 1)
+    force = np.array([0.0, -nominal[viscous], drive.equation.input_gain, -direction * nominal[coulomb]])
+    force[3] -= nominal.get("offset", 0.0)
+    slopes = {
+        "mass": -force / mass**2,
+        viscous: np.array([0.0, -1.0, 0.0, 0.0]) / mass,
+        coulomb: np.array([0.0, 0.0, 0.0, -direction]) / mass,
+        "offset": np.array([0.0, 0.0, 0.0, -1.0]) / mass,
+    }
+    slope = np.zeros((len(names), 2, 4))
+    for i, name in enumerate(names):
+        slope[i, VELOCITY] = slopes.get(name, 0.0)
+    field = np.array([[0.0, 1.0, 0.0, 0.0], force / mass])
+    split = (field[:, :2], field[:, 2], field[:, 3])
+    return Regime(*split, np.array([1.0, 0.0]), slope[:, :, :2], slope[:, :, 2], slope[:, :, 3], np.eye(2))
+
+
+def _present(nominal: Mapping[str, float], name: str, side: str) -> str:
+    return name if name in nominal else name + side
+
+
+def _rest(size: int) -> Regime:
+    none, many = np.zeros(2), np.zeros((size, 2))
+    hold = np.diag([1.0, 0.0])
+    return Regime(np.zeros((2, 2)), none, none, np.array([1.0, 0.0]), np.zeros((size, 2, 2)), many, many, hold)
+
+
+def discretise(regime: Regime, dt: float) -> StateStep:
+    """The step over dt [s] of the state and its sensitivities, by one matrix exponential (Van Loan 1978)."""
+    p, n = regime.b_slope.shape
+    size = n * (p + 1)
+    M = np.zeros((size + 2, size + 2))
+    for i in range(p + 1):
+        rows = slice(n * i, n * (i + 1))
+        M[rows, rows] = regime.A
+        M[rows, size] = regime.b_slope[i - 1] if i else regime.b
+        M[rows, size + 1] = regime.g_slope[i - 1] if i else regime.g
+        if i:
+            M[rows, :n] = regime.A_slope[i - 1]
+    E = expm(M * dt)
+    return StateStep(E[:size, :size], E[:size, size], E[:size, size + 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """What is affine in the input u (K,) of a problem with p parameters, N samples and K intervals.
+
+    state_matrix (K+1, n, K), state_offset (K+1, n): state at the nodes = state_matrix u + state_offset.
+    matrix (p N, K), offset (p N,): sensitivities in units of the noise's deviation, per scaled parameter; parameter by
+    parameter. prior (p, p): prior information on the scaled parameters. scale (p,): what they are scaled with.
+    """
+
+    state_matrix: Floats
+    state_offset: Floats
+    matrix: Floats
+    offset: Floats
+    prior: Floats
+    scale: Floats
+
+    def weigh_sensitivities(self, u: ArrayLike) -> Floats:
+        """Sensitivities over deviation, (p, N)."""
+        return np.asarray(self.matrix @ np.asarray(u) + self.offset).reshape(len(self.scale), -1)
+
+    def information(self, u: ArrayLike) -> Floats:
+        """Information on the scaled parameters, (p, p), prior included."""
+        s = self.weigh_sensitivities(u)
+        return np.asarray(s @ s.T + self.prior)
+
+
+def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> Affine:
+    """The affine maps of a problem; parameters: {name: value} of another case than the nominal one, scaled as that."""
+    steps = _steps(problem, {**problem.nominal, **(parameters or {})}, problem.names, problem.samples_per_interval)
+    n, p, K = 2, len(problem.names), problem.intervals
+    X = np.zeros((n * (p + 1), K + 1))  # columns: input of each interval, then 1
+    X[:n, K] = problem.start
+    nodes, samples = [X[:n].copy()], []
+    for k, (regime, step) in enumerate(steps):
+        for i in range(1, p + 1):
+            X[n * i : n * (i + 1)] = regime.entry @ X[n * i : n * (i + 1)]
+        for _ in range(problem.samples_per_interval):
+            X = step.A @ X
+            X[:, k] += step.b
+            X[:, K] += step.g
+            samples.append(regime.c @ X[n:].reshape(p, n, K + 1))
+        nodes.append(X[:n].copy())
+    weight = problem.scale / np.sqrt(problem.variance)
+    S = (np.array(samples).swapaxes(0, 1) * weight[:, None, None]).reshape(-1, K + 1)
+    state = np.array(nodes)
+    prior = (
+        np.zeros((p, p))
+        if problem.prior is None
+        else np.asarray(problem.prior) * np.outer(problem.scale, problem.scale)
+    )
+    return Affine(state[:, :, :K], state[:, :, K], np.ascontiguousarray(S[:, :K]), S[:, K].copy(), prior, problem.scale)
+
+
+def _steps(
+    problem: Problem, parameters: Mapping[str, float], names: tuple[str, ...], parts: int
+) -> list[tuple[Regime, StateStep]]:
+    """Regime of each interval, and its step over a part of the interval."""
+    regimes = {d: drive_regime(problem.drive, parameters, names, d) for d in set(problem.sense)}
+    known = {d: (regime, discretise(regime, problem.dt / parts)) for d, regime in regimes.items()}
+    return [known[d] for d in problem.sense]
+
+
+def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:
+    """Position [m] and velocity [m/s] at the nodes, each (intervals + 1,), if the directions are as the problem says.
+
+    parameters: other values than the nominal ones, {name: value}. Raises UsageError if u has another length.
+    """
+    values = _check_input(problem, u)
+    state = [np.array(problem.start, float)]
+    for (_, step), value in zip(_steps(problem, {**problem.nominal, **(parameters or {})}, (), 1), values, strict=True):
+        state.append(step.A @ state[-1] + step.b * value + step.g)
+    x, v = np.array(state).T
+    return x, v
+
+
+def sensitivities(problem: Problem, u: ArrayLike) -> Floats:
+    """d position / d parameter at the samples, (intervals * samples_per_interval, p), parameters in their own units."""
+    maps = affine(problem)
+    return np.asarray(
+        (maps.weigh_sensitivities(_check_input(problem, u)) / problem.scale[:, None]).T * np.sqrt(problem.variance)
+    )
+
+
+def information(problem: Problem, u: ArrayLike) -> Floats:
+    """Fisher information on unknown and nuisance parameters in their own units, prior included: (p, p), paper eq. 4."""
+    maps = affine(problem)
+    return maps.information(_check_input(problem, u)) / np.outer(maps.scale, maps.scale)
+
+
+def _check_input(problem: Problem, u: ArrayLike) -> Floats:
+    values = np.asarray(u, float)
+    if values.shape != (problem.intervals,) or not np.isfinite(values).all():
+        raise UsageError(f"u must hold {problem.intervals} finite values, one per interval, got shape {values.shape}")
+    return values
+
+
+def check_identifiable(problem: Problem, maps: Affine) -> None:
+    """Raises NotIdentifiableError that names the parameters which no input tells, or tells apart, or no single run."""
+    p = len(problem.names)
+    every = np.hstack([maps.matrix, maps.offset[:, None]]).reshape(p, -1)
+    gram = every @ every.T + maps.prior
+    size = np.sqrt(gram.diagonal())
+    dead = [name for name, s in zip(problem.names, size, strict=True) if s <= 1e-12 * max(size.max(), 1e-300)]
+    if dead:
+        raise NotIdentifiableError(f"the position does not depend on {', '.join(dead)} in this motion; {_REMEDY}")
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    if values[0] < 1e-10:
+        alike = [name for name, part in zip(problem.names, vectors[:, 0], strict=True) if abs(part) > 1e-3]
+        raise NotIdentifiableError(f"no input tells {' from '.join(alike)} in this motion; {_REMEDY}")
+    rank = _rank_of_a_run(maps)
+    if rank < p:
+        raise NotIdentifiableError(
+            f"one run of this motion has {maps.matrix.shape[0] // p} samples and tells {rank} numbers, too few for "
+            f"{', '.join(problem.names)}; take more intervals or samples_per_interval, take {p - rank} of them out of "
+            "unknown, or give prior information"
+        )
+
+
+def _rank_of_a_run(maps: Affine) -> int:
+    """Number of parameter combinations that one run determines with the prior; several inputs may determine more."""
+    run = maps.weigh_sensitivities(np.random.default_rng(0).standard_normal(maps.matrix.shape[1]))
+    both = np.hstack([run / max(float(np.abs(run).max()), 1e-300), maps.prior / max(np.abs(maps.prior).max(), 1e-300)])
+    size = np.linalg.norm(both, axis=1)
+    return int(np.linalg.matrix_rank(both / np.where(size > 0, size, 1.0)[:, None], tol=1e-10))
+
+
+_REMEDY = "take it out of unknown, give prior information, or allow motion in both directions"
+
+#: Name -> what it is, for p parameters of interest and their information S (nuisance parameters eliminated).
+CRITERIA = {
+    "trace": "trace S, the criterion of the paper; also T",
+    "D": "det(S)^(1/p): volume of the confidence ellipsoid",
+    "A": "p / trace(inverse of S): mean variance of the parameters",
+    "E": "least eigenvalue of S: the worst known combination",
+    "ME": "least over largest eigenvalue of S: roundness, not size",
+    "c": "1 / (c' inverse(S) c): variance of one combination of the parameters",
+}
+
+#: Information below is none.
+TINY = 1e-200
+
+
+@dataclass(frozen=True, eq=False)
+class Criterion:
+    """A criterion for the first `size` of the parameters of F; the others are nuisance.
+
+    combination: (size,) weights of the scaled parameters, for "c".
+    """
+
+    name: str
+    size: int
+    combination: Floats | None = None
+
+    def log_value(self, F: Floats) -> Floats:
+        """Logarithm of the value; F: (..., p, p), returns (...); -inf if F is singular."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = np.log(_value(self.name, _schur(F, self.size), self.combination))
+        return np.where(np.isnan(value), -np.inf, value)
+
+    def value(self, F: Floats) -> float:
+        return float(np.exp(self.log_value(F)))
+
+    def gradient(self, F: Floats) -> Floats:
+        """d log value / d F, symmetric, (p, p); if F is singular, the gradient at a nearby regular matrix."""
+        S, G = eliminate(F, self.size)
+        try:
+            slope = _slope(self.name, S, self.combination)
+        except np.linalg.LinAlgError:
+            size = float(np.trace(S))
+            ridge = 1e-9 * (size if size > TINY else 1.0)
+            slope = _slope(self.name, S + ridge * np.eye(self.size), self.combination)
+        return np.asarray(G @ slope @ G.T)
+
+    @property
+    def concave(self) -> bool:
+        """The value is a concave function of F: then information of a mixture has a bound (Kiefer 1974)."""
+        return self.name != "ME"
+
+
+def criterion_of(problem: Problem, name: str, combination: Mapping[str, float] | None = None) -> Criterion:
+    """The criterion of that name for the unknown parameters of a problem.
+
+    combination: weights {unknown parameter: weight} for "c".
+    Raises UsageError for an unknown name or a wrong combination.
+    """
+    known = {**{key: key for key in CRITERIA}, "T": "trace"}
+    if name not in known:
+        raise UsageError(f"criterion must be one of {', '.join(CRITERIA)}, got {name!r}{did_you_mean(name, CRITERIA)}")
+    size = len(problem.unknown)
+    if known[name] != "c":
+        return Criterion(known[name], size)
+    weights = dict(combination or {})
+    if not any(weights.values()) or set(weights) - set(problem.unknown):
+        raise UsageError(f"criterion c needs combination, weights of {problem.unknown}, got {weights}")
+    vector = np.array([weights.get(key, 0.0) for key in problem.unknown]) * problem.scale[:size]
+    return Criterion("c", size, vector / np.linalg.norm(vector))
+
+
+def eliminate(F: Floats, size: int) -> tuple[Floats, Floats]:
+    """Information S = G' F G on the first `size` parameters where the others are estimated too, (size, size), and G."""
+    G = np.eye(len(F))[:, :size]
+    if len(F) == size:
+        return F, G
+    G[size:] = -np.linalg.solve(F[size:, size:], F[size:, :size])
+    return np.asarray(G.T @ F @ G), G
+
+
+def _schur(F: Floats, size: int) -> Floats:
+    S = F[..., :size, :size]
+    if F.shape[-1] == size:
+        return S
+    return np.asarray(S - F[..., :size, size:] @ np.linalg.solve(F[..., size:, size:], F[..., size:, :size]))
+
+
+def _value(name: str, S: Floats, combination: Floats | None) -> Floats:
+    p = S.shape[-1]
+    if name == "trace":
+        return np.asarray(np.trace(S, axis1=-2, axis2=-1))
+    if name == "D":
+        sign, log = np.linalg.slogdet(S)
+        return np.asarray(np.where(sign > 0, np.exp(log / p), 0.0))
+    if name == "c":
+        return _evaluate_along(S, np.ones(p) if combination is None else combination)
+    eigenvalues = np.maximum(np.linalg.eigvalsh(S), 0.0)
+    if name == "A":
+        return np.asarray(p / (1.0 / eigenvalues).sum(axis=-1))
+    if name == "E":
+        return np.asarray(eigenvalues[..., 0])
+    return np.asarray(eigenvalues[..., 0] / eigenvalues[..., -1])
+
+
+def _evaluate_along(S: Floats, combination: Floats) -> Floats:
+    eigenvalues, vectors = np.linalg.eigh(S)
+    part = np.einsum("...ij,i->...j", vectors, combination)
+    return np.asarray(1.0 / (part**2 / np.maximum(eigenvalues, 0.0)).sum(axis=-1))
+
+
+def _slope(name: str, S: Floats, combination: Floats | None) -> Floats:
+    """d log value / d S. Raises LinAlgError if S is singular, and with `trace` where it is nothing."""
+    p = len(S)
+    if name == "trace" and np.trace(S) > TINY:
+        return np.asarray(np.eye(p) / np.trace(S))
+    if name == "D":
+        return np.asarray(np.linalg.inv(S) / p)
+    if name == "A":
+        inverse = np.linalg.inv(S)
+        return np.asarray(inverse @ inverse / np.trace(inverse))
+    if name == "c" and combination is not None:
+        pull = np.linalg.solve(S, combination)
+        return np.outer(pull, pull) / float(combination @ pull)
+    eigenvalues, vectors = np.linalg.eigh(S)
+    if name == "trace" or not eigenvalues[0] > 0:
+        raise np.linalg.LinAlgError("no information")
+    least = np.outer(vectors[:, 0], vectors[:, 0]) / eigenvalues[0]
+    if name == "E":
+        return np.asarray(least)
+    return np.asarray(least - np.outer(vectors[:, -1], vectors[:, -1]) / eigenvalues[-1])

@@ -1,0 +1,396 @@
+"""What is asked of a design, and its result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import PmfidError, UsageError, did_you_mean
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
+from pmfid.presentation import Presentable, Summary, plain_dict
+from pmfid.types import Floats
+
+__all__ = ["check_ends", "check_grid", "check_noise", "check_pair", "check_parameters", "check_positive"]
+
+
+#: Sizes of what machines are made of, in SI units.
+LEAST, MOST = 1e-20, 1e20
+
+
+class Posed(Protocol):
+    """What the checks read of a problem (`problem.Problem`)."""
+
+    @property
+    def drive(self) -> Drive: ...
+    @property
+    def nominal(self) -> Mapping[str, float]: ...
+    @property
+    def unknown(self) -> tuple[str, ...]: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def scenarios(self) -> tuple[Mapping[str, float], ...]: ...
+    @property
+    def scaled(self) -> bool: ...
+    @property
+    def horizon(self) -> float: ...
+    @property
+    def intervals(self) -> int: ...
+    @property
+    def sense(self) -> tuple[int, ...]: ...
+    @property
+    def position_limit(self) -> tuple[float, float] | None: ...
+    @property
+    def start(self) -> tuple[float, float]: ...
+    @property
+    def end(self) -> tuple[float | None, float | None]: ...
+    @property
+    def end_tolerance(self) -> tuple[float, float]: ...
+    @property
+    def resolution(self) -> float | None: ...
+    @property
+    def noise_variance(self) -> float | None: ...
+    @property
+    def prior(self) -> NDArray[np.float64] | None: ...
+
+
+def check_pair(name: str, value: float | tuple[float, float] | None) -> None:
+    if value is None:
+        return
+    if not isinstance(value, tuple):
+        check_positive(name, value)
+    elif not (len(value) == 2 and all(map(math.isfinite, value)) and value[0] < value[1]):
+        raise UsageError(f"limit {name} must be (lower, upper) with lower < upper, got {value}")
+
+
+def check_positive(name: str, value: float | None) -> None:
+    if value is not None and not (math.isfinite(value) and value > 0):
+        raise UsageError(f"limit {name} must be positive and finite, got {value}; leave it out where there is none")
+
+
+#: Of a drive, what no design takes.
+NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late", "lag": "an input with a lag"}
+
+
+def check_drive(drive: Drive) -> None:
+    for key, what in NOT_YET.items():
+        if getattr(drive, key):
+            raise UsageError(f"a design for {what} is not there yet; leave {key} out")
+    if drive.input_gain == ESTIMATE:
+        raise UsageError(
+            "a design needs the gain of the input: give input_gain as a number, such as pmfid identify finds with a "
+            "known mass"
+        )
+    shaped = ", ".join(str(term.name) for term in drive.equation.shaped)
+    if shaped:
+        raise UsageError(f"a design for {shaped} is not there yet; leave that out")
+
+
+def check_parameters(problem: Posed) -> None:
+    check_drive(problem.drive)
+    known = problem.drive.equation.names
+    for name in (*problem.names, *problem.nominal, *(name for case in problem.scenarios for name in case)):
+        if name not in known:
+            raise UsageError(f"{name!r} is no parameter of the drive, which has {known}{did_you_mean(name, known)}")
+    for case in (dict.fromkeys(known, math.nan) | dict(problem.nominal), *problem.scenarios):
+        for name, value in case.items():
+            if not math.isfinite(value) or (name == "mass" and value <= 0) or (name != "offset" and value < 0):
+                raise UsageError(f"{name} must be given, finite and {_SIGN.get(name, 'at least 0')}, got {value}")
+            if abs(value) > MOST or (name == "mass" and value < LEAST):
+                raise UsageError(f"{name} = {value:g}: no machine has that; give it in SI units")
+    if not problem.unknown or len(set(problem.names)) < len(problem.names):
+        raise UsageError(
+            f"unknown and nuisance must name different parameters, at least one unknown, got {problem.names}"
+        )
+    if problem.scaled and 0.0 in [problem.nominal[name] for name in problem.names]:
+        raise UsageError(
+            "a parameter whose nominal value is 0 cannot be scaled; give a likely value, or scaled = false"
+        )
+
+
+_SIGN = {"mass": "positive", "offset": "a number"}
+
+
+def check_grid(problem: Posed) -> None:
+    for name in ("intervals", "samples_per_interval"):
+        if getattr(problem, name) != int(getattr(problem, name)) or getattr(problem, name) < 1:
+            raise UsageError(f"{name} must be a whole number, at least 1, got {getattr(problem, name)}")
+    if not (math.isfinite(problem.horizon) and problem.horizon > 0):
+        raise UsageError(f"horizon must be positive and finite, got {problem.horizon}; it is the duration in s")
+    sense = problem.sense
+    if len(sense) != problem.intervals or set(sense) - {-1, 0, 1}:
+        raise UsageError(f"directions must hold 1, -1 or 0 for each of the {problem.intervals} intervals, got {sense}")
+    if problem.scenarios and 0 in sense:
+        raise UsageError(
+            "no input brings the axis to rest at the same instant in every scenario; leave out the scenarios (robust), "
+            "or the rests in directions"
+        )
+    if any(a * b < 0 for a, b in pairwise(sense)):
+        raise UsageError("directions must have an interval of rest, 0, between forward and backward")
+
+
+def check_ends(problem: Posed) -> None:
+    ends = {"start": problem.start, "end": problem.end, "end_tolerance": problem.end_tolerance}
+    for name, pair in ends.items():
+        if len(pair) != 2 or any(value is not None and not math.isfinite(value) for value in pair):
+            raise UsageError(f"{name} must be a (position, velocity) of finite numbers, got {pair}")
+    if min(problem.end_tolerance) < 0:
+        raise UsageError(f"end_tolerance must not be negative, got {problem.end_tolerance}")
+    if problem.end[0] is not None and (problem.end[0] - problem.start[0]) * sum(sorted(set(problem.sense))) < 0:
+        raise UsageError(
+            f"directions never lead from start {problem.start[0]} to end {problem.end[0]}; give directions"
+        )
+    for name, velocity, direction in (
+        ("start", problem.start[1], problem.sense[0]),
+        ("end", problem.end[1] or 0.0, problem.sense[-1]),
+    ):
+        if velocity * direction < 0 or (velocity and not direction):
+            raise UsageError(f"{name} velocity {velocity} is against the direction {direction} there; give directions")
+    for name, position in (("start", problem.start[0]), ("end", problem.end[0])):
+        bounds = problem.position_limit
+        if bounds and position is not None and not bounds[0] <= position <= bounds[1]:
+            raise UsageError(f"{name} position {position} is outside the position limit {bounds}; widen one of them")
+
+
+def check_noise(problem: Posed) -> None:
+    if problem.resolution is None and problem.noise_variance is None:
+        raise UsageError("give resolution, of the encoder in m per count, or noise_variance in m^2")
+    for name in ("resolution", "noise_variance"):
+        value = getattr(problem, name)
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise UsageError(f"{name} must be positive and finite, got {value}")
+        if value is not None and not LEAST**2 < value < MOST**2:
+            raise UsageError(f"{name} = {value:g}: no encoder has that; check the unit")
+    if problem.prior is not None:
+        _check_prior(problem.prior, len(problem.names))
+
+
+def _check_prior(prior: ArrayLike, size: int) -> None:
+    prior = np.asarray(prior, float)
+    if prior.shape != (size, size) or not np.isfinite(prior).all() or not np.allclose(prior, prior.T):
+        raise UsageError(
+            f"prior must be a finite symmetric ({size}, {size}) information matrix, got shape {prior.shape}"
+        )
+    eigenvalues = np.linalg.eigvalsh(prior)
+    if eigenvalues[0] < -1e-9 * max(1e-300, eigenvalues[-1]):
+        raise UsageError("prior must be positive semidefinite: it is the inverse of a covariance")
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """One way out of infeasible limits: set the limit `name` from `value` to `needed` (in its `unit`)."""
+
+    name: str
+    value: float
+    needed: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.value:.4g} -> {self.needed:.4g} {self.unit}".rstrip()
+
+
+class InfeasibleError(PmfidError):
+    """No input meets all limits (exit code 3); `relaxations` are single changes that would do, smallest first."""
+
+    exit_code: ClassVar[int] = 3
+
+    def __init__(self, message: str, relaxations: tuple[Relaxation, ...] = ()) -> None:
+        super().__init__(message)
+        self.relaxations = relaxations
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the machine bears; None if there is no limit. A single number b stands for (-b, b).
+
+    input [V, or what u is in], input_rate [1/s of it]: |u[k] - u[k-1]| / dt, with u[-1] = 0; position [m],
+    velocity [m/s], acceleration [m/s^2]: at every instant; jerk [m/s^3]: change of the mean acceleration from one
+    interval to the next, over dt; energy: integral of u^2 dt [V^2 s]; rms: root of the mean square of u [V].
+    min_speed: at the nodes between standstills the speed is at least this [m/s], >= 0; at 0 the optimum may park at
+    standstill, where the linear sensitivities are wrong.
+    Raises UsageError if a limit is not finite, empty or of the wrong sign.
+    """
+
+    input: float | tuple[float, float] | None = None
+    input_rate: float | None = None
+    position: tuple[float, float] | None = None
+    velocity: float | tuple[float, float] | None = None
+    acceleration: float | tuple[float, float] | None = None
+    jerk: float | None = None
+    energy: float | None = None
+    rms: float | None = None
+    min_speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("input", "position", "velocity", "acceleration"):
+            check_pair(name, getattr(self, name))
+        for name in ("input_rate", "jerk", "energy", "rms"):
+            check_positive(name, getattr(self, name))
+        if not (math.isfinite(self.min_speed) and self.min_speed >= 0):
+            raise UsageError(f"limit min_speed must be finite and at least 0, got {self.min_speed}")
+
+    def pair(self, name: str) -> tuple[float, float] | None:
+        """Lower and upper bound of a limit, or None."""
+        value = getattr(self, name)
+        return value if value is None or isinstance(value, tuple) else (-float(value), float(value))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Design of u[0..intervals-1], held over intervals of dt = horizon / intervals.
+
+    drive: the equation. nominal: value of each of its parameters, {name: value}. unknown: those that the experiment is
+    for; nuisance: unknown as well, but of no interest; the others are taken as known.
+    horizon [s]; intervals: >= 1. limits: see `Limits`. start: (position [m], velocity [m/s]); end: the same, None where
+    free.
+    noise_variance: of the measured position [m^2]; None: resolution^2 / 12. resolution: of the encoder [m per count].
+    samples_per_interval: position samples per interval (the sampling may be finer than the input), >= 1.
+    prior: information known beforehand, (p, p) over unknown + nuisance, in the units of the parameters.
+    scaled: criteria refer to the parameters divided by their nominal values. v_min is `limits.min_speed`.
+    directions: 1 forward, -1 backward, 0 at rest, for each interval; empty: forward throughout. Between forward and
+    backward there is at least one interval of rest, where friction holds the axis: only so the sensitivities are exact.
+    end_tolerance: (position, velocity) by which the end may be missed; scenarios: other parameter sets {name: value}
+    (missing ones nominal) in which the limits must hold as well; there, the end counts only where it has a tolerance.
+    average: of the criterion, "mean" (geometric) or "worst" over the nominal case and the scenarios; None: nominal.
+    Raises UsageError naming the field that is wrong.
+    """
+
+    drive: Drive
+    nominal: Mapping[str, float]
+    unknown: tuple[str, ...]
+    horizon: float
+    intervals: int
+    limits: Limits
+    resolution: float | None = None
+    noise_variance: float | None = None
+    nuisance: tuple[str, ...] = ()
+    start: tuple[float, float] = (0.0, 0.0)
+    end: tuple[float | None, float | None] = (None, None)
+    end_tolerance: tuple[float, float] = (0.0, 0.0)
+    samples_per_interval: int = 1
+    prior: Floats | None = None
+    scaled: bool = True
+    directions: tuple[int, ...] = ()
+    scenarios: tuple[Mapping[str, float], ...] = field(default=())
+    average: str | None = None
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        check_grid(self)
+        check_ends(self)
+        check_noise(self)
+        if self.average not in (None, "mean", "worst"):
+            raise UsageError(
+                f"average must be 'mean' or 'worst', or left out for the nominal case, got {self.average!r}"
+            )
+
+    @property
+    def cases(self) -> tuple[Mapping[str, float], ...]:
+        """The parameters of the criterion: the nominal ones, and with an average the ones of each scenario."""
+        return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that the Fisher information is over: unknown, then nuisance."""
+        return (*self.unknown, *self.nuisance)
+
+    @property
+    def position_limit(self) -> tuple[float, float] | None:
+        """The positions within which the axis stays [m]."""
+        return self.limits.position
+
+    @property
+    def dt(self) -> float:
+        return self.horizon / self.intervals
+
+    @property
+    def t(self) -> Floats:
+        """Instants of the nodes [s], (intervals + 1,)."""
+        return np.linspace(0.0, self.horizon, self.intervals + 1)
+
+    @property
+    def sense(self) -> tuple[int, ...]:
+        """Direction of motion in each interval, written out."""
+        return self.directions or (1,) * self.intervals
+
+    @property
+    def variance(self) -> float:
+        """Variance of the measured position [m^2]."""
+        if self.noise_variance is not None:
+            return self.noise_variance
+        return float(self.resolution or 0.0) ** 2 / 12.0
+
+    @property
+    def scale(self) -> Floats:
+        """(p,) nominal values, or ones if the criteria are not scaled."""
+        return np.array([abs(self.nominal[name]) if self.scaled else 1.0 for name in self.names])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Presentable):
+    """An input, its nominal motion, and what it tells.
+
+    t: (n+1,) nodes [s]; u: (n,) input, held from t[k] to t[k+1]; x, v: (n+1,) nominal position [m] and velocity [m/s].
+    fisher: (p, p) information on the *unknown* parameters in their own units, prior included, nuisance ones eliminated.
+    value: of the criterion, larger is better (see `criteria`); bound: proved upper bound of it, or None; it holds for
+    the problem's time grid and directions. starts: how many, reached: fraction of them within 0.1 % of the best.
+    """
+
+    problem: Problem
+    criterion: str
+    t: Floats
+    u: Floats
+    x: Floats
+    v: Floats
+    fisher: Floats
+    value: float
+    bound: float | None = None
+    starts: int = 1
+    reached: float = 1.0
+    solve_seconds: float = 0.0
+    feasible: bool = True
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def gap(self) -> float | None:
+        """Proved bound over value, minus 1; None if no bound is proved."""
+        return None if self.bound is None else max(0.0, self.bound / self.value - 1.0)
+
+    @property
+    def predicted_std(self) -> dict[str, float]:
+        """Standard deviation of each unknown parameter after one run, Cramér-Rao; inf if it has no information."""
+        from numpy.linalg import LinAlgError, inv
+
+        names = self.problem.unknown
+        try:
+            variance = inv(self.fisher).diagonal()
+        except LinAlgError:
+            return dict.fromkeys(names, math.inf)
+        return {name: math.sqrt(v) if v > 0 else math.inf for name, v in zip(names, variance, strict=True)}
+
+    def summary(self) -> Summary:
+        """The predicted standard deviations after one run."""
+        proved = "no bound proved" if self.gap is None else f"at most {100 * self.gap:.3g} % below the optimum"
+        title = f"design by {self.criterion}: {self.u.size} intervals over {self.t[-1]:g} s, {proved}; after one run:"
+        nominal = self.problem.nominal
+        rows = [
+            (name, f"{nominal[name]:.4g}", f"{std:.2g}", f"{100 * std / abs(nominal[name]):.2g}")
+            for name, std in self.predicted_std.items()
+        ]
+        lines = [f"{name} = {value} ± {std}, {percent} %" for name, value, std, percent in rows]
+        return Summary(title, ("parameter", "nominal", "std", "std [%]"), rows, lines, self.warnings)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each interval, at its beginning."""
+        return {"t": self.t[:-1], "u": self.u, "x": self.x[:-1], "v": self.v[:-1]}
+
+    def to_dict(self) -> dict[str, object]:
+        own = {"criterion": self.criterion, "value": self.value, "bound": self.bound, "gap": self.gap}
+        return plain_dict({**own, "predicted_std": self.predicted_std, "warnings": self.warnings, **self.columns()})

@@ -1,1 +1,0 @@
-"""What is to be designed, and what an input tells of it."""

@@ -1,0 +1,295 @@
+"""The best input, its evaluation, and why there is none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+import highspy
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csc_matrix, hstack
+
+from pmfid.design.ascent import Climber
+from pmfid.design.bounds import upper_bound
+from pmfid.design.fisher import Affine, Criterion, affine, check_identifiable, criterion_of, eliminate, motion
+from pmfid.design.oracle import Oracle
+from pmfid.design.polytope import UNITS, Polytope, input_set, model, nearest, polytope
+from pmfid.design.problem import Design, InfeasibleError, Problem, Relaxation
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.types import Floats
+
+__all__ = ["Setting", "evaluate", "setting", "violations"]
+
+#: A limit may be missed by so much, relative to the terms that it compares.
+PRECISION = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A problem made ready: the maps of its cases, the criterion, the rows of its limits."""
+
+    problem: Problem
+    maps: tuple[Affine, ...]
+    rule: Criterion
+    shape: Polytope
+
+    def value(self, u: Floats) -> float:
+        """Criterion of an input (K,): nominal, or the geometric mean or the worst of the cases."""
+        values = [float(self.rule.log_value(maps.information(u))) for maps in self.maps]
+        return float(np.exp(min(values) if self.problem.average == "worst" else np.mean(values)))
+
+    def design(self, u: Floats) -> Design:
+        """The input with its motion, information and value."""
+        x, v = motion(self.problem, u)
+        broken = violations(self.shape, u)
+        warnings = [f"breaks {name} by {amount:.3g}" for name, amount in broken.items()]
+        if not broken and _parks(self.problem, v):
+            warnings.append("the motion parks at standstill, where the information is fiction; set min_speed above 0")
+        nominal = self.maps[0]
+        fisher = eliminate(nominal.information(u) / np.outer(nominal.scale, nominal.scale), self.rule.size)[0]
+        common = (self.problem, self.rule.name, self.problem.t, u, x, v, fisher, self.value(u))
+        return Design(*common, feasible=not broken, warnings=tuple(warnings))
+
+
+def setting(problem: Problem, criterion: str, combination: Mapping[str, float] | None = None) -> Setting:
+    """Raises UsageError for an unknown criterion or a wrong combination."""
+    rule = criterion_of(problem, criterion, combination)
+    return Setting(problem, tuple(affine(problem, case) for case in problem.cases), rule, polytope(problem))
+
+
+def evaluate(
+    problem: Problem, u: ArrayLike, criterion: str = "D", *, combination: Mapping[str, float] | None = None
+) -> Design:
+    """What a given input (K,) is worth; `feasible` and `warnings` say which limits it breaks. Raises UsageError."""
+    return setting(problem, criterion, combination).design(np.asarray(u, float))
+
+
+def violations(shape: Polytope, u: Floats) -> dict[str, float]:
+    """{limit: by how much the input breaks it, in its unit}, for those that it breaks."""
+    inputs = input_set(shape)
+    values = inputs.matrix @ u
+    excess = np.maximum(inputs.lower - values, values - inputs.upper)
+    size = np.abs(inputs.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
+    broken: dict[str, float] = {}
+    for i in np.flatnonzero(excess > PRECISION * size):
+        broken[inputs.names[i]] = max(float(excess[i]), broken.get(inputs.names[i], 0.0))
+    over = float(np.linalg.norm(u)) - shape.radius
+    return broken | ({"energy": over} if over > PRECISION * shape.radius else {})
+
+
+def _parks(problem: Problem, v: Floats) -> bool:
+    """Whether the axis stands at a node between two intervals of motion."""
+    sense = np.array(problem.sense)
+    inside = v[1:-1][(sense[:-1] != 0) & (sense[1:] != 0)]
+    return bool(len(inside)) and bool(np.abs(inside).min() < 1e-6 * max(1e-300, np.abs(v).max()))
+
+
+#: A smaller change is none.
+LEAST = 1e-9
+
+
+def raise_infeasible(problem: Problem) -> NoReturn:
+    """Raises InfeasibleError that says which limits to relax, and by how much, or the minimum time."""
+    ways = relaxations(problem)
+    horizon = minimum_time(problem)
+    if horizon is not None:
+        ways = (Relaxation("horizon", problem.horizon, horizon, "s"), *ways)
+    if not ways:
+        ways = _together(problem)
+        several = "; ".join(map(str, ways)) or "nothing was found that helps: check start, end and directions"
+        raise InfeasibleError(f"no input meets all limits; relax together: {several}", ways)
+    least = f"; the least time is {horizon:.4g} s" if horizon is not None else ""
+    raise InfeasibleError(f"no input meets all limits{least}; relax one of: {'; '.join(map(str, ways))}", ways)
+
+
+def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
+    """For each limit that alone, if relaxed, makes the problem feasible: its needed value; smallest change first."""
+    shape = polytope(problem)
+    found = list(_energy(problem, shape))
+    for name in UNITS:
+        amounts = _least_widening(problem, shape, (name,))
+        if amounts is not None and amounts[0] > LEAST:
+            found.append(_make_relaxation(problem, name, amounts[0]))
+    found = [way for way in found if way.needed >= 0]
+    return tuple(sorted(found, key=lambda way: abs(way.needed - way.value) / max(abs(way.value), 1e-9)))
+
+
+def _together(problem: Problem) -> tuple[Relaxation, ...]:
+    """Limits that help if all of them are relaxed, the sum of their relative changes being the least."""
+    names = tuple(UNITS)
+    amounts = _least_widening(problem, polytope(problem), names)
+    if amounts is None:
+        return ()
+    return tuple(
+        _make_relaxation(problem, name, amount) for name, amount in zip(names, amounts, strict=True) if amount > LEAST
+    )
+
+
+def minimum_time(problem: Problem, longest: float = 64.0) -> float | None:
+    """Shortest feasible horizon [s] with as many intervals, to 0.1 %; None if `longest` times it is not enough."""
+    low, high = problem.horizon, problem.horizon
+    while not _feasible(replace(problem, horizon=high)):
+        low, high = high, 2.0 * high
+        if high > longest * problem.horizon:
+            return None
+    if low == high:
+        while _feasible(replace(problem, horizon=low)):
+            low, high = low / 2.0, low
+            if high < problem.horizon / longest:
+                return high
+    while high > 1.001 * low:
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if _feasible(replace(problem, horizon=middle)) else (middle, high)
+    return high
+
+
+def _feasible(problem: Problem) -> bool:
+    return Oracle(polytope(problem)).feasible()
+
+
+def _least_widening(problem: Problem, shape: Polytope, names: tuple[str, ...]) -> list[float] | None:
+    """Least amounts by which the bounds of some limits must move apart, or None if that does not help.
+
+    a' z + r >= lower, a' z - r <= upper, with one r for each limit.
+    """
+    which = np.array([names.index(name) if name in names else -1 for name in shape.names])
+    soft = which >= 0
+    if not soft.any():
+        return None
+    lower, upper = soft & np.isfinite(shape.lower), soft & np.isfinite(shape.upper)
+    order = np.r_[np.flatnonzero(~soft), np.flatnonzero(lower), np.flatnonzero(upper)]
+    sign = np.r_[np.zeros((~soft).sum()), np.ones(lower.sum()), -np.ones(upper.sum())]
+    slack = sign[:, None] * (which[order][:, None] == np.arange(len(names)))
+    columns = shape.matrix.shape[1]
+    highs = model(
+        csc_matrix(hstack([shape.matrix.tocsr()[order], csc_matrix(slack)])),
+        np.where(sign < 0, -np.inf, shape.lower[order]),
+        np.where(sign > 0, np.inf, shape.upper[order]),
+        np.r_[np.full(columns, -np.inf), np.zeros(len(names))],
+        np.full(columns + len(names), np.inf),
+    )
+    for i, name in enumerate(names):
+        highs.changeColCost(columns + i, 1.0 / max(abs(_make_relaxation(problem, name, 0.0).value), 1e-2))
+    highs.setOptionValue("presolve", "on")
+    highs.run()
+    if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        return None
+    return [float(r) for r in highs.getSolution().col_value[columns:]]
+
+
+def _make_relaxation(problem: Problem, name: str, amount: float) -> Relaxation:
+    if name.startswith("end "):
+        state = name == "end velocity"
+        # which way the end would have to move is not unique: its tolerance is
+        value = problem.end_tolerance[state]
+        return Relaxation(f"end_tolerance ({name[4:]})", value, value + amount, UNITS[name])
+    if name == "min_speed":
+        return Relaxation(name, problem.limits.min_speed, problem.limits.min_speed - amount, UNITS[name])
+    pair = getattr(problem.limits, name)
+    value = float(pair[1] if isinstance(pair, tuple) else pair or 0.0)
+    return Relaxation(name, value, value + amount, UNITS[name])
+
+
+def _energy(problem: Problem, shape: Polytope) -> list[Relaxation]:
+    """The energy that is needed, where the other limits can be met."""
+    if not np.isfinite(shape.radius):
+        return []
+    try:
+        u = nearest(input_set(replace(shape, radius=np.inf)), np.zeros(shape.inputs))
+    except InfeasibleError:
+        return []
+    needed = float(u @ u) * problem.dt
+    ways = (("energy", problem.limits.energy, needed), ("rms", problem.limits.rms, (needed / problem.horizon) ** 0.5))
+    return [Relaxation(name, value, more, "") for name, value, more in ways if value is not None and more > value]
+
+
+#: (starts done, starts in all, best value so far)
+Progress = Callable[[int, int, float], None]
+
+#: Relative difference of the criterion that counts as having reached the best.
+REACHED = 1e-3
+
+
+def solve(
+    problem: Problem,
+    criterion: str = "D",
+    *,
+    combination: Mapping[str, float] | None = None,
+    starts: int = 20,
+    seed: int = 0,
+    workers: int = 1,
+    progress: Progress | None = None,
+    certify: float | None = None,
+    gap: float = 0.01,
+) -> Design:
+    """The best input that `starts` random starts find; the same for the same seed and number of workers.
+
+    criterion: a key of `CRITERIA`; combination: {parameter: weight} for "c". workers: threads. progress: called after
+    every start. certify: seconds of the processor for a proved upper bound, None for none; gap: where to stop with it.
+    Raises UsageError, NotIdentifiableError (a parameter that no input tells), InfeasibleError (with what to relax),
+    SolverError.
+    """
+    began = time.perf_counter()
+    if starts < 1 or workers < 1:
+        raise UsageError(f"starts and workers must be at least 1, got {starts} and {workers}")
+    ready = setting(problem, criterion, combination)
+    check_identifiable(problem, ready.maps[0])
+    results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), workers, progress)
+    design = ready.design(_refine(ready, max(results, key=lambda found: found[0])[1]))
+    if not design.value > 0:
+        raise NotIdentifiableError(
+            f"no input within the limits tells {', '.join(problem.names)} in one run; give the motion more time or "
+            "intervals, take a parameter out of unknown, or give prior information"
+        )
+    least = np.log(design.value) + np.log1p(-REACHED)
+    reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))
+    bound = None
+    if certify is not None and problem.average != "mean":  # the nominal case bounds the worst one
+        bound = upper_bound(problem, ready.rule, design.u, gap=gap, seconds=certify)
+    seconds = time.perf_counter() - began
+    return replace(design, starts=starts, reached=reached, bound=bound, solve_seconds=seconds)
+
+
+def price_of_robustness(design: Design, combination: Mapping[str, float] | None = None, starts: int = 20) -> float:
+    """Part of the nominal information that robustness costs: 1 - (nominal value of the design) / (the best)."""
+    nominal = replace(design.problem, scenarios=(), average=None)
+    best = solve(nominal, design.criterion, combination=combination, starts=starts)
+    return 1.0 - evaluate(nominal, design.u, design.criterion, combination=combination).value / best.value
+
+
+def _all_starts(
+    ready: Setting, seeds: list[np.random.SeedSequence], workers: int, progress: Progress | None
+) -> list[tuple[float, Floats]]:
+    """(log value, input) of each start."""
+    results: list[tuple[float, Floats]] = []
+
+    def work(part: list[np.random.SeedSequence]) -> list[tuple[float, Floats]]:
+        climber = _climber(ready)
+        mine = []
+        for seed in part:
+            mine.append(climber.start(np.random.default_rng(seed)))
+            results.append(mine[-1])
+            if progress:
+                progress(len(results), len(seeds), float(np.exp(max(value for value, _ in results))))
+        return mine
+
+    if workers == 1:
+        return work(seeds)
+    with ThreadPoolExecutor(workers) as pool:
+        parts = list(pool.map(work, (seeds[i::workers] for i in range(workers))))
+    return [parts[i % workers][i // workers] for i in range(len(seeds))]
+
+
+def _climber(ready: Setting) -> Climber:
+    oracle = Oracle(ready.shape)
+    if not oracle.feasible():
+        raise_infeasible(ready.problem)
+    return Climber(ready.maps, ready.rule, oracle, ready.problem.average == "worst")
+
+
+def _refine(ready: Setting, u: Floats) -> Floats:
+    return _climber(ready).ascend(u, tolerance=1e-8, steps=300)[1]

@@ -1,0 +1,243 @@
+"""Standard inputs to compare with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pmfid.design.fisher import motion
+from pmfid.design.oracle import Oracle
+from pmfid.design.polytope import InputSet, input_set, nearest, polytope, violation
+from pmfid.design.problem import InfeasibleError, Problem
+from pmfid.types import Floats
+
+__all__ = ["RISES", "SIGNALS", "Leg", "input_wish", "legs", "velocity_wish"]
+
+#: Velocity profile -> parts of a leg's time in which the velocity rises, and as much in which it falls, the usual one
+#: first; None: the curve of least jerk.
+RISES: dict[str, tuple[float | None, ...]] = {
+    "trapezoid": (1 / 3, 0.4, 0.25, 0.5, 0.15, 0.1),
+    "s_curve": (None,),
+}
+SIGNALS = ("pulses", "prbs", "multisine", "chirp")
+#: Periods of the pulses in the whole motion, intervals for which a value of the PRBS is held.
+PULSES, CLOCK = 4, 3
+#: The highest frequency of multisine and chirp, as a part of the rate of the intervals.
+HIGHEST = 0.2
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of the motion in one direction (1 or -1), from node first to node last; free: its end is."""
+
+    first: int
+    last: int
+    direction: int
+    free: bool
+
+
+def legs(problem: Problem) -> list[Leg]:
+    """The legs of the motion. Only the end of the last one may be given."""
+    edges = [int(edge) for edge in np.flatnonzero(np.diff(np.r_[9, problem.sense, 9]))]
+    moving = [(a, b) for a, b in pairwise(edges) if problem.sense[a]]
+    last = moving[-1][1] if moving and problem.end[0] is not None else None
+    return [Leg(a, b, problem.sense[a], b != last) for a, b in moving]
+
+
+def velocity_wish(problem: Problem, leg: Leg, rise: float | None, peak: float) -> Floats:
+    """Velocities at the leg's nodes [m/s], (last - first + 1,).
+
+    A trapezoid that rises during the part `rise` of the time; None: the curve of least jerk (Flash and Hogan 1985).
+    peak >= 0: [m/s], on top of the line between the velocities of start and end; inside never below the least speed.
+    """
+    tau = np.linspace(0.0, 1.0, leg.last - leg.first + 1)
+    shape = 16 * (tau * (1 - tau)) ** 2 if rise is None else np.minimum(1.0, np.minimum(tau, 1 - tau) / rise)
+    begin = leg.direction * problem.start[1] if leg.first == 0 else 0.0
+    end = leg.direction * (problem.end[1] or 0.0) if leg.last == problem.intervals else 0.0
+    speed = begin + (end - begin) * tau + peak * shape
+    inside = slice(1, None if leg.last == problem.intervals and problem.end[1] is None else -1)
+    speed[inside] = np.maximum(speed[inside], problem.limits.min_speed)
+    return np.asarray(leg.direction * speed)
+
+
+def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.random.Generator) -> Floats:
+    """Inputs (n,) between low and high: pulses, prbs, multisine (phases of Schroeder 1970) or chirp."""
+    n = problem.intervals
+    middle, size = (high + low) / 2, (high - low) / 2
+    if name == "pulses":
+        signal = np.where((np.arange(n) * 2 * PULSES // n) % 2 == 0, 1.0, -1.0)
+    elif name == "prbs":
+        signal = np.repeat(rng.integers(0, 2, size=-(-n // CLOCK)) * 2.0 - 1.0, CLOCK)[:n]
+    elif name == "multisine":
+        signal = _multisine(n, max(1, int(HIGHEST * n)))
+    else:
+        tau = np.arange(n) / n
+        signal = np.cos(2 * np.pi * tau * (1 + (HIGHEST * n - 1) * tau / 2))
+    return np.asarray(middle + size * signal)
+
+
+def _multisine(samples: int, tones: int) -> Floats:
+    """Tones 1 to `tones` per period (samples,), largest value 1; the crest factor is about 1.7 for many tones."""
+    k = np.arange(1, tones + 1)
+    phase = -np.pi * k * (k - 1) / tones
+    total = np.cos(2 * np.pi * np.outer(np.arange(samples) / samples, k) + phase).sum(axis=1)
+    return np.asarray(total / np.abs(total).max())
+
+
+#: Violation of a limit, relative, that rounding explains.
+ROUNDING = 1e-7
+#: Parts of what can be reached that legs with a free end try to cover.
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+#: Peak velocity [m/s] beyond which no profile is looked for.
+FASTEST = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class StandardInput:
+    """u (n,): the input, held over each interval; x, v (n+1,): the reference for position control, at the nodes.
+
+    bent: the limits do not allow the profile itself; this is the input nearest to it.
+    """
+
+    name: str
+    u: Floats
+    x: Floats
+    v: Floats
+    bent: bool
+
+
+def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()) -> dict[str, StandardInput]:
+    """Trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp within the problem's limits.
+
+    names: only these; seed: of the PRBS. "minimum_time" reaches the end of each leg as early as the limits let it, and
+    goes on at the least speed. A profile that the limits do not allow is replaced by the nearest input, in
+    the sum of squares. Raises InfeasibleError if no input meets the limits.
+    """
+    maker = _Maker(problem, input_set(polytope(problem)), seed)
+    found = {}
+    for name in names or STANDARD:
+        u, bent = _MAKERS[name](maker)
+        found[name] = StandardInput(name, u, *motion(problem, u), bent)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Maker:
+    """What the standard inputs of one problem share."""
+
+    problem: Problem
+    inputs: InputSet
+    seed: int
+
+    @cached_property
+    def from_velocity(self) -> Floats:
+        """Input of least norm from velocities less their offset, (K, K)."""
+        return np.asarray(np.linalg.pinv(self.inputs.velocity), float)
+
+    def input_of(self, velocities: Floats) -> Floats:
+        return np.asarray(self.from_velocity @ (velocities[1:] - self.inputs.velocity_offset))
+
+    def position_at(self, node: int, velocities: Floats) -> float:
+        row = self.inputs.position[node - 1]
+        return float(row @ self.input_of(velocities) + self.inputs.position_offset[node - 1])
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Lowest and highest position [m] that some input reaches."""
+        oracle, inputs = Oracle(self.inputs.rows), self.inputs
+        far = []
+        for sign in (-1, 1):
+            u = oracle.maximise(sign * inputs.position.sum(axis=0))
+            far.append(sign * float(np.max(sign * (inputs.position @ u + inputs.position_offset))))
+        return far[0], far[1]
+
+
+def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Floats, bool]:
+    """The first of these velocity profiles that the limits allow, else the nearest to the first."""
+    path = legs(maker.problem)
+    shares = SHARES if any(leg.free for leg in path) else SHARES[:1]
+    wishes = [_velocities(maker, path, rise, share) for share in shares for rise in rises]
+    for wish in wishes:
+        u = maker.input_of(wish)
+        if violation(maker.inputs, u) <= ROUNDING:
+            return u, False
+    return nearest(maker.inputs, maker.input_of(wishes[0])), True
+
+
+def _velocities(maker: _Maker, path: list[Leg], rise: float | None, share: float) -> Floats:
+    """Velocities (K+1,) at the nodes of the profile in each leg, as high as its target needs."""
+    problem = maker.problem
+    wish = np.zeros(problem.intervals + 1)
+    wish[0] = problem.start[1]
+    for leg in path:
+        target = _target(maker, leg, share)
+        wish[leg.first : leg.last + 1] = velocity_wish(problem, leg, rise, _peak(maker, wish, leg, rise, target))
+    return wish
+
+
+def _target(maker: _Maker, leg: Leg, share: float) -> float:
+    """Position [m] where a leg is to end."""
+    end, start = maker.problem.end[0], maker.problem.start[0]
+    if end is not None and not leg.free:
+        return end
+    return start + share * (maker.reach[leg.direction > 0] - start)
+
+
+def _peak(maker: _Maker, wish: Floats, leg: Leg, rise: float | None, target: float) -> float:
+    """Peak velocity [m/s] with which the leg ends at the target [m]; 0 if it cannot."""
+
+    def find_excess(peak: float) -> float:
+        trial = wish.copy()
+        trial[leg.first : leg.last + 1] = velocity_wish(maker.problem, leg, rise, peak)
+        return leg.direction * (maker.position_at(leg.last, trial) - target)
+
+    high = 1.0
+    while find_excess(high) < 0 and high < FASTEST:
+        high *= 4
+    return float(brentq(find_excess, 0.0, high, xtol=1e-15)) if find_excess(0.0) < 0 < find_excess(high) else 0.0
+
+
+def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
+    """The signal over the whole range of the input, bent to the other limits."""
+    low, high = maker.problem.limits.pair("input") or _range(maker)
+    wish = input_wish(maker.problem, name, low, high, np.random.default_rng(maker.seed))
+    if violation(maker.inputs, wish) <= ROUNDING:
+        return wish, False
+    return nearest(maker.inputs, wish), True
+
+
+def _range(maker: _Maker) -> tuple[float, float]:
+    """Without a limit of the input: twice what the motion needs at least."""
+    size = 2 * float(np.abs(nearest(maker.inputs, np.zeros(maker.problem.intervals))).max()) or 1.0
+    return -size, size
+
+
+def _least_energy(maker: _Maker) -> tuple[Floats, bool]:
+    return _check_limits(maker, nearest(maker.inputs, np.zeros(maker.problem.intervals))), False
+
+
+def _least_time(maker: _Maker) -> tuple[Floats, bool]:
+    """As far ahead as possible at every node: largest sum of the way gone."""
+    ahead = np.array(maker.problem.sense, float) @ maker.inputs.position
+    return _check_limits(maker, Oracle(maker.inputs.rows).maximise(ahead)), False
+
+
+def _check_limits(maker: _Maker, u: Floats) -> Floats:
+    if not violation(maker.inputs, u) < 1e-5:
+        raise InfeasibleError("no input meets all limits; relax one of them")
+    return u
+
+
+_MAKERS: dict[str, Callable[[_Maker], tuple[Floats, bool]]] = {
+    **{name: partial(_profile, rises=rises) for name, rises in RISES.items()},
+    "minimum_energy": _least_energy,
+    "minimum_time": _least_time,
+    **{name: partial(_signal, name=name) for name in SIGNALS},
+}
+#: Names of the standard inputs.
+STANDARD = tuple(_MAKERS)

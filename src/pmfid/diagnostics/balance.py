@@ -1,0 +1,415 @@
+"""The force balance along the motion, and what residual forces correlate with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid._stage import first_order
+from pmfid.diagnostics.drives import recent
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import hold_last_input, like
+from pmfid.estimators.iv import IV
+from pmfid.estimators.least_squares import long_run_covariance
+from pmfid.estimators.motion import mean_velocity, rms
+from pmfid.estimators.output_error import OE
+from pmfid.models.axes import Units
+from pmfid.models.drive import EquationModel
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    MASS,
+    OFFSET,
+    STIFFNESS,
+    VISCOUS_BACKWARD,
+    VISCOUS_FORWARD,
+)
+from pmfid.types import Floats
+
+#: Encoder noise of the velocity, as a part of its standard deviation, that moves no sample to another bin to speak of.
+QUIET_ENCODER = 0.003
+#: Part of the filter's memory with one direction of motion, from which on friction is that of one velocity.
+ONE_WAY = 0.95
+MOST_BINS, FEWEST_BINS = 24, 6
+FRICTION = (VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD)
+
+
+@dataclass(frozen=True)
+class Binned:
+    """Means of a force over bins of equal numbers of samples: x, mean [N], its standard error, each (bins,)."""
+
+    x: Floats
+    mean: Floats
+    error: Floats
+
+    @property
+    def _ends(self) -> tuple[int, int]:
+        """The lowest and the highest mean, of those that are known well."""
+        return int(np.argmin(self.mean + 2 * self.error)), int(np.argmax(self.mean - 2 * self.error))
+
+    @property
+    def change(self) -> float:
+        """From the lowest to the highest mean [N]."""
+        low, high = self._ends
+        return abs(float(self.mean[high] - self.mean[low]))
+
+    @property
+    def score(self) -> float:
+        """That change in its standard errors."""
+        low, high = self._ends
+        return self.change / max(float(np.hypot(self.error[low], self.error[high])), 1e-300)
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Filtered friction [N] over velocity [m/s], each (n,), and the means of what the model leaves of it."""
+
+    velocity: Floats
+    force: Floats
+    left: Binned
+
+
+@dataclass(frozen=True)
+class Balance:
+    """The record at theta, all filtered and (n,): time t [s], measured and simulated velocity [m/s], position [m],
+    measured less simulated position, drift [m], not filtered; target [N] and regressors phi (n, p) of the force
+    balance, and residual = target - phi theta [N]. estimator: `IV` on the same filters; theta: (p,)."""
+
+    estimator: IV
+    theta: Floats
+    t: Floats
+    measured: Floats
+    simulated: Floats
+    position: Floats
+    drift: Floats
+    target: Floats
+    phi: Floats
+
+    @cached_property
+    def residual(self) -> Floats:
+        return np.asarray(self.target - self.phi @ self.theta)
+
+    @property
+    def fit(self) -> float:
+        """Fit of the simulated velocity, 100 (1 - |e| / |v - mean|) [%]."""
+        spread = max(rms(self.measured - self.measured.mean()), 1e-300)
+        return 100 * (1 - rms(self.measured - self.simulated) / spread)
+
+    @cached_property
+    def velocity(self) -> Floats:
+        """To sort by: the simulated one where the measured one has encoder noise that the residual shares, and only
+        there: under control it follows the residual."""
+        return self.simulated if self.noisy and self.fit > 50.0 else self.measured
+
+    @property
+    def noisy(self) -> bool:
+        """Would the encoder's error move samples to another bin?"""
+        return self.encoder_noise > QUIET_ENCODER * float(np.std(self.measured))
+
+    @property
+    def encoder_noise(self) -> float:
+        """Standard deviation of the filtered velocity [m/s] from white errors of the counts."""
+        return self.estimator.encoder.resolution * float(np.linalg.norm(encoder_response(self)[0])) / math.sqrt(12)
+
+    def part(self, *roles: int) -> Floats:
+        """Force (n,) [N] of the parameters with these roles."""
+        chosen = self._parameters(*roles)
+        return np.asarray(self.phi[:, chosen] @ self.theta[chosen])
+
+    def _parameters(self, *roles: int) -> list[int]:
+        found = {self.estimator.equation.roles[role] for role in roles}
+        return sorted(index for index in found if index is not None)
+
+    @property
+    def direction(self) -> Floats:
+        """Filtered direction of the model, -1 to 1."""
+        return np.asarray(self.phi[:, self._parameters(COULOMB_FORWARD, COULOMB_BACKWARD)].sum(axis=1))
+
+    @property
+    def friction_size(self) -> float:
+        """Root mean square of the model's friction [N], at least a hundredth of the input force."""
+        return max(rms(self.part(*FRICTION)), 0.01 * rms(self.target))
+
+    def model_friction(self, velocity: Floats) -> Floats:
+        """Friction [N] that the model has at a velocity (n,) [m/s]."""
+        _, *friction = self.estimator.equation.role_values(self.theta)
+        forward = friction[0] * velocity + friction[2]
+        body = np.where(velocity > 0, forward, friction[1] * velocity - friction[3])
+        sizes = dict(zip(self.estimator.names, self.theta, strict=False))
+        shapes = [(sizes[str(term.name)], term.shape) for term in self.estimator.equation.shaped if term.shape]
+        of_speed = sum(size * shape.at(np.abs(velocity)) for size, shape in shapes if shape.of_speed)
+        return np.asarray(body + np.where(velocity > 0, 1.0, -1.0) * of_speed)
+
+    def resistance(self, place: Floats, velocity: Floats) -> Floats:
+        """Friction, load and forces along the travel [N] that the model has at places, counted from the first sample,
+        and velocities, both (n,)."""
+        values = self.estimator.equation.role_values(self.theta)
+        total = self.model_friction(velocity) + values[OFFSET] + values[STIFFNESS] * place
+        sizes = dict(zip(self.estimator.names, self.theta, strict=False))
+        for term in self.estimator.equation.shaped:
+            if term.shape is not None and not term.shape.of_speed:
+                side = np.sign(velocity) if term.signal == "friction" else 1.0
+                total = total + side * sizes[str(term.name)] * term.shape.at(place)
+        return np.asarray(total)
+
+    @cached_property
+    def by_velocity(self) -> Binned:
+        return average_in_bins(self.velocity, self.residual, self.lags)
+
+    @cached_property
+    def by_position(self) -> Binned:
+        return average_in_bins(self.position, self.beside_velocity, self.lags)
+
+    @cached_property
+    def beside_velocity(self) -> Floats:
+        """Residual less its mean at that velocity [N]: positions are not visited at all velocities alike."""
+        return np.asarray(self.residual - np.interp(self.velocity, self.by_velocity.x, self.by_velocity.mean))
+
+    @cached_property
+    def friction(self) -> Friction | None:
+        return one_way_friction(self)
+
+    @property
+    def lags(self) -> int:
+        """Samples over which the filter correlates."""
+        return min(self.estimator.settle_samples, self.t.size // 4)
+
+
+def one_way_friction(balance: Balance) -> Friction | None:
+    """Of the samples with one direction of motion; None where these are too few."""
+    # the filtered velocity may still have the sign from before a reversal
+    one_way = np.sign(balance.velocity) * balance.direction >= ONE_WAY
+    if np.count_nonzero(one_way) < 2 * FEWEST_BINS:
+        return None
+    velocity = balance.velocity[one_way]
+    force = (balance.target - balance.part(MASS, OFFSET, STIFFNESS))[one_way]
+    return Friction(velocity, force, average_in_bins(velocity, balance.residual[one_way], balance.lags))
+
+
+def low_pass(estimator: IV, signal: Floats) -> list[Floats]:
+    """A signal (n,) after 1, 2, ... `order` stages of the Poisson chain, as the kernel has them for velocities."""
+    slope, cutoff = 2 / estimator.dt, estimator.cutoff
+    gain, pole = cutoff / (slope + cutoff), (slope - cutoff) / (slope + cutoff)
+    nodes = [first_order(signal, pole, 2 * gain)[0]]
+    for _ in range(estimator.order - 1):
+        nodes.append(first_order(nodes[-1], pole, gain, gain)[0])
+    return nodes
+
+
+def encoder_response(balance: Balance) -> tuple[Floats, Floats]:
+    """Answers to one wrong position of 1 m: filtered velocity [m/s] and residual [N], each (lags,)."""
+    estimator = balance.estimator
+    change = np.zeros(2 * estimator.settle_samples)
+    change[:2] = 1 / estimator.dt, -1 / estimator.dt
+    *_, before, velocity = low_pass(estimator, change)
+    viscous = estimator.equation.role_values(balance.theta)[1]
+    return velocity, balance.theta[estimator.equation.leading] * estimator.cutoff * (
+        before - velocity
+    ) + viscous * velocity
+
+
+def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
+    """Means of a force (n,) over x (n,); standard errors for samples correlated over `lags` (Newey and West 1987)."""
+    bins = int(np.clip(x.size // (2 * lags + 1), FEWEST_BINS, MOST_BINS))
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))[1:-1]
+    index, rows = np.searchsorted(edges, x, side="right"), []
+    for k in np.unique(index):
+        inside = index == k
+        size, mean = int(np.count_nonzero(inside)), float(force[inside].mean())
+        within = np.where(inside, force - mean, 0.0)[:, None]
+        # steps of a coarse encoder cancel over long lags, and chance decides how well
+        spread = max(long_run_covariance(within, window)[0, 0] for window in (lags, lags // 4))
+        rows.append((float(x[inside].mean()), mean, float(np.sqrt(max(spread, 0.0))) / size))
+    return Binned(*np.array(rows).T)
+
+
+#: Filter time constants over which correlations are shown.
+SHOWN_LAGS = 10.0
+
+
+def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: ArrayLike) -> Balance | None:
+    """The record u, counts (n,) at theta (p,), with a memory its last three; None where it cannot be simulated.
+
+    Raises PmfidError as `IV` does."""
+    if estimator.equation.without_simulation:
+        return None
+    equation, p = estimator.equation, len(estimator.equation.names)
+    known = {"model": EquationModel(equation.known_at(np.asarray(theta, float)[p:]))} if equation.further else {}
+    twin = like(IV, estimator, prefilter_zeros=None, precision="float64", **known)
+    at = np.asarray(theta, float)[: len(twin.names)]
+    if not (np.all(np.isfinite(at)) and at[twin.equation.leading] > 0):
+        return None
+    # a body pushed by its friction has no motion to compare with
+    plausible = np.where(twin.equation.positive, np.maximum(at, 0.0), at)
+    u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.dt
+    y = like(OE, twin).position(counts)
+    speed = simulated_velocity(twin, plausible, u)
+    columns = twin.columns_at(plausible, u, counts)
+    used = np.flatnonzero(columns.used)
+    chosen = used[recent(estimator, used.size)]
+    if not (np.all(np.isfinite(speed)) and chosen.size > 4 * FEWEST_BINS):
+        return None
+    measured, x = np.diff(y, append=y[-1]) / dt, np.r_[0.0, np.cumsum(speed[:-1])] * dt
+    drift = (y - x)[chosen]
+    rows = slice(columns.z.size - chosen.size, None)
+    late = chosen - 2  # a sample ends the interval before it, and the columns of the kernel are one sample late
+    slow, modelled, way = (low_pass(twin, signal)[-1][late] for signal in (measured, speed, y - y[0]))
+    t, target, phi = np.asarray(chosen * dt, float), columns.z[rows], columns.phi[rows]
+    return Balance(twin, at, t, slow, modelled, y[0] + way, drift - drift[0], target, phi)
+
+
+def simulated_velocity(estimator: IV, theta: Floats, u: Floats) -> Floats:
+    """Mean velocity (n,) [m/s] of every interval, from rest, under the input u (n,) alone."""
+    return mean_velocity(estimator.equation, theta, estimator.dt, u)
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """Of the residual with itself, own (lags + 1,), and of the input force with the residual `lag` samples later,
+    cross (2 lags + 1,); encoder (lags + 1,): of the residual if only the encoder's error were in it; own_error,
+    cross_error: standard deviations of either for nothing but the encoder's error (Bartlett 1935)."""
+
+    own: Floats
+    cross: Floats
+    encoder: Floats
+    own_error: float
+    cross_error: float
+
+
+def correlations(balance: Balance) -> Correlations:
+    """Over 10 filter time constants, or a quarter of a short record."""
+    n = balance.t.size
+    lags = max(2, min(round(SHOWN_LAGS / (balance.estimator.cutoff * balance.estimator.dt)), n // 4))
+    response = encoder_response(balance)[1]
+    reach = response.size - 1
+    power = np.correlate(response, response, "full")[reach:] / float(response @ response)
+    encoder = np.r_[power, np.zeros(lags)][: lags + 1]
+    memory = min(n // 4, 10 * lags)
+    own, force = (_correlation(s, s, memory)[memory:] for s in (balance.residual, balance.target))
+    cross_variance = (1 + 2 * float(np.sum(own[1:] * force[1:]))) / n
+    own_variance = (1 + 2 * float(np.sum(power[1:] ** 2))) / n
+    cross = _correlation(balance.target, balance.residual, lags)
+    return Correlations(
+        own[: lags + 1], cross, encoder, float(np.sqrt(own_variance)), float(np.sqrt(max(cross_variance, 0.2 / n)))
+    )
+
+
+def _correlation(a: Floats, b: Floats, lags: int) -> Floats:
+    """Correlation (2 lags + 1,) of a(k) with b(k + lag), lag = -lags ... lags; a, b: (n,)."""
+    a, b = a - a.mean(), b - b.mean()
+    size = 2 ** int(np.ceil(np.log2(a.size + lags + 1)))
+    cross = np.fft.irfft(np.fft.rfft(a, size).conj() * np.fft.rfft(b, size), size)
+    power = max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300)
+    return np.asarray(np.r_[cross[-lags:], cross[: lags + 1]] / power)
+
+
+#: Standard deviations from which on a difference is taken for real: there are many bins and lags to choose from.
+SIGNIFICANT = 4.5
+#: A force that is real but a smaller part of the model's friction is not worth a warning.
+RELEVANT_FORCE = 0.03
+#: The same for a correlated part of the residual, as a part of the input force.
+RELEVANT_PART = 0.005
+#: Fit of the velocity [%] below which the model does not follow.
+GOOD_FIT = 90.0
+#: A velocity error is the model's from this multiple of the encoder's own error on.
+ABOVE_ENCODER = 3.0
+#: Correlation at lags that the filter no longer explains.
+CORRELATED = 0.2
+#: Filter time constants after which the filter alone leaves no correlation.
+FILTER_LAGS = 5.0
+
+
+def simulation_sentence(balance: Balance) -> str:
+    """How well the simulated velocity follows, and how far the position drifts."""
+    error = rms(balance.measured - balance.simulated)
+    text = f"Fit of the simulated velocity: {balance.fit:.1f} %. "
+    if balance.fit < GOOD_FIT and error > ABOVE_ENCODER * balance.encoder_noise:
+        text += "Look here: the model does not follow the measured motion, beyond what the encoder explains. "
+    elif balance.fit < GOOD_FIT:
+        text += "The encoder's own error accounts for what is missing. "
+    else:
+        text += "The model follows the measured motion. "
+    far, travel = float(np.max(np.abs(balance.drift))), float(np.ptp(balance.position))
+    return text + (
+        f"The simulated position departs by up to {far:.2g} m, {100 * far / max(travel, 1e-300):.2g} % of the travel; "
+        "it adds up every error of the velocity and nothing calls it back."
+    )
+
+
+def residual_sentence(balance: Balance) -> str:
+    """Does the residual depend on velocity, or on position; is a constant force left?"""
+    causes = {
+        "velocity": "friction is not Coulomb plus viscous, or its parameters are off",
+        "position": "a cogging force, a spring, a slope or friction that varies along the travel is not in the model",
+    }
+    sentences = [
+        _dependence(balance, found, name, causes[name])
+        for name, found in (("velocity", balance.by_velocity), ("position", balance.by_position))
+    ]
+    return " ".join([*sentences, *_constant(balance)])
+
+
+def _dependence(balance: Balance, found: Binned, name: str, cause: str) -> str:
+    size = f"{found.change:.2g} N, {100 * found.change / balance.friction_size:.2g} % of the model's friction"
+    if found.score <= SIGNIFICANT:
+        return f"No dependence on {name} is beyond chance (the means differ by {size})."
+    if found.change < RELEVANT_FORCE * balance.friction_size:
+        return f"The residual hardly changes with {name} (by {size})."
+    return f"Look here: the residual changes with {name} by {size}: {cause}."
+
+
+def _constant(balance: Balance) -> list[str]:
+    mean = float(balance.residual.mean())
+    error = np.sqrt(long_run_covariance(balance.residual[:, None] - mean, balance.lags)[0, 0]) / balance.t.size
+    if abs(mean) < max(SIGNIFICANT * error, RELEVANT_FORCE * balance.friction_size):
+        return []
+    roles = balance.estimator.equation.roles
+    known = roles[OFFSET] is not None or roles[COULOMB_FORWARD] != roles[COULOMB_BACKWARD]
+    remedy = "the constant load has changed" if known else "set offset = true to identify a constant load"
+    return [f"Look here: a constant force of {mean:.2g} N is left: {remedy}."]
+
+
+def friction_sentence(balance: Balance) -> str:
+    """Where the measured friction leaves the model's line."""
+    text = "Friction is the input force less mass times acceleration and offset, where the axis moves one way. "
+    if balance.friction is None:
+        return text + "The axis reverses too often here: too few samples to show it."
+    left = balance.friction.left
+    real = np.abs(left.mean) > np.maximum(SIGNIFICANT * left.error, RELEVANT_FORCE * balance.friction_size)
+    if not np.any(real):
+        return text + "It lies on the model's line."
+    worst, slowest = int(np.argmax(real * np.abs(left.mean))), int(np.argmin(np.where(real, np.abs(left.x), np.inf)))
+    places = " and ".join(
+        _describe_deviation(left, k, balance.estimator.equation.motion) for k in dict.fromkeys((worst, slowest))
+    )
+    return text + f"Look here: the model's line is not the friction, which is {places}."
+
+
+def _describe_deviation(left: Binned, k: int, own: Units) -> str:
+    more = "more" if left.mean[k] * left.x[k] > 0 else "less"
+    return f"{abs(left.mean[k]):.2g} {own.force} {more} at {left.x[k]:.2g} {own.speed}"
+
+
+def correlation_sentence(balance: Balance) -> str:
+    """Does the residual last longer than the filter makes it, and does it follow the input?"""
+    found, dt = correlations(balance), balance.estimator.dt
+    part = rms(balance.residual) / max(rms(balance.target), 1e-300)
+    text = "The filter alone correlates neighbouring samples: the dashed line is what it makes of the encoder's error. "
+    first = min(found.own.size - 1, round(FILTER_LAGS / (balance.estimator.cutoff * dt)))
+    lasting = float(found.own[first:].mean())  # the mean: steps of a coarse encoder come back at an even speed
+    size = f"a mean correlation of {lasting:.2g} from {first * dt:.2g} s to {(found.own.size - 1) * dt:.2g} s"
+    if lasting > max(CORRELATED, SIGNIFICANT * found.own_error) and lasting * part > RELEVANT_PART:
+        text += f"Look here: the residual keeps {size}: slow forces are not in the model. "
+    else:
+        text += f"Beyond it the residual forgets itself ({size}). "
+    k = int(np.argmax(np.abs(found.cross)))
+    peak, lag = abs(float(found.cross[k])), (k - found.cross.size // 2) * dt
+    if peak <= SIGNIFICANT * found.cross_error or peak * part <= RELEVANT_PART:
+        return text + f"It does not follow the input (correlation at most {peak:.2g})."
+    order = f"{lag:.2g} s after" if lag > 0 else f"{-lag:.2g} s ahead of" if lag < 0 else "in step with"
+    cause = "the input follows the residual, as under control" if lag < 0 else "the model misses a part of the dynamics"
+    return text + f"Look here: it has a correlation of {peak:.2g} with the input, {order} it: {cause}."

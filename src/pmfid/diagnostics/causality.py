@@ -1,0 +1,234 @@
+"""Does the residual know of the input? Does the input know of the noise? Two tests against chance, one regression.
+
+The first regression is on present and past inputs: what they explain, beyond what the fit itself took, is an unmodelled
+effect. The second adds future inputs: what only these explain comes back through the input, as under control (Sims
+1972). Both tests whiten the noise first and take the input as given. A sweep, a sum of sines or a periodic input, in
+which nothing is ever new, therefore makes no false alarm.
+
+A controller answers to noise of any size, but the jumps of its reference hide the answer to a small one. So the inputs
+to come enter by what a robust linear prediction leaves of them, without the jumps. Of a given input that is as good as
+any other function of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import fdtrc
+
+from pmfid._stage import first_order
+from pmfid.linear.residuals import Noise, fit_noise, whiten_columns
+from pmfid.types import Flags, Floats, Places
+
+#: Lags of the input: least and greatest number, samples for each further lag; number of future lags.
+LEAST, MOST, SAMPLES_PER_LAG, AHEAD = 8, 40, 15, 10
+#: Own past from which the input is predicted, in the end and at first; choices of samples for the first prediction;
+#: passes; samples that a prediction holds for; what is a jump, in robust standard deviations.
+OWN_PAST, SHORT_PAST, TRIALS, ROBUST_PASSES, BLOCK, JUMP = 20, 5, 60, 4, 500, 4.5
+#: Passes of noise and regression.
+PASSES = 3
+#: Less of a column than this is left by the others: none, but rounding.
+APART = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualStretch:
+    """One uninterrupted stretch: inputs (c, M) on its grid, the first the one that acts; residual (N,) at its rows."""
+
+    inputs: Floats
+    residual: Floats
+    rows: Places
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """chance: probability that noise alone explains as much; share: explained part of the whitened residual's power."""
+
+    chance: float
+    share: float
+
+
+NONE = Evidence(1.0, 0.0)
+
+
+def find_unmodelled_response(parts: Sequence[ResidualStretch], known: Floats, source: int = -1) -> Evidence:
+    """What the input `source` of now and before explains of the residual beyond the columns known (N, k), the
+    sensitivities of the fit."""
+    past, kept, place = _columns(parts, source)
+    return evidence(_residual(parts)[kept], known[kept], past[kept], place[kept])
+
+
+def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> Noise | None:
+    """The noise in the residual that the columns known (N, k) and present and past inputs leave; None: there is
+    none."""
+    past, kept, place = _columns(parts, 0)
+    columns = _basis(np.hstack([known, past])[kept])
+    return _estimate_noise(np.column_stack([_residual(parts)[kept], columns]), place[kept])
+
+
+def find_feedback(
+    parts: Sequence[ResidualStretch], known: Floats, direct: tuple[float, float] = (0.0, 0.0)
+) -> Evidence:
+    """What future inputs explain of the residual beyond present and past inputs; known (N, k) as in
+    `find_unmodelled_response`.
+
+    A response of the input within the same sample shows in the present input, and so does a wrong hold. direct: least
+    and greatest part of the present input that a wrong hold puts into the residual."""
+    past, kept, place = _columns(parts, 0)
+    ahead = np.vstack([_ahead(part) for part in parts])
+    kept &= np.all(np.isfinite(ahead), axis=1)
+    error, known, past, place = _residual(parts)[kept], known[kept], past[kept], place[kept]
+    later = evidence(error, np.hstack([known, past]), ahead[kept], place)
+    now = evidence(error, np.hstack([known, past[:, 1:]]), past[:, :1], place, direct)
+    return min(later, now, key=lambda found: found.chance)
+
+
+def evidence(
+    error: Floats, known: Floats, tested: Floats, place: Places, allowed: tuple[float, float] = (0.0, 0.0)
+) -> Evidence:
+    """An F test of columns tested (N, b), given the known ones (N, a), on an error (N,) with noise of any colour;
+    allowed: coefficients of a single column that are no evidence."""
+    if error.size < 2 * (known.shape[1] + tested.shape[1]) + 20 or not _rms(error) > 0:
+        return NONE
+    columns = np.column_stack([error / _rms(error), _basis(known), tested])
+    a = columns.shape[1] - tested.shape[1]
+    noise = _estimate_noise(columns[:, :a], place)
+    if noise is None:
+        return NONE
+    columns = whiten_columns(noise, columns, place)[_mark_settled(place, noise.coefficients.size)]
+    Q = _basis(columns[:, 1:a])
+    whole, T = columns[:, 0], _remove_projection(columns[:, a:], Q)
+    e = whole - Q @ (Q.T @ whole)
+    if T.shape[1] == 1:
+        limits = (allowed[0] / _rms(error), allowed[1] / _rms(error))
+        e = e - T[:, 0] * np.clip(float(T[:, 0] @ e) / float(T[:, 0] @ T[:, 0]), *limits)
+    P = _basis(T)
+    free = e.size - Q.shape[1] - P.shape[1]
+    if P.shape[1] == 0 or free < 10:
+        return NONE
+    gain = float(np.sum((P.T @ e) ** 2))
+    rest = max(float(e @ e) - gain, 1e-300)
+    chance = float(fdtrc(P.shape[1], free, gain / P.shape[1] / (rest / free)))
+    return Evidence(chance, gain / max(float(whole @ whole), 1e-300))
+
+
+def _estimate_noise(columns: Floats, place: Places) -> Noise | None:
+    """The noise that the other columns leave in the first, by regression and noise fit in turn; None: there is none."""
+    error, known = columns[:, 0], columns[:, 1:]
+    left = error - known @ (known.T @ error)
+    if not _rms(left) > APART:
+        return None
+    noise = fit_noise(left, place)
+    for _ in range(PASSES - 1):
+        whitened = whiten_columns(noise, columns, place)[settled := _mark_settled(place, noise.coefficients.size)]
+        left = error - known @ np.linalg.lstsq(whitened[:, 1:], whitened[:, 0], rcond=APART)[0]
+        noise = fit_noise(left[settled], place[settled])
+    return noise
+
+
+def _mark_settled(place: Places, order: int) -> Flags:
+    """(N,) samples whose past the whitening filter has; all samples, if samples are missing everywhere."""
+    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
+
+    line = np.zeros(int(place[-1] - place[0]) + 1)
+    line[place - place[0]] = 1.0
+    past = lfilter(np.ones(order + 1), [1.0], line)[place - place[0]]
+    whole = past > order + 0.5
+    return np.asarray(whole if np.sum(whole) > place.size // 2 else np.ones(place.size, bool))
+
+
+def _columns(parts: Sequence[ResidualStretch], source: int) -> tuple[Floats, Flags, Places]:
+    """Past inputs (N, l), rows with a past of their own (N,), places (N,) on one line."""
+    samples = sum(part.rows.size for part in parts)
+    lags = int(np.clip(samples // SAMPLES_PER_LAG, LEAST, MOST))
+    columns, kept, place, start = [], [], [], 0
+    for part in parts:
+        columns.append(_past(part.inputs[source], lags, samples)[part.rows])
+        kept.append(part.rows >= lags)
+        place.append(start + part.rows)
+        start += part.inputs.shape[1] + MOST + lags
+    return np.vstack(columns), np.concatenate(kept), np.concatenate(place).astype(np.int64)
+
+
+def _past(u: Floats, lags: int, samples: int) -> Floats:
+    """(M, l): u now and before, beyond that its slow means, with what an unknown past leaves of them; a constant."""
+    u = u - np.mean(u)
+    lagged = [np.r_[np.full(min(k, u.size), u[0]), u][: u.size] for k in range(lags + 1)]
+    slow, time = [], lags / 2
+    while time < samples / 4:
+        keep = np.exp(-1 / time)
+        slow += [first_order(u, keep, 1 - keep)[0], np.exp(-np.arange(u.size) / time)]
+        time *= 2
+    return np.column_stack([*lagged, *slow, np.ones(u.size)])
+
+
+def _ahead(part: ResidualStretch) -> Floats:
+    """(N, AHEAD) what is new in the input at the rows and later, NaN where it has not been recorded."""
+    news = calm(part.inputs[0])
+    late = part.rows[:, None] + np.arange(AHEAD)
+    return np.where(late < news.size, news[np.minimum(late, news.size - 1)], np.nan)
+
+
+def calm(u: Floats) -> Floats:
+    """(M,) what a linear prediction from its own past leaves of u, jumps left out, of the prediction and of the result;
+    all of it where most of u is predicted exactly. Block by block: a sweep needs a prediction for each frequency."""
+    past = min(OWN_PAST, u.size // 10)
+    if past < 1 or not np.std(u) > 0:
+        return u - np.mean(u)
+    windows = np.lib.stride_tricks.sliding_window_view((u - np.mean(u)) / np.std(u), past + 1)
+    blocks = np.array_split(windows, max(1, round(windows.shape[0] / BLOCK)))
+    return np.concatenate([np.zeros(past), *[_calm_block(block) for block in blocks]])
+
+
+def _calm_block(windows: Floats) -> Floats:
+    columns, target = np.c_[windows[:, :-1], np.ones(windows.shape[0])], windows[:, -1]
+    left = target - columns @ _robust(columns, target)
+    limit = JUMP * 1.4826 * float(np.median(np.abs(left)))
+    return np.asarray(left if limit < APART else np.where(np.abs(left) <= limit, left, 0.0))
+
+
+def _robust(columns: Floats, target: Floats) -> Floats:
+    """Coefficients that jumps do not move, not even many: from the few samples, of many choices, that predict the most
+    with a short past (least median of squares, Rousseeuw 1984) to least squares without the jumps."""
+    short = columns[:, -min(SHORT_PAST + 1, columns.shape[1]) :]
+    chosen = [_fit_subset(short, target, trial) for trial in range(TRIALS)]
+    left: Floats = min(chosen, key=lambda errors: float(np.median(np.abs(errors))))
+    found: Floats = np.zeros(columns.shape[1])
+    for _ in range(ROBUST_PASSES):
+        size: Floats = np.abs(left)
+        kept = size <= max(JUMP * 1.4826 * float(np.median(size)), APART)
+        found = np.asarray(np.linalg.lstsq(columns[kept], target[kept], rcond=1e-9)[0])
+        left = np.asarray(target - columns @ found)
+    return np.asarray(found)
+
+
+def _fit_subset(columns: Floats, target: Floats, trial: int) -> Floats:
+    """(N,) errors of a prediction from as many samples as it has coefficients, spread by the golden ratio."""
+    count = columns.shape[1]
+    rows = (np.arange(trial * count, (trial + 1) * count) * 0.6180339887498949 % 1.0 * target.size).astype(int)
+    return np.asarray(target - columns @ np.linalg.lstsq(columns[rows], target[rows], rcond=1e-9)[0])
+
+
+def _residual(parts: Sequence[ResidualStretch]) -> Floats:
+    return np.concatenate([part.residual for part in parts])
+
+
+def _rms(x: Floats) -> float:
+    return float(np.sqrt(np.mean(x**2))) if x.size else 0.0
+
+
+def _remove_projection(columns: Floats, Q: Floats) -> Floats:
+    """Columns (N, k) less their projection on orthonormal columns; columns that this leaves empty are dropped."""
+    size = np.linalg.norm(columns, axis=0)
+    left = columns - Q @ (Q.T @ columns)
+    left = left - Q @ (Q.T @ left)
+    return np.asarray(left[:, np.linalg.norm(left, axis=0) > APART * size])
+
+
+def _basis(columns: Floats) -> Floats:
+    """Orthonormal columns that span those given (N, k), but for what is only rounding."""
+    size = np.linalg.norm(columns, axis=0)
+    Q, R = np.linalg.qr(columns[:, size > 0] / size[size > 0])
+    U, values, _ = np.linalg.svd(R)
+    return np.asarray(Q @ U[:, : values.size][:, values > APART])

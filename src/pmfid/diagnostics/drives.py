@@ -1,0 +1,512 @@
+"""Flags of an estimate of a drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.adequacy import CONTRADICTED, MISSED, Adequacy, examine, force_moves
+from pmfid.estimators.base import Estimator, Simulating
+from pmfid.estimators.batch import BEYOND, TINY
+from pmfid.estimators.configuration import hold_last_input, like
+from pmfid.estimators.cutoff import choose_prefilter_zeros
+from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.likelihood import climb, cost
+from pmfid.estimators.ls import BCLS, LS
+from pmfid.estimators.motion import WORST_FIT, Difference, least, rms
+from pmfid.estimators.output_error import OE, Following
+from pmfid.estimators.recursive import RLS
+from pmfid.findings import Finding, codes, sort_findings
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, Equation
+from pmfid.status import Status
+from pmfid.types import Counts, Floats
+
+#: A change of the counts that exceeds the usual ones by this factor is no motion.
+JUMP = 30
+
+
+def counts_per_sample(counts: Counts) -> float:
+    """Mean over the samples that lie between the first and the last change of the counts; 0 without motion."""
+    change = np.abs(np.diff(counts))
+    moving = np.flatnonzero(change)
+    if moving.size == 0:
+        return 0.0
+    return float(change[moving[0] : moving[-1] + 1].mean())
+
+
+def count_jump(counts: Counts) -> str:
+    """What to say of one change of the counts (n,) far beyond all others: a wrap that nobody has undone, or a lost
+    position; empty where there is none."""
+    change = np.abs(np.diff(counts))
+    worst = int(np.argmax(change))
+    usual = float(np.quantile(_motion(counts, change), 0.99))
+    if not change[worst] > JUMP * (usual + 1):
+        return ""
+    return (
+        f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
+        "wraps needs [encoder] bits; for lost counts give max_speed"
+    )
+
+
+def _motion(counts: Counts, change: Counts) -> Counts:
+    """Sizes (n - 1,) of the changes (n - 1,) of the counts (n,), without wrong readings, which come back at once: a few
+    of a hundred would else be what is usual."""
+    if change.size < 2:
+        return change
+    across = np.abs(counts[2:] - counts[:-2])
+    return np.asarray(np.r_[np.minimum(np.minimum(change[:-1], change[1:]), across), change[-1:]])
+
+
+#: Doubled log-likelihoods that differ by less are alike.
+ALIKE = MISSED**2
+#: Options of a model that make an input late.
+OPTIONS = (DEAD_TIME, LAG)
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """A way of being late that explains the counts better than a model.
+
+    times: [s] by the names of the model's options; gain: by how much the doubled log-likelihood is larger; follows:
+    does the motion then explain the counts?
+    """
+
+    times: Mapping[str, float]
+    gain: float
+    follows: bool
+
+
+def lateness(found: Adequacy) -> list[Lateness]:
+    """Ways of being late under which the motion explains the counts clearly better than under the model, the best one
+    first; a second one is there only where it is as likely, or has fewer unknowns."""
+    ways: list[Lateness] = []
+    for equation in _others(found.difference.equation):
+        way = _fit_equation(found, equation)
+        if way is not None and way.gain > ALIKE:
+            ways.append(way)
+        elif found.difference.equation.at_once == found.difference.equation:
+            return []  # to first order the two are alike
+    clear = sorted(ways, key=lambda way: -way.gain)
+    simple = [way for way in clear if len(way.times) == 1]
+    if simple and clear[0].gain - simple[0].gain < ALIKE:
+        return simple
+    return clear
+
+
+def _others(equation: Equation) -> Iterator[Equation]:
+    dead = equation.at_lag(0.0).at_dead_time(ESTIMATE)
+    lag = equation.at_dead_time(0.0).at_lag(ESTIMATE)
+    there = (bool(equation.dead_time), bool(equation.lag))
+    if there != (True, False) or equation.dead_time != ESTIMATE:
+        yield dead
+    if there != (False, True) or equation.lag != ESTIMATE:
+        yield lag
+    if any(there):
+        yield dead.at_lag(ESTIMATE)
+
+
+def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
+    """The best fit of another equation, from the model's fit; None: there is none, or none that is late."""
+    difference, start = _prepare_fit(found, equation)
+    try:
+        q = least(difference, start)
+    except NotIdentifiableError:
+        return None
+    cost_there = None
+    if found.noise is not None and rms(difference(q)) <= difference.explained:
+        cost_there, q, _ = climb(difference, q, None)  # a local maximum would do: it is better, or it is not
+    values = dict(zip(_names(equation), q * difference.scale, strict=False))
+    times = {name: float(values[name]) for name in OPTIONS if name in values}
+    late = all(time > 0 for time in times.values())
+    size = rms(difference(q))
+    gain, follows = _gain(found, size, cost_there), size <= difference.explained
+    return Lateness(times, gain, follows) if late else None
+
+
+def _names(equation: Equation) -> tuple[str, ...]:
+    """Of theta."""
+    return (*equation.names, *dict(equation.further))
+
+
+def _prepare_fit(found: Adequacy, equation: Equation) -> tuple[Difference, Floats]:
+    """The difference of another equation, and q (q,) to start from: the same but for how late the input acts."""
+    own, q = found.difference, found.q
+    values, sizes = (dict(zip(_names(own.equation), numbers, strict=False)) for numbers in (q * own.scale, own.scale))
+    asked = [name for name in _names(equation) if name in OPTIONS]
+    for name in asked:
+        values[name], sizes[name] = _late_by(found) / len(asked), own.dt
+    scale = np.r_[[sizes[name] for name in _names(equation)], own.scale[-2:]]
+    theta = np.array([values[name] for name in _names(equation)])
+    difference = replace(own, equation=equation, scale=scale).fine_at(theta)
+    return difference, np.r_[theta / scale[:-2], q[-2:]]
+
+
+def _late_by(found: Adequacy) -> float:
+    """Mean time [s] by which the input acts late, to begin with."""
+    own = found.difference
+    theta = found.q * own.scale
+    known = own.equation.known_at(theta[len(own.equation.names) : -2])
+    return float(known.role_values(theta)[LATE] + float(known.lag)) or found.dead_time or own.dt / 2
+
+
+def _gain(found: Adequacy, size: float, cost_there: float | None) -> float:
+    """size: root mean square of the other fit's difference; cost_there: its negative log-likelihood, where both are
+    within the counts."""
+    error = found.difference(found.q)
+    if found.noise is None or cost_there is None:
+        return 2 * error.size * math.log(rms(error) / size)
+    return 2 * (cost(error, found.noise)[0] - cost_there)
+
+
+#: Least delay [samples] that is reported without a score that names it: a smaller one imitates other effects, as
+#: friction within a sample.
+LEAST = 0.05
+#: What each is called, for people.
+CALLED = {DEAD_TIME: "dead time", LAG: "first-order lag"}
+
+
+def late(found: Adequacy) -> Iterator[Finding]:
+    """What is said where the counts ask for an input that acts late, or late in another way; of a model that is
+    not adequate."""
+    equation, dt = found.difference.equation, found.difference.dt
+    ways = _ways(found)
+    if ways:
+        best, cure = _describe_delay(ways[0], dt), _cure(ways[0], equation)
+        yield Finding(
+            "dead_time", f"a {best} explains the counts better{_compare_ways(ways, dt)}: set {cure} in [model]"
+        )
+
+
+def _ways(found: Adequacy) -> list[Lateness]:
+    """Where the scores do not name it, and the model has none, it must explain more than any force that they name."""
+    equation = found.difference.equation
+    if found.dead_time is not None:
+        return lateness(found) or [Lateness({DEAD_TIME: found.dead_time}, 0.0, False)]
+    if equation.at_once != equation:
+        return lateness(found)
+    most, least = max((float(found.gain[k]) for k in found.missed), default=0.0), LEAST * found.difference.dt
+    large = [way for way in lateness(found) if way.gain > most and sum(way.times.values()) > least]
+    return [way for way in large if found.follows or way.follows]
+
+
+def _compare_ways(ways: list[Lateness], dt: float) -> str:
+    if len(ways) == 1:
+        return ""
+    return (
+        f", a {_describe_delay(ways[1], dt)} {'nearly as well' if ways[0].gain - ways[1].gain < ALIKE else 'less so'}"
+    )
+
+
+def _describe_delay(way: Lateness, dt: float) -> str:
+    """The delay in samples of dt [s], as words."""
+    return " and a ".join(f"{CALLED[name]} of about {time / dt:.2g} samples" for name, time in way.times.items())
+
+
+def _cure(way: Lateness, equation: Equation) -> str:
+    """What to write, and what to leave out of it."""
+    given = {DEAD_TIME: equation.dead_time, LAG: equation.lag}
+    dropped = [f"{name} = 0" for name, value in given.items() if value and name not in way.times]
+    return " and ".join([f'{name} = "{ESTIMATE}"' for name in way.times] + dropped)
+
+
+#: A correlation this many standard deviations from zero is taken for real.
+SIGNIFICANT = 4.5
+#: What is said where the model is wrong.
+UNMODELLED = "the counts show an unmodelled effect, or a parameter that changes"
+#: Counts per sample below which the encoder's error is no white noise.
+COARSE = 1.0
+#: With fewer samples, or none that moves, there is nothing to judge a model by.
+FEWEST = 50
+#: With forgetting, the last part of the record is judged: its length in memories.
+MEMORIES = 3.0
+#: A method's own error, relative, that is worth a word of its own.
+BIASED = 0.01
+
+
+def judge(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+    adequacy: Adequacy | None = None,
+) -> tuple[Finding, ...]:
+    """Findings on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
+
+    implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
+    exceeds its standard error and 2 %; std_too_small: it exceeds its standard error; unmodelled: the counts show an
+    unmodelled effect; dead_time: that effect may be a late input; not_followed: the simulation does not follow the
+    counts; model_spread: the counts would not show an effect that moves a parameter beyond its standard error;
+    feedback: the residual comes back through the input; count_jump: one change of the counts is no motion;
+    coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
+    With forgetting, the last three memories are judged. adequacy: result of `examine` on the whole record, if known.
+    """
+    residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
+    # where the model is wrong, methods differ because they weigh its error differently: only large differences count
+    limit = 10 * BIASED if "unmodelled" in codes(residual) else 2 * BIASED
+    return sort_findings(
+        [
+            *_jump(estimator, counts),
+            *_sizes(estimator, theta, std),
+            *_bias(estimator, u, counts, theta, std, limit),
+            *_coarse(estimator, counts),
+            *residual,
+        ]
+    )
+
+
+def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.float64]) -> Iterator[Finding]:
+    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
+        if name not in _positive(estimator):
+            continue
+        if value + 3 * deviation < 0:
+            yield Finding(
+                "implausible",
+                f"{name} is negative: check sign and scale of the input and the encoder",
+                severity="wrong",
+            )
+        elif deviation > 0.5 * abs(value):
+            yield Finding("uncertain", f"{name} is not known to half its value: excite it more, or lower the cutoff")
+
+
+def _bias(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+    limit: float,
+) -> Iterator[Finding]:
+    """Against instrumental variables on the same record, which know the direction of motion between the counts."""
+    plain = isinstance(estimator, LS | RLS)  # with the bias of a noisy output
+    if isinstance(estimator, Simulating) or (plain and estimator.zeros):
+        return
+    try:
+        better = reference(estimator, u, counts)
+    except NotIdentifiableError as error:
+        if plain:
+            yield Finding("uncertain", f"least squares may show the encoder's noise, for {error}")
+        return
+    unknown = [name for name, (value, bar) in better.items() if name in _positive(estimator) and bar > 0.5 * abs(value)]
+    if unknown and plain:
+        yield Finding(
+            "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
+        )
+    for name, value, deviation in zip(estimator.names, theta, std, strict=True):
+        if name not in better or name in unknown:
+            continue
+        known, bar = better[name]
+        own = abs(value - known)
+        if own > np.hypot(deviation, bar) and own > limit * abs(known):
+            yield Finding("biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}")
+        elif own > max(deviation, bar) and limit <= 2 * BIASED:
+            percent = 100 * own / abs(known)
+            yield Finding(
+                "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
+            )
+
+
+def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of each parameter by instrumental variables with the same memory, or by
+    bias-compensated least squares where these do not settle."""
+    forgetting = getattr(estimator, "forgetting", 1.0)
+    if estimator.equation.without_simulation:
+        zeros = choose_prefilter_zeros(estimator, u, counts)
+        fit = like(BCLS, estimator, prefilter_zeros=zeros).fit(u, counts)
+        return _table(fit.names, fit.theta, fit.theta_std) if isinstance(estimator, LS | RLS) else {}
+    if forgetting < 1:
+        # as it forgets by itself: not every scheme is for instrumental variables
+        scheme = {"forgetting_scheme": "exponential", "forgetting_of": None}
+        track = like(RIV, estimator, prefilter_zeros=None, forgetting=forgetting, **scheme).run(u, counts)
+        if track.status[-1] & (Status.FALLBACK | Status.STARTING | Status.POOR_EXCITATION):
+            return {}
+        return _table(track.names, track.theta[-1], track.theta_std[-1])
+    try:
+        fit = like(IV, estimator, prefilter_zeros=None).fit(u, counts)
+    except NotIdentifiableError:
+        zeros = choose_prefilter_zeros(estimator, u, counts)
+        fit = like(BCLS, estimator, model=estimator.model.simple, prefilter_zeros=zeros).fit(u, counts)
+    return _table(fit.names, fit.theta, fit.theta_std)
+
+
+def _table(
+    names: tuple[str, ...], theta: NDArray[np.float64], std: NDArray[np.float64]
+) -> dict[str, tuple[float, float]]:
+    return {name: (float(value), float(bar)) for name, value, bar in zip(names, theta, std, strict=True)}
+
+
+def _positive(estimator: Estimator) -> set[str]:
+    """Names of the parameters that are never negative in a machine."""
+    equation = estimator.equation
+    return {name for name, positive in zip(equation.names, equation.positive, strict=True) if positive}
+
+
+def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
+    per_sample = counts_per_sample(counts)
+    if "known-step" in estimator.method and per_sample < COARSE:
+        yield Finding(
+            "coarse_motion",
+            f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise; use iv",
+        )
+
+
+def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
+    """A jump of the counts, where nothing keeps it out."""
+    sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
+    if sentence:
+        yield Finding("count_jump", sentence, severity="wrong")
+
+
+def recent(estimator: Estimator, samples: int) -> slice:
+    """The samples of a record that an estimate depends on: its last three memories."""
+    return slice(-round(min(samples, MEMORIES / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
+
+
+def examine_estimate(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    known: Adequacy | None = None,
+) -> Adequacy | None:
+    """Adequacy of the model near an estimate theta (p,) from u, counts: (n,), on the samples that the estimate depends
+    on; None if nothing simulates the equation, or nothing moves. known: the result, if this model has one already.
+
+    Raises NotIdentifiableError where no motion of the model can be fitted.
+    """
+    if estimator.equation.without_simulation:
+        return None
+    part = recent(estimator, u.size)
+    u, counts = u[part], counts[part]
+    if u.size < FEWEST or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
+        return None
+    if not np.any(like(LS, estimator, model=estimator.model.simple, prefilter_zeros=None).columns(u, counts).used):
+        return None
+    if known is not None and known.difference.equation.at_lag(0.0) == estimator.equation.at_lag(0.0):
+        return known  # a lag that was found and one that is known are one model
+    theta = theta[: len(estimator.equation.names)]
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    complete = at[estimator.equation.leading] > 0 and not estimator.equation.further
+    return examine(estimator, u, counts, at if complete else None)
+
+
+def _model(
+    estimator: Estimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+    adequacy: Adequacy | None,
+) -> Iterator[Finding]:
+    """Does the simulated motion explain the counts, and which unmodelled effects could the counts hide?"""
+    try:
+        found = examine_estimate(estimator, u, counts, theta, adequacy)
+    except NotIdentifiableError as error:
+        yield Finding("unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})")
+        return
+    if found is None:
+        return
+    if found.left > WORST_FIT:
+        yield Finding(
+            "not_followed",
+            f"no motion of the model follows the measured one, {found.left:.0%} of it is left: check input_gain, the "
+            "sign and scale of input and output, and bits of [encoder]",
+            severity="wrong",
+        )
+    if not found.adequate:
+        yield Finding("unmodelled", f"{UNMODELLED}: {found.says}; the standard errors do not cover it")
+        yield from late(found)
+        return
+    part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
+    yield from _find_hidden_effects(estimator, found, (u[part], counts[part]), theta[own], std[own])
+
+
+def _find_hidden_effects(
+    estimator: Estimator,
+    found: Adequacy,
+    record: tuple[NDArray[np.float64], NDArray[np.int64]],
+    theta: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> Iterator[Finding]:
+    """Of an adequate model: does the estimate agree with it, and which effects could the record hide?"""
+    at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
+    own_spread = found.spread()[: theta.size]  # without shape parameters, which are known here
+    if isinstance(estimator, Following):
+        spread = own_spread
+    else:
+        twin = like(IV, estimator, prefilter_zeros=None)
+        spread = found.spread(force_moves(found, twin, twin.columns_at(at, *record)))
+    best = found.q[: theta.size] * found.difference.scale[: theta.size]
+    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + own_spread**2), TINY)
+    worst = int(np.argmax(apart))
+    if isinstance(estimator, Simulating) and apart[worst] > CONTRADICTED:
+        yield Finding(
+            "biased",
+            f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "
+            f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
+            "input, and interval or output-error are the ones to use",
+        )
+    if np.any(spread > std):
+        yield Finding(
+            "model_spread",
+            "unmodelled friction or a dead time, which this record would not show, may move a parameter by more than "
+            "its standard error: a finer encoder or a richer motion would show it",
+        )
+    if np.any(found.unseen[: std.size] > std):
+        part = float(np.max(found.unseen[: std.size] / np.maximum(np.abs(theta), TINY)))
+        yield Finding(
+            "model_spread",
+            "what this motion cannot show at all, as a dead zone under an input of one size, would move the parameters "
+            f"by {100 * part:.2g} %, and is in the interval",
+            "an input of several sizes shows it",
+            severity="note",
+        )
+
+
+def _feedback(
+    estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
+) -> Iterator[Finding]:
+    """Does the input follow what the equation leaves at theta, with the simulated direction?"""
+    equation = estimator.equation
+    theta = theta[: len(equation.names)].copy()
+    if equation.without_simulation or not theta[equation.leading] > 0:
+        return
+    theta = np.where(equation.positive, np.maximum(theta, 0.0), theta)
+    columns = like(IV, estimator, prefilter_zeros=None).columns_at(theta, u, counts)
+    error = columns.z - columns.phi @ theta
+    if error.size == 0:
+        return
+    if not np.max(np.abs(error)) < BEYOND:
+        yield Finding(
+            "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+        )
+        return
+    given = hold_last_input(u)
+    change, last = np.diff(given, prepend=given[0])[columns.used], recent(estimator, error.size)
+    if correlation_score(error[last], change[last]) > SIGNIFICANT:
+        yield Finding(
+            "feedback",
+            "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "
+            "position control: small biases beyond the standard errors are possible; open-loop motion is free of them",
+        )
+
+
+def correlation_score(error: NDArray[np.float64], change: NDArray[np.float64], lags: int = 5) -> float:
+    """Largest correlation of an error (n,) with the input's changes (n,) up to `lags` samples later, in its standard
+    deviations for independent coloured series (Bartlett 1935)."""
+    n = error.size
+    error, change = error - error.mean(), change - change.mean()
+    if n <= 4 * lags or not np.any(error) or not np.any(change):
+        return 0.0
+    power = np.sqrt(np.sum(error**2) * np.sum(change**2))
+    cross = [np.sum(error[: n - lag] * change[lag:]) / power for lag in range(lags + 1)]
+    size = 2 ** int(np.ceil(np.log2(2 * n)))
+    own = [np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: n // 4] for series in (error, change)]
+    rho = [series / series[0] for series in own]
+    variance = (1 + 2 * np.sum(rho[0][1:] * rho[1][1:])) / n
+    return float(np.max(np.abs(cross)) / np.sqrt(max(variance, 0.2 / n)))

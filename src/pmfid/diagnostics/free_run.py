@@ -1,0 +1,241 @@
+"""Free-run predictions of a model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.estimators.configuration import check_arrays, check_size, hold_last_input
+from pmfid.estimators.motion import Difference, rms
+from pmfid.estimators.output_error import OE
+from pmfid.estimators.search import READ, choose_start, fit_start, start_samples
+from pmfid.estimators.srivc import make_problem, process_of
+from pmfid.linear.experiment import Experiment, RecordStretch
+from pmfid.linear.responses import simulate
+from pmfid.linear.solve import ProcessProblem, visit
+from pmfid.types import Floats, Numbers
+
+#: Seconds after which a run is begun again, and how many times longer than the reading of its start they must be; of
+#: what is slower or faster the same numbers of tenths, tens or hundreds of seconds.
+HORIZONS = (1.0, 2.0, 5.0, 10.0)
+WORTH = 4.0
+#: Runs of one horizon that are looked at.
+MOST_RUNS = 200
+#: The square of a number must not leave the format.
+BEYOND = 1e120
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """Runs over `seconds` each, restarted every time; rmse: root mean square of their errors; standstill: error of a
+    model that stays at its start [unit of the output]."""
+
+    seconds: float
+    runs: int
+    rmse: float
+    standstill: float
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """Time t [s], measured and simulated output, each (n,). read: length from the first sample [s] that determines
+    the start; encoder: root mean square error of the encoder alone, None without an encoder; notes: for people."""
+
+    name: str
+    t: Floats
+    measured: Floats
+    simulated: Floats
+    read: float
+    encoder: float | None
+    horizons: tuple[Horizon, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def error(self) -> Floats:
+        """(n,) measured less simulated."""
+        return self.measured - self.simulated
+
+    @property
+    def rmse(self) -> float:
+        return rms(self.error)
+
+    @property
+    def largest(self) -> float:
+        return float(np.max(np.abs(self.error)))
+
+    @property
+    def mean(self) -> float:
+        """Root mean square error of a model that knows the mean of the record, and no more."""
+        return rms(self.measured - np.mean(self.measured))
+
+    @property
+    def standstill(self) -> float:
+        """Root mean square error of a model that stays where it begins."""
+        return rms(self.measured - self.measured[0])
+
+    @property
+    def fit(self) -> float | None:
+        """100 (1 - |y - simulated| / |y - mean y|) [%], None where the output does not move (Ljung 1999, `compare`)."""
+        return 100 * (1 - self.rmse / self.mean) if self.mean > 0 else None
+
+    @property
+    def relative(self) -> float | None:
+        """100 |y - simulated| / |y| [%], the relative error of robot identification; it depends on where zero is."""
+        size = rms(self.measured)
+        return 100 * self.rmse / size if size > 0 else None
+
+
+@np.errstate(all="ignore")  # of parameters from a file; what comes of them is looked at
+def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) -> FreeRun:
+    """The free run of a machine with parameters theta (p,), under u (n,) from where the counts (n,) begin.
+
+    Raises UsageError for a mass that is not positive, and for parameters that nothing can be simulated with.
+    """
+    u, counts = check_arrays(u, counts)
+    check_size(u)
+    leading = method.equation.leading
+    if not theta[leading] > 0:
+        raise UsageError(f"{method.names[leading]} = {theta[leading]:g}: nothing moves with that; identify it again")
+    y = method.position(counts)
+    if not np.ptp(y) > 0 or not np.any(u):
+        what = "axis does not move" if np.any(u) else "input is zero"
+        raise UsageError(f"{name}: the {what} throughout, there is nothing to predict; give a record of a motion")
+    difference = method.make_difference(theta, hold_last_input(u), y)
+    scaled = theta / difference.scale[: theta.size]
+    below = [n for n, value, least in zip(method.names, scaled, difference.lower, strict=False) if value < least]
+    notes = [f"{', '.join(below)} below zero, simulated as zero"] if below else []
+    scaled = np.maximum(scaled, difference.lower[: theta.size])
+    run = _run(difference, scaled, method.cutoff)
+    read = min(start_samples(method.dt, method.cutoff), u.size)
+    horizons = measure_horizons(
+        u.size * method.dt,
+        read * method.dt,
+        lambda seconds: _restart_simulations(difference, scaled, method.cutoff, max(2, round(seconds / method.dt))),
+    )
+    t = np.arange(u.size, dtype=np.float64) * method.dt
+    encoder = method.encoder.resolution / math.sqrt(12)
+    return finite(FreeRun(name, t, difference.y, run, read * method.dt, encoder, horizons, tuple(notes)))
+
+
+def _run(part: Difference, theta: Floats, cutoff: float) -> Floats:
+    """(n,) simulated positions at scaled parameters (p,)."""
+    read = part.part(0, min(start_samples(part.dt, cutoff), part.y.size))
+    return part.motion(fit_start(read, choose_start(read, theta, cutoff)))[0]
+
+
+def _restart_simulations(
+    difference: Difference, theta: Floats, cutoff: float, samples: int
+) -> list[tuple[Floats, Floats]]:
+    parts = [difference.part(first, first + samples) for first in firsts_of(difference.y.size, samples)]
+    return [(part.y, _run(part, theta, cutoff)) for part in parts]
+
+
+def firsts_of(n: int, samples: int) -> list[int]:
+    """First samples of runs over `samples` each within n, one after the other; of very many some, evenly spread."""
+    firsts = np.arange(0, n - samples + 1, samples)
+    return firsts[:: -(-firsts.size // MOST_RUNS)].tolist() if firsts.size else []
+
+
+def measure_horizons(
+    duration: float, read: float, runs: Callable[[float], Sequence[tuple[Floats, Floats]]]
+) -> tuple[Horizon, ...]:
+    """Errors of runs that restart after each of HORIZONS. A horizon must fit into the `duration` [s] of the record and
+    be longer than the reading of the start, `read` [s]. runs: measured and simulated outputs of runs over a time."""
+    found = []
+    for seconds in _seconds(duration, WORTH * read):
+        parts = runs(seconds)
+        if parts:
+            error = np.concatenate([measured - simulated for measured, simulated in parts])
+            still = np.concatenate([measured - measured[0] for measured, _ in parts])
+            found.append(Horizon(seconds, len(parts), rms(error), rms(still)))
+    return tuple(found)
+
+
+def _seconds(duration: float, least: float) -> list[float]:
+    usual = least <= HORIZONS[2] and duration >= HORIZONS[1]
+    unit = 1.0 if usual else 10.0 ** math.ceil(math.log10(least))
+    return [unit * seconds for seconds in HORIZONS if least <= unit * seconds <= duration]
+
+
+def finite(run: FreeRun) -> FreeRun:
+    """The same. Raises UsageError where the simulation has left the range of numbers."""
+    if not np.max(np.abs(run.error)) < BEYOND:
+        raise UsageError(
+            "the simulated output leaves the range of numbers: check the units of the parameters, of the input and of "
+            "the resolution against those that they were identified with"
+        )
+    return run
+
+
+#: Samples that the start of a stretch is read from, for each of its unknowns, at least.
+SAMPLES = 4
+
+
+def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: float | None) -> FreeRun:
+    """The free run of a transfer function with parameters theta (p,); each stretch without a gap has a start of its
+    own. encoder: root mean square error that it would leave alone, None: none.
+
+    Raises UsageError for an unstable one, and for a record of too few samples.
+    """
+    poles = process_of(method, theta, np.zeros((theta.size, theta.size))).poles
+    unstable = poles[poles.real > 0]
+    if unstable.size:
+        raise UsageError(
+            f"the transfer function has a pole at {np.max(unstable.real):+.3g} rad/s: a free run of it runs away, "
+            "whatever it is worth; compare closed loops"
+        )
+    plain = replace(experiment, reference=None)
+    n = poles.size
+    read = max(READ / method.cutoff, SAMPLES * n * plain.period)
+    parts = _simulate_stretches(method, theta, [plain], read)
+    horizons = measure_horizons(
+        float(plain.times[-1] - plain.times[0]),
+        read,
+        lambda seconds: _restart_processes(method, theta, plain, read, max(2, round(seconds / plain.period))),
+    )
+    rows = np.concatenate([stretch.samples for stretch, _ in parts])
+    measured = np.concatenate([stretch.y[stretch.rows] for stretch, _ in parts])
+    simulated = np.concatenate([output for _, output in parts])
+    return finite(FreeRun(plain.name, plain.times[rows], measured, simulated, read, encoder, horizons))
+
+
+def _simulate_stretches(
+    method: OE, theta: Floats, experiments: Sequence[Experiment], read: float
+) -> list[tuple[RecordStretch, Floats]]:
+    """Each stretch and its simulated output at the measured samples."""
+    problem = make_problem(method, experiments)
+    scaled = theta / problem.structure.scale(problem.rate)
+    first = [_first(stretch, read * problem.rate, problem) for stretch in problem.stretches]
+    start = np.zeros((len(first), problem.structure.n))
+    starts = visit(replace(problem, stretches=tuple(first)), scaled, start).initial
+    with np.errstate(all="ignore"):  # what comes of it is looked at
+        return [
+            (stretch, simulate(problem.structure, scaled, initial, stretch, source=0)[stretch.rows])
+            for stretch, initial in zip(problem.stretches, starts, strict=True)
+        ]
+
+
+def _first(stretch: RecordStretch, read: float, problem: ProcessProblem) -> RecordStretch:
+    """The stretch with the samples alone that its start is read from."""
+    early = stretch.rows[stretch.grid.instants[stretch.rows] <= read]
+    least = min(stretch.rows.size, problem.structure.n + 1)
+    return replace(stretch, rows=early if early.size >= least else stretch.rows[:least])
+
+
+def _restart_processes(
+    method: OE, theta: Floats, experiment: Experiment, read: float, samples: int
+) -> list[tuple[Floats, Floats]]:
+    parts = [_part(experiment, first, first + samples) for first in firsts_of(experiment.u.size, samples)]
+    usable = [part for part in parts if np.all(np.isfinite(part.u)) and np.count_nonzero(np.isfinite(part.y)) > 2]
+    if not usable:
+        return []
+    return [(stretch.y[stretch.rows], output) for stretch, output in _simulate_stretches(method, theta, usable, read)]
+
+
+def _part(experiment: Experiment, first: int, last: int) -> Experiment:
+    t = None if experiment.t is None else experiment.t[first:last]
+    return replace(experiment, u=experiment.u[first:last], y=experiment.y[first:last], t=t)

@@ -1,0 +1,109 @@
+"""Flags, and when a finding matters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.estimators.base import Estimator
+from pmfid.findings import Finding, sort_findings
+from pmfid.types import Floats
+
+#: Name -> what it means, and what to do.
+FLAGS = {
+    "model_spread": (
+        "something that machines have, Stribeck friction or a dead time, would not show in this record, and would move "
+        "a parameter beyond its standard error and the tolerance; of a transfer function, the record does not tell the "
+        "hold of its input"
+    ),
+    "biased": "the method has an error of its own here, beyond its standard error; the note has the better number",
+    "std_too_small": "the standard error leaves out the method's own error; the note says how large that is",
+    "not_followed": "the simulated motion does not follow the record: the model, a sign or a column is wrong",
+    "prior_contradicted": (
+        "what is known beforehand and the record are three standard deviations apart, or more: one of them is wrong"
+    ),
+    "uncertain": "a parameter is not known to half its value: excite it more, or use a simpler model",
+    "implausible": "a parameter is negative that never is in a machine: check sign and scale of input and encoder",
+    "coarse_motion": "the axis moves less than a count per sample, and this method needs more: use iv",
+    "unstable": (
+        "a pole is in the right half-plane, and no controller is known to hold it: set unstable = true if one does"
+    ),
+    "ambiguous_term": "two terms explain the record alike: record a motion that tells them apart",
+    "unresolved": "no term that was searched explains all that the record shows",
+    "reversed": "the output has the opposite sign of the input: turn one of them",
+    "exchanged": "the columns of input and output are exchanged: name each by what it is",
+    "gravity": "gravity turns the load of a rotary axis, and the model has none: set gravity = true in [model]",
+    "velocity": "the output is a velocity and is read as a position: say so by output_kind, or integrate it",
+    "wrapped": "the counter restarts at the end of its range, and nothing has undone that: give bits, or range",
+    "stuck": "the output stands still while the axis goes on: the counter, or what reads it, was stuck",
+    "clipped": "the output ends while the axis goes on: the range of the counter or the sensor ends there",
+    "saturated": "the input stays at its largest or smallest value: right where the drive gave no more, else cut off",
+    "held_output": "the output is read more slowly than the record: keep only the rows with a new value",
+    "held_input": "the input changes at every few rows and no other: log it at the rate at which the drive gets it",
+    "little_motion": "the axis moves too little, or too evenly, to tell anything: record reversals and varying speed",
+    "rate_low": "the velocity changes by too much from row to row: record at a shorter sample period",
+    "rate_high": "nearly all rows are without a count: keep every few of them, with the mean of the input",
+    "drift": "input and output are of two clocks: log both by one",
+}
+
+#: Relative error of a parameter that is of no matter.
+TOLERANCE = 0.01
+#: Standard deviations within which 95 % of a normal variable are, to either side; standard errors within which an error
+#: is noise.
+NORMAL_95, NOISE_LIMIT = 1.96, 3.0
+#: What says that the parameters may be further off than their standard deviations.
+OF_MODEL = frozenset({"unmodelled", "dead_time", "model_spread", "feedback", "biased", "std_too_small"})
+#: What costs nothing where the model explains the record.
+OF_LOG = frozenset({"held_input", "saturated"})
+
+
+@dataclass(frozen=True)
+class Matter:
+    """How far the parameters may be off. name: of the one that is worst; part: half its interval, in parts of its size;
+    beyond: is any of them beyond the tolerance and the noise?"""
+
+    name: str
+    part: float
+    beyond: bool
+
+    @property
+    def says(self) -> str:
+        """How much it is, for people."""
+        return f"{self.name} may be {100 * self.part:.2g} % off" if np.isfinite(self.part) else ""
+
+
+def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, tolerance: float) -> Matter:
+    """Of an estimate theta (p,) with standard deviations std (p,); spread (p,): by how much unmodelled
+    effects that the record shows may move it. NaN: not known, and then the effects matter."""
+    p = len(estimator.equation.names)
+    half, size = NORMAL_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
+    beyond = ~(half <= np.maximum(tolerance * size, NOISE_LIMIT * std[:p]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = half / size
+    worst = int(np.argmax(np.where(np.isnan(part), -1.0, part * np.where(beyond, 1.0, 1e-9))))
+    return Matter(estimator.names[worst], float(part[worst]), bool(np.any(beyond)))
+
+
+def sizes(estimator: Estimator, theta: Floats) -> Floats:
+    """(p,) what an error of each parameter theta (p,) is a part of: its own size, and of one that may have either sign,
+    as a load, which may be none, the largest size in its unit."""
+    own, units = np.abs(theta), np.array(estimator.equation.units)
+    largest = np.array([np.max(own[units == unit]) for unit in units])
+    return np.where(estimator.equation.positive, own, largest)
+
+
+def weigh_findings(findings: Iterable[Finding], matter: Matter) -> tuple[Finding, ...]:
+    """The same findings, each that is about the model with the size of it, or as a note where that is of no matter."""
+    return sort_findings(_weigh_finding(finding, matter) for finding in findings)
+
+
+def _weigh_finding(finding: Finding, matter: Matter) -> Finding:
+    if finding.severity != "doubt" or finding.code not in OF_MODEL | OF_LOG:
+        return finding
+    if not matter.beyond:
+        return replace(finding, severity="note")
+    if finding.code in OF_LOG or not matter.says:
+        return finding
+    return replace(finding, sentence=f"{finding.sentence}; {matter.says}")

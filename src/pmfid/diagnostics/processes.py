@@ -1,0 +1,479 @@
+"""Flags and verdict of a transfer function."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from pmfid.diagnostics.causality import (
+    ResidualStretch,
+    estimate_residual_noise,
+    find_feedback,
+    find_unmodelled_response,
+)
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import Estimator
+from pmfid.findings import Finding, make_notes
+from pmfid.linear.experiment import Experiment, Grid, RecordStretch, transition
+from pmfid.linear.order import Search
+from pmfid.linear.process import Process
+from pmfid.linear.residuals import (
+    DEVIATE,
+    LAGS,
+    Noise,
+    correlate_at_lag,
+    covariance,
+    few_beyond,
+    fit_noise,
+    places,
+    prewhiten_problem,
+    residual_repeats,
+    whiten_columns,
+)
+from pmfid.linear.responses import Structure, companion, simulate
+from pmfid.linear.solve import ProcessPoint, ProcessProblem, descend, first_guess, refine, visit
+from pmfid.types import Floats
+
+#: The other hold is better where so few records with the right one would say so, at the worst.
+HOLD_CHANCE = 1e-4
+#: Two values of a parameter are far apart from this number of standard errors on.
+FAR = 2.0
+#: A model is judged once a step would lower its sum of squares by less than this part.
+SETTLED = 1e-6
+
+
+@dataclass(frozen=True)
+class Hold:
+    """better: the record follows a model with the other hold of its input, at any parameters, better than chance
+    explains. hidden: the record does not tell the two holds apart, and a parameter differs between them by many
+    standard errors."""
+
+    better: bool = False
+    hidden: bool = False
+
+
+def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | None) -> Hold:
+    """Which hold has the input, and does it matter? point: the estimate; noise: colour of the residual without the
+    input. No finding if the spacing lets no filter whiten the noise, or if a reference makes the sum of squares no
+    measure."""
+    if noise is None or problem.referenced:
+        return Hold()
+    white = prewhiten_problem(problem, noise)
+    if white is problem and noise.coefficients.size:
+        return Hold()
+    with np.errstate(all="ignore"):
+        try:
+            mine, other = (_best(part, point.theta, noise) for part in (white, _swap_hold(white)))
+            far = _far_apart(mine, other)
+        except (np.linalg.LinAlgError, ValueError):
+            return Hold()
+    samples = sum(stretch.rows.size for stretch in white.stretches)
+    gained = samples * np.log(max(mine.cost, 1e-300) / max(other.cost, 1e-300))
+    worth = chdtri(1, 2 * HOLD_CHANCE)
+    return Hold(bool(gained > worth), bool(abs(gained) <= worth and far))
+
+
+def _far_apart(mine: ProcessPoint, other: ProcessPoint) -> bool:
+    """Does a parameter differ by more than its standard errors explain?"""
+    size = np.maximum(np.linalg.norm(mine.zeta, axis=0), 1e-300)
+    scaled = mine.zeta / size
+    variances = np.diag(np.linalg.inv(scaled.T @ scaled)) / size**2 * mine.cost / mine.error.size
+    return bool(np.any((mine.theta - other.theta) ** 2 > FAR**2 * variances))
+
+
+def _swap_hold(problem: ProcessProblem) -> ProcessProblem:
+    return replace(problem, stretches=tuple(replace(stretch, held=not stretch.held) for stretch in problem.stretches))
+
+
+def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> ProcessPoint:
+    """Where the sum of squares is least near theta (p,) of the problem before the filter."""
+    theta = theta.copy()
+    if problem.structure.offset:
+        theta[problem.structure.linear - 1] *= float(np.sum(noise.whitener))
+    start = visit(problem, theta, np.zeros((len(problem.stretches), problem.structure.n)))
+    return descend(problem, start, SETTLED).point
+
+
+#: A record of noise alone passes but so often.
+NOISE_CHANCE = 1e-2
+#: An estimate is moved that far by the colour of the noise in so small a part of the cases.
+ELSEWHERE = 1e-3
+
+
+def depends_on_input(problem: ProcessProblem, point: ProcessPoint) -> bool:
+    """Does the answer to the input explain more of the output than chance? The start and a constant may do their part
+    without it."""
+    first, last = problem.structure.free, problem.structure.free + problem.structure.m + 1
+    without = np.r_[point.theta[:first], np.zeros(last - first), point.theta[last:]]
+    rest = visit(problem, without, np.zeros_like(point.initial))
+    alone = rest.error
+    if problem.structure.offset:
+        constant = rest.zeta[:, problem.structure.linear - 1]
+        alone = alone - constant * float(constant @ alone) / max(float(constant @ constant), 1e-300)
+    noise, place = fit_noise(point.error, places(problem)), places(problem)
+    both = whiten_columns(noise, np.column_stack([point.error, alone]), place)
+    left, whole = (float(np.sum(column**2)) for column in both[noise.coefficients.size :].T)
+    return _reduces_residual(whole, left, point.error.size, problem.structure.size)
+
+
+@dataclass(frozen=True)
+class Second:
+    """A second look at an estimate. surplus: one pole and one zero less do as well, so nothing determines them;
+    moved: whitening of the noise moves the estimate by more than its standard errors allow (Hausman 1978), so the
+    estimate has taken noise for dynamics."""
+
+    surplus: bool
+    moved: bool
+
+
+def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
+    """A second look at the estimate of a point, for noise of any colour.
+
+    A pole can settle on a resonance of the noise, and the residual no longer rings. The colour is therefore estimated
+    from the residual of a model with one pole less, without what recent inputs explain."""
+    structure = problem.structure
+    smaller = Structure(max(structure.n - 1, 1), max(structure.m - 1, 0), structure.offset)
+    plain = Structure(structure.n, structure.m, structure.offset)
+    if problem.referenced or structure != plain:  # what is known of the poles and the dead time is no matter of noise
+        return Second(False, False)
+    with np.errstate(all="ignore"):
+        try:
+            rest = point if smaller == structure else _settle_fit(replace(problem, structure=smaller))
+            noise = estimate_residual_noise(pair_inputs(problem, rest.error), rest.zeta)
+            if noise is None:
+                return Second(False, False)
+            white = prewhiten_problem(problem, noise)
+            factor = float(np.sum(noise.whitener)) if structure.offset and white is not problem else 1.0
+            scale = np.r_[np.ones(structure.size - 1), factor]
+            start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
+            full = descend(white, start, SETTLED).point
+            surplus = structure.n > 1 and not _reduces_residual(
+                _settle_fit(replace(white, structure=smaller)).cost, full.cost, point.error.size, 2
+            )
+            return Second(surplus, _exceeds_chance(full.theta / scale - point.theta, covariance(point, problem)))
+        except (np.linalg.LinAlgError, ValueError):
+            return Second(False, False)
+
+
+def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
+    """Is a difference (p,) too large for its covariance (p, p)?"""
+    size = np.sqrt(np.diagonal(cov))
+    scaled = difference / size
+    distance = scaled @ np.linalg.pinv(cov / np.outer(size, size), hermitian=True) @ scaled
+    return bool(distance > chdtri(difference.size, ELSEWHERE))
+
+
+def _settle_fit(problem: ProcessProblem) -> ProcessPoint:
+    found = refine(problem, first_guess(problem, 1.0), SETTLED)
+    return found.point if found.settled else descend(problem, found.point, SETTLED).point
+
+
+def pair_inputs(problem: ProcessProblem, error: Floats) -> list[ResidualStretch]:
+    """The residual (N,) of all stretches, split and paired with the inputs."""
+    ends = np.cumsum([stretch.rows.size for stretch in problem.stretches])
+    parts = zip(problem.stretches, np.split(error, ends[:-1]), strict=True)
+    return [ResidualStretch(stretch.inputs, part, stretch.rows) for stretch, part in parts]
+
+
+def _reduces_residual(whole: float, left: float, samples: int, unknowns: int) -> bool:
+    """Is a sum of squares `left` less than `whole` by more than `unknowns` parameters gain by chance?"""
+    ratio = samples * np.log(max(whole, 1e-300) / max(left, 1e-300))
+    return bool(ratio > chdtri(unknowns, NOISE_CHANCE / samples))
+
+
+#: The square of a number must not leave the format.
+BEYOND = 1e120
+#: Part of the right models in open loop that a test of unmodelled effects or of feedback may reject.
+FALSE_ALARM = 1e-4
+#: A wrong hold puts at most this multiple of the difference of the two responses at their first sample into the
+#: residual.
+WRONG_HOLD = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """A model on its records.
+
+    fit: percent, 100 (1 - |y - simulated| / |y - mean y|), initial conditions fitted; simulated, residual: for each
+    stretch, on its measured samples; samples: their numbers within
+    the record; records: its number. autocorrelation: (LAGS + 1,) of the
+    residual, from lag 0; cross: (2 LAGS + 1,) of the residual with the input of `lags` samples before, or with the
+    reference where there is one; bounds of both: 99 % of an independent residual lie within.
+    unmodelled: does the input of now and before explain some of the residual? feedback: do inputs yet to come? Then the
+    input has the noise in it, as a controller feeds it back (`causality.py`). depends: does the output depend on the
+    input by more than chance? second: would a pole and a zero less do as well, and does the
+    colour of the noise move the estimate (`necessity.py`)? hold: would the input with the other hold explain
+    more, and does it matter (`hold.py`)? repeats: is some of the residual the same in every period of the input
+    (`periods.py`)?
+    """
+
+    fit: float
+    simulated: tuple[Floats, ...]
+    residual: tuple[Floats, ...]
+    samples: tuple[NDArray[np.int64], ...]
+    records: tuple[int, ...]
+    autocorrelation: Floats
+    autocorrelation_bound: float
+    cross: Floats
+    cross_bound: float
+    unmodelled: bool
+    feedback: bool
+    depends: bool
+    second: Second
+    hold: Hold
+    repeats: bool
+
+    @property
+    def lags(self) -> NDArray[np.int64]:
+        """(2 LAGS + 1,) of `cross`; negative: inputs after the residual, where only feedback correlates them."""
+        return np.arange(-LAGS, LAGS + 1)
+
+    @property
+    def white(self) -> bool:
+        """At most as many correlations beyond the bound as chance explains, four of 25."""
+        return few_beyond(self.autocorrelation[1:], self.autocorrelation_bound)
+
+    @property
+    def independent(self) -> bool:
+        """The model has taken all that is in present and earlier inputs."""
+        return not self.unmodelled
+
+
+def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment:
+    """theta (p,) in the problem's units; delay: samples by which its inputs are late. Raises NotIdentifiableError
+    if the simulated output leaves the range of numbers."""
+    count = len(problem.stretches)
+    point = visit(problem, theta, np.zeros((count, problem.structure.n)))
+    pairs = zip(problem.stretches, point.initial, strict=True)
+    with np.errstate(all="ignore"):  # what comes of it is looked at
+        simulated = [
+            simulate(problem.structure, theta, initial, stretch, source=0)[stretch.rows] for stretch, initial in pairs
+        ]
+    measured = [stretch.y[stretch.rows] for stretch in problem.stretches]
+    residual = [y - x for y, x in zip(measured, simulated, strict=True)]
+    if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < BEYOND:
+        raise NotIdentifiableError(
+            "the simulated output leaves the range of numbers: the records do not identify the transfer function; "
+            "excite the process more, or use fewer poles and zeros"
+        )
+    left = sum(float(e @ e) for e in residual)
+    whole = sum(float(np.sum((y - np.mean(y)) ** 2)) for y in measured)
+    grids = [_lay_on_grid(e, stretch, -1) for e, stretch in zip(residual, problem.stretches, strict=True)]
+    auto, cross, bounds = _correlations(grids)
+    return Assessment(
+        100 * (1 - float(np.sqrt(left / max(whole, 1e-300)))),
+        tuple(simulated),
+        tuple(residual),
+        tuple(stretch.samples for stretch in problem.stretches),
+        tuple(stretch.record for stretch in problem.stretches),
+        auto,
+        bounds[0],
+        cross,
+        bounds[1],
+        *_doubts(problem, point, residual, delay),
+    )
+
+
+def _doubts(
+    problem: ProcessProblem, point: ProcessPoint, residual: list[Floats], delay: int
+) -> tuple[bool, bool, bool, Second, Hold, bool]:
+    """unmodelled, feedback, depends, second, hold, repeats. The input is looked at when it comes, not `delay`
+    samples later."""
+    parts, kept = [], []
+    for stretch, error in zip(problem.stretches, residual, strict=True):
+        inside = stretch.rows < stretch.grid.size - delay
+        kept.append(inside)
+        parts.append(ResidualStretch(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
+    known = point.zeta[np.concatenate(kept)]
+    return (
+        find_unmodelled_response(parts, known).chance < FALSE_ALARM,
+        find_feedback(parts, known, _direct(problem, point)).chance < FALSE_ALARM,
+        depends_on_input(problem, point),
+        second_look(problem, point),
+        look_at_hold(problem, point, estimate_residual_noise(parts, known)),
+        residual_repeats(problem, point),
+    )
+
+
+def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]:
+    """How much of the input of now a wrong hold leaves in the residual, at least and at most."""
+    a, b, _ = problem.structure.split(point.theta)
+    if a.size == 0:  # integrators alone
+        return (0.0, 0.0)
+    stretch = problem.stretches[0]
+    grid = Grid(float(np.median(stretch.grid.steps)), 2)
+    change = transition(companion(a), np.eye(a.size)[-1], grid).change
+    size = WRONG_HOLD * float(b[: a.size] @ change[: b.size]) * (1.0 if stretch.held else -1.0)
+    return (min(0.0, size), max(0.0, size))
+
+
+def _lay_on_grid(residual: Floats, stretch: RecordStretch, source: int) -> tuple[Floats, Floats, Floats]:
+    """Residual with zeros where nothing is measured, input less its mean, and 1 where there is a residual."""
+    filled, there = np.zeros(stretch.grid.size), np.zeros(stretch.grid.size)
+    filled[stretch.rows], there[stretch.rows] = residual, 1.0
+    u = stretch.inputs[source]
+    return filled, u - np.mean(u), there
+
+
+def _correlations(grids: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, Floats, tuple[float, float]]:
+    count = sum(float(np.sum(there)) for _, _, there in grids)
+    power = sum(float(e @ e) for e, _, _ in grids) / count
+    input_power = sum(float(np.mean(u**2)) * float(np.sum(there)) for _, u, there in grids) / count
+    size = max(power, 1e-300)
+    auto = np.array([sum(correlate_at_lag(e, e, lag) for e, _, _ in grids) for lag in range(LAGS + 1)]) / count / size
+    cross = np.array([sum(correlate_at_lag(u, e, lag) for e, u, _ in grids) for lag in range(-LAGS, LAGS + 1)]) / count
+    cross = cross / np.sqrt(size * max(input_power, 1e-300))
+    u_auto = np.array([sum(correlate_at_lag(u, u, lag) for _, u, _ in grids) for lag in range(LAGS + 1)])
+    u_auto = u_auto / max(u_auto[0], 1e-300)
+    # Ljung (1999, eq. 16.66): the variance of the cross-correlation is the sum of the products of both autocorrelations
+    spread = max(1.0 + 2 * float(auto[1:] @ u_auto[1:]), 0.1)
+    return auto, cross, (DEVIATE / np.sqrt(count), DEVIATE * float(np.sqrt(spread / count)))
+
+
+#: A pole with a standard deviation of more than this part of its size is not known. A real one has at most half of it:
+#: bars are measured over two standard deviations, and it does not move beyond 0.
+UNKNOWN = 0.4
+
+
+def flags_on(checks: Assessment, process: Process, referenced: bool = False, held: bool = False) -> tuple[str, ...]:
+    """Names for the status. feedback: the input has the noise in it, unless the method uses a reference; unmodelled:
+    the residual has the input in it, is less with the other hold, or repeats with the input; unstable: a pole in the
+    right half-plane that no controller is known to hold (held); uncertain: a pole is not known to half its size, not
+    needed, or elsewhere with the colour of the noise in mind; model_spread: the other hold explains the record as well,
+    and moves a parameter beyond a standard error that is none of these."""
+    unknown = np.any(np.hypot(*process.poles_std.T) > UNKNOWN * np.abs(process.poles))
+    uncertain = checks.second.surplus or checks.second.moved or bool(unknown)
+    found = {
+        "feedback": checks.feedback and not referenced,
+        "unmodelled": checks.unmodelled or checks.hold.better or checks.repeats,
+        "model_spread": checks.hold.hidden and not uncertain,
+        "unstable": bool(np.any(process.poles.real > 0)) and not held,
+        "uncertain": uncertain,
+    }
+    return tuple(name for name, holds in found.items() if holds)
+
+
+#: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
+FEEDBACK = (
+    "the residual is correlated with later inputs, so the input has the noise in it, as a controller feeds it back: "
+    "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
+)
+IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
+DEPENDENT = (
+    "the input explains some of the residual: another dead time, more poles or zeros, or another hold may explain "
+    "more; the standard errors leave out what this moves the estimate by"
+)
+REPEATS = (
+    "the residual does the same in every period of the input: that is an error of the model, not noise, and the error "
+    "bars allow for one like it; another structure may explain it"
+)
+OTHER_HOLD = (
+    'with the other hold of the input the model follows the records better: hold = "zoh" is for one that a converter '
+    'holds, "foh" for one that runs on between the samples; try the other, it moves the estimate'
+)
+UNKNOWN_HOLD = (
+    "the record does not tell whether its input is held between the samples or runs on, and that moves a parameter "
+    'beyond its standard error: make sure of [record] hold, "zoh" or "foh", or sample faster'
+)
+SURPLUS = (
+    "one pole and one zero less explain the record as well: it does not tell where they are, and their standard errors "
+    "mean nothing; use a smaller n and m"
+)
+MOVED = (
+    "with the colour of the noise in mind the estimate is elsewhere, by more than its standard errors: it has taken "
+    "some of the noise for dynamics; record longer, or use a smaller n and m"
+)
+UNKNOWN_POLE = "a pole is not known to half its size: record longer, excite it more, or use a smaller n and m"
+#: Less of the output explained [%] is worth a sentence.
+POOR_FIT = 10.0
+#: An output further off than FAR robust standard deviations, in less than a part FEW of the samples, is an outlier.
+FAR_OUTLIER, FEW = 10.0, 0.01
+
+
+def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
+    """Raises NotIdentifiableError if the output does not depend on the input, whatever the standard errors are."""
+    variance = np.diagonal(cov)
+    if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
+        raise NotIdentifiableError(
+            f"the uncertainty of the transfer function is beyond numbers ({estimator.method}): the records do not "
+            "identify it; excite the process more, or use fewer poles and zeros"
+        )
+    if not checks.depends:
+        offset = "" if "offset" in estimator.names else "give offset = true in [model] where it has a constant, "
+        raise NotIdentifiableError(
+            f"the output hardly depends on the input ({estimator.method}): chance alone explains as much of it; "
+            f"check the columns, the dead time and for outliers, {offset}excite the process more, or use fewer poles "
+            "and zeros"
+        )
+
+
+def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[Finding]:
+    """What there is to doubt in numbers that are there."""
+    residual = np.concatenate(checks.residual)
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    far = int(np.sum(np.abs(residual - np.median(residual)) > FAR_OUTLIER * spread)) if spread > 0 else 0
+    found = []
+    unknown = [name for name, value, s in zip(estimator.names, theta, std, strict=True) if s > abs(value)]
+    if unknown:
+        found.append(f"not known to its own size: {', '.join(unknown)}; fewer poles or zeros may do")
+    if 0 < far <= FEW * residual.size:
+        found.append(f"{far} samples of the output are far off the others, and may decide everything: leave them empty")
+    if 0 <= checks.fit < POOR_FIT:
+        found.append(f"the model explains {checks.fit:.2g} % of the output, no more")
+    if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
+        found.append("the residual has a mean: give offset = true in [model]")
+    return make_notes("fit", found)
+
+
+def findings_on(
+    experiments: Sequence[Experiment], checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
+) -> list[Finding]:
+    """What the residual tests, the poles and the records give to mind. flags: what of it goes into the status, as
+    `flags_on` has it; expected: poles in the right half-plane were asked for."""
+    found = [
+        Finding(code, sentence, severity="doubt" if code in flags else "note")
+        for code, holds, sentence in _list_doubts(checks, process, flags, expected)
+        if holds
+    ]
+    missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
+    return found + make_notes("missing", [f"{missing} samples of the output are missing"] * bool(missing))
+
+
+def _list_doubts(
+    checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
+) -> tuple[tuple[str, bool, str], ...]:
+    """Code, whether it is the case, and the sentence."""
+    second, hold = checks.second, checks.hold
+    unstable = bool(np.any(process.poles.real > 0)) and not expected
+    return (
+        ("feedback", "feedback" in flags, FEEDBACK),
+        ("unmodelled", checks.unmodelled, DEPENDENT),
+        ("unmodelled", checks.repeats, REPEATS),
+        ("unmodelled", hold.better, OTHER_HOLD),
+        ("model_spread", hold.hidden and not second.surplus, UNKNOWN_HOLD),
+        ("uncertain", second.surplus, SURPLUS),
+        ("uncertain", second.moved, MOVED),
+        ("uncertain", "uncertain" in flags and not (second.surplus or second.moved), UNKNOWN_POLE),
+        ("unstable", unstable, "the transfer function is unstable: what it simulates, and so the fit, says nothing"),
+    )
+
+
+def search_notes(search: Search) -> list[str]:
+    """What to mind before the best structure is taken."""
+    best, found = search.best, []
+    if best.refused:
+        found.append(f"identify has no estimate that it vouches for; the first one: {best.refused}")
+    if not best.settled:
+        found.append("no structure settled: the order is that of unfinished fits")
+    if not best.white:
+        found.append(
+            "what the best structure leaves is not white noise, not even after the whitening filter: the "
+            "criterion may then prefer too many poles and zeros; take the smallest structure that fits nearly as well"
+        )
+    if best.fit < POOR_FIT:
+        found.append(f"the best structure explains {max(best.fit, 0.0):.2g} % of the output, no more: it may be chance")
+    return found

@@ -1,0 +1,355 @@
+"""Models of one drive on one record, each begun where another one has ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.diagnostics.free_run import drive_run
+from pmfid.diagnostics.term_trials import (
+    APART,
+    HUNDRED,
+    Trial,
+    candidates,
+    carry_parameters,
+    drop_neighbours,
+    free_pitch,
+)
+from pmfid.diagnostics.term_trials import FEWEST as FEWEST_PITCHES
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import Change
+from pmfid.estimators.configuration import change_arguments, like
+from pmfid.estimators.instruments import Instruments
+from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb, log_likelihood
+from pmfid.estimators.motion import Difference, first_speed, least, rms
+from pmfid.estimators.output_error import HOPELESS, OE, IntervalML
+from pmfid.estimators.search import (
+    FEWEST,
+    FOLDS,
+    SHORTEST,
+    find_least_from_start,
+    fit_at_speeds,
+    predicted_elsewhere,
+    read_start,
+)
+from pmfid.models.drive import Drive, EquationModel
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, MOST_LATE, Equation
+from pmfid.types import Floats
+
+#: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a
+#: random binary input are within 0.1 of those with 16, and with 1 within 4.
+MOST_PARTS = 2
+#: Relative tolerance of least squares on the way.
+ROUGHLY = 1e-4
+#: Noise [counts] above the floor, but below this value, may belong to a local maximum of the likelihood.
+SUSPICIOUS = 0.25
+#: A step up the likelihood that gains less is the last one.
+SETTLED = 0.1
+#: The same where a pitch is only to be compared with others, and noise [counts] at which the edges tell them apart.
+COARSELY, LOOSE = 1e-3, 0.1
+#: Pitches that are gone on from: those whose motions are alike the likelihood tells apart.
+MOST_PITCHES = 2
+#: Lags to start from [samples].
+LAGS = (0.5, 2.0)
+#: Part of a sample that a cutoff may be rounded by.
+ROUNDING = 1e-6
+#: Windows of each part that the others predict it with.
+WINDOWS = 4
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What all models are fitted to: u, counts (n,), by a method whose model is that to begin with. other: u, counts of
+    another record of the same machine, to predict; None: the models predict parts of the first from the others."""
+
+    method: IntervalML
+    u: Floats
+    counts: NDArray[np.int64]
+    other: tuple[Floats, NDArray[np.int64]] | None = None
+
+    def first(self, model: Drive) -> Trial:
+        """Begun with instrumental variables. Raises NotIdentifiableError."""
+        if model.equation.searched:
+            return self.further(self.first(change_arguments(model, {"stribeck": None})), {"stribeck": model.stribeck})
+        method = like(IntervalML, self.method, model=model)
+        difference, q, status = method.fit_least_squares(self.u, self.counts)
+        return make_trial(method, model, difference, q, status)
+
+    def further(self, trial: Trial, change: Change) -> Trial:
+        """The model with some of its fields changed, begun at the parameters of the one before."""
+        return self.fit_model(change_arguments(trial.model, change), trial)
+
+    def pitches(self, trial: Trial) -> list[tuple[float, float]]:
+        """Doubled gain of the log-likelihood, about, and pitch [unit of y] of cogging forces, the best first, of those
+        that scans find; none where every count is explained."""
+        if trial.best.clean:
+            return []
+        travel, found = float(np.ptp(trial.difference.y)), list[tuple[float, float]]()
+        numbers, tried = candidates(self.method, self.u, self.counts, trial.best), list[float]()
+        while numbers:
+            for number in numbers:
+                with suppress(NotIdentifiableError, UsageError):
+                    found.append(self._fit_pitch(change_arguments(trial.model, {"cogging": travel / number}), trial))
+            tried += [*numbers, *(travel / pitch for _, pitch in found)]
+            # moves that are all alike hardly tell a pitch of the travel more or less
+            own = travel / max(found)[1] if found else FEWEST_PITCHES
+            numbers = [
+                one for one in (own - 1, own + 1) if one >= FEWEST_PITCHES and min(abs(one - k) for k in tried) > APART
+            ]
+        return [
+            (2 * (likely - trial.log_likelihood), pitch)
+            for likely, pitch in _different(sorted(found, reverse=True), travel)
+            if likely > trial.log_likelihood
+        ][:MOST_PITCHES]
+
+    def scan_pitches(self, trial: Trial) -> list[float]:
+        """Pitches [unit of y] of cogging forces at the peaks of the scans, not fitted."""
+        travel = float(np.ptp(trial.difference.y))
+        return [travel / number for number in candidates(self.method, self.u, self.counts, trial.best)]
+
+    def _fit_pitch(self, model: Drive, trial: Trial) -> tuple[float, float]:
+        """Log-likelihood of a model at least squares, its pitch included, and that pitch [unit of y]. If motions are
+        alike after the high-pass, the edges of the counts decide between them."""
+        method = like(IntervalML, self.method, model=model)
+        theta = carry_parameters(trial.model.equation, trial.theta, model.equation)
+        difference, q = _high_pass(method, self._estimate_by_positions(model, theta), trial.difference)
+        filtered = free_pitch(replace(difference, parts=1), model)
+        q = least(filtered, np.r_[read_start(difference, q, method.cutoff), filtered.number / HUNDRED], [COARSELY])
+        best, direct = Best(filtered, q, q, None), replace(filtered, pole=0.0)
+        if rms(filtered(q)) <= HOPELESS * direct.explained:
+            closer = least(direct, q, [ROUGHLY])
+            if rms(direct(closer)) <= direct.explained:
+                best = Best(direct, closer, closer, LOOSE)
+        return log_likelihood(best, method.cutoff), float(filtered.model_at(best.q).cogging or math.nan)
+
+    def tune_pitch(self, trial: Trial) -> Trial:
+        """The trial with the likeliest pitch of its cogging force, near the present one."""
+        free = free_pitch(trial.difference, trial.model)
+        q = np.r_[trial.best.q, free.number / HUNDRED]
+        if trial.best.noise is None:
+            q, noise = least(free, q, [ROUGHLY]), None
+        else:
+            _, q, noise = climb(free, q, None, SETTLED)
+        model = free.model_at(q)
+        best = replace(trial.best, difference=free.fix_pitch(q), q=q[:-1], noise=noise)
+        method = like(IntervalML, trial.method, model=model)
+        found = Trial(model, method, best, log_likelihood(best, method.cutoff))
+        return max(trial, found, key=lambda one: one.log_likelihood)
+
+    def _estimate_by_positions(self, model: Drive, theta: Floats) -> Floats:
+        """Parameters (p,) by instrumental variables, which read the position from the counts: the simulated motion of a
+        model without a periodic force may be a period off. theta (p,): of the model, for parameters that instrumental
+        variables do not estimate."""
+        own, late = model.equation, dict.fromkeys((DEAD_TIME, LAG), 0.0) | _late_of(model.equation, theta)
+        given = {key: late[key] for key in (DEAD_TIME, LAG) if getattr(model, key) == ESTIMATE}
+        known = change_arguments(model, given | ({"stribeck": None} if model.stribeck == ESTIMATE else {}))
+        found = like(Instruments, self.method, model=known).settle_iteration(self.u, self.counts)[1]
+        start = np.r_[carry_parameters(known.equation, found, own)[: len(own.names)], theta[len(own.names) :]]
+        return _late_by(own, start, late[DEAD_TIME], late[LAG])
+
+    def fit_model(self, model: Drive, trial: Trial) -> Trial:
+        """A model fitted from the parameters of another; of several starts the likeliest, or the first that explains
+        every count. Raises NotIdentifiableError if no start settles."""
+        found, refused = list[Trial](), NotIdentifiableError("the model settles nowhere")
+        for theta, begun in self._starts(model, trial):
+            try:
+                found.append(self._from(model, theta, begun))
+            except NotIdentifiableError as error:
+                refused = error
+                continue
+            if found[-1].best.clean:
+                break
+        if not found:
+            raise refused
+        return max(found, key=lambda one: one.log_likelihood)
+
+    def _starts(self, model: Drive, trial: Trial) -> Iterator[tuple[Floats, Trial]]:
+        """Parameters (p,) to begin with, and a trial whose motion starts alike: those of another model, and where it
+        has no Stribeck speed, several."""
+        equation, before = model.equation, trial.model.equation
+        theta = carry_parameters(before, trial.theta, equation)
+        if late := _lates(model, trial):
+            for dead, lag in late:
+                yield _late_by(equation, theta, dead, lag), trial
+            return
+        if model.stribeck != ESTIMATE or trial.model.stribeck == ESTIMATE:
+            yield theta, trial
+        if model.stribeck == ESTIMATE:
+            found = fit_at_speeds(
+                trial.usual_speed, self._make_speed_fit(model, theta, trial), lambda one: -one.log_likelihood
+            )
+            yield from ((np.r_[one.theta, speed], one) for speed, one in found)
+
+    def _make_speed_fit(self, model: Drive, theta: Floats, trial: Trial) -> Callable[[float], Trial]:
+        return lambda speed: self._from(change_arguments(model, {"stribeck": speed}), theta[:-1], trial, hasty=True)
+
+    def _from(self, model: Drive, theta: Floats, trial: Trial, hasty: bool = False) -> Trial:
+        """A model from theta (p,), and from where the motion of another trial starts: from least squares on, and where
+        these go astray, up the likelihood. hasty: by least squares, where there are any."""
+        method, found = like(IntervalML, self.method, model=model), list[Trial]()
+        refused = NotIdentifiableError("the model settles nowhere")
+        try:
+            found += self._from_squares(model, theta, trial, hasty)
+        except NotIdentifiableError as error:
+            refused = error
+        if trial.best.noise is not None and not (found and (hasty or found[-1].best.clean)):
+            difference = _quick(method.make_difference(theta, trial.difference.u, trial.difference.y))
+            start = (trial.best.q * trial.difference.scale)[-2:]
+            q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
+            found.append(_climb_to_top(method, model, difference, q, trial.best.status, hasty))
+        found = [one for one in found if _acts_in_time(one)]
+        if not found:
+            raise refused
+        return max(found, key=lambda one: one.log_likelihood)
+
+    def _from_squares(self, model: Drive, theta: Floats, trial: Trial, hasty: bool) -> list[Trial]:
+        """From least squares on; where a force comes again along the travel, also from instrumental variables."""
+        method, starts = like(IntervalML, self.method, model=model), [theta]
+        if any(not term.shape.of_speed for term in model.equation.shaped if term.shape):
+            with suppress(NotIdentifiableError):
+                starts.insert(0, self._estimate_by_positions(model, theta))
+        found = list[Trial]()
+        for start in starts:
+            difference, q = _follow_record(method, start, trial.difference)
+            found.append(make_trial(method, model, difference, q, trial.best.status, hasty))
+            if found[-1].best.clean:
+                break
+        return found
+
+    def settle_fit(self, trial: Trial) -> Trial:
+        """The trial, if within the counts, simulated as finely as the counts ask for, and fitted to convergence."""
+        best = trial.best
+        if best.noise is None:
+            return trial
+        difference = best.difference.fine_at(trial.theta)
+        _, q, noise = climb(difference, best.q, None)
+        found = replace(best, difference=difference, q=q, noise=noise)
+        return replace(trial, best=found, log_likelihood=log_likelihood(found, trial.method.cutoff))
+
+    def elsewhere(self, trial: Trial) -> float:
+        """Error of free runs over what a model was not fitted to [unit of y]: another record, or thirds of this one
+        with what the others say of the model. Infinite where there is no run."""
+        if self.other is None:
+            return self._predict_parts(trial)
+        equation = trial.model.equation
+        linear = EquationModel(equation.known_at(trial.theta[len(equation.names) :]))
+        method, theta = like(OE, trial.method, model=linear), trial.theta[: len(equation.names)]
+        with suppress(UsageError):
+            return drive_run(method, theta, *self.other, "the other record").rmse
+        return math.inf
+
+    def _predict_parts(self, trial: Trial) -> float:
+        equation, n = trial.model.equation, self.u.size
+        known = equation.known_at(trial.theta[len(equation.names) :])
+        method = like(IntervalML, trial.method, model=EquationModel(known))
+        theta = trial.theta[: len(equation.names)]
+        difference = replace(method.make_difference(theta, trial.difference.u, trial.difference.y), parts=1)
+        scaled = np.maximum(theta / difference.scale[:-2], difference.lower[:-2])
+        length = max(shortest_part(method), n * (FOLDS - 1) // FOLDS // WINDOWS)
+        return predicted_elsewhere(difference, scaled, method.cutoff, length)
+
+
+def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
+    """Dead times and lags [s] to start from, where the model has another choice of the two than the trial before."""
+    own, before = ([one.dead_time == ESTIMATE, one.lag == ESTIMATE] for one in (model, trial.model))
+    if own == before or not any(own) or (own == [True, False] and not any(before)):
+        return []
+    total, dt = sum(_late_of(trial.model.equation, trial.theta).values()), trial.method.dt
+    times = [total] if any(before) and total > 0 else [part * dt for part in LAGS]
+    shares = [(1.0, 0.1), (0.5, 0.5), (0.1, 1.0)] if all(own) else [(float(own[0]), float(own[1]))]
+    return [(dead * time, lag * time) for time in times for dead, lag in shares]
+
+
+def _acts_in_time(trial: Trial) -> bool:
+    """Is the input no later than that of a drive may be?"""
+    return max(_late_of(trial.model.equation, trial.theta).values(), default=0.0) <= MOST_LATE * trial.method.dt
+
+
+def _late_of(equation: Equation, theta: Floats) -> dict[str, float]:
+    """Dead time and lag [s] by name, those that are parameters, of theta (p,)."""
+    values = dict(zip((*equation.names, *dict(equation.further)), theta.tolist(), strict=True))
+    return {key: values[key] for key in (DEAD_TIME, LAG) if key in values}
+
+
+def _late_by(equation: Equation, theta: Floats, dead: float, lag: float) -> Floats:
+    """theta (p,) with another dead time and lag [s], where the equation has them."""
+    found, linear = theta.copy(), len(equation.names)
+    index = equation.roles[LATE]
+    if index is not None:
+        found[index] = dead
+    if equation.lag == ESTIMATE:
+        found[linear] = lag
+    return found
+
+
+def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tuple[float, float]]:
+    """Those whose pitch is not nearly that of one before; travel [unit of y]."""
+    kept = drop_neighbours([travel / pitch for _, pitch in found])
+    return [one for one in found if travel / one[1] in kept]
+
+
+def shortest_part(method: IntervalML) -> int:
+    """Samples of a part of a record that can be predicted: in less there is little but its start."""
+    return max(FEWEST, math.ceil(SHORTEST / (method.cutoff * method.dt) - ROUNDING))
+
+
+def choose_cutoff(samples: int, dt: float) -> float | None:
+    """Least cutoff [rad/s] at which a part of `samples` samples, every dt [s], can be predicted; None: there is
+    none."""
+    return SHORTEST / (samples * dt) if samples >= FEWEST else None
+
+
+def make_trial(
+    method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
+) -> Trial:
+    """At the largest likelihood from the least squares q (q,), where that is within the counts."""
+    if difference.pole > 0 or rms(difference(q)) > difference.explained:
+        best = Best(difference, q, q, None, status)
+        return Trial(model, method, best, log_likelihood(best, method.cutoff))
+    return _climb_to_top(method, model, difference, q, status, hasty)
+
+
+def _follow_record(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
+    """The difference of a record, with the high-pass if the simulation drifts away, and its rough least squares from
+    theta (p,): of many models all but one are to be thrown away."""
+    filtered, q = _high_pass(method, theta, record)
+    placed = any(not term.shape.of_speed for term in filtered.equation.shaped if term.shape)
+    q = find_least_from_start(filtered, q, method.cutoff, [ROUGHLY]) if placed else least(filtered, q, [ROUGHLY])
+    direct = replace(filtered, pole=0.0)
+    if rms(filtered(q)) > HOPELESS * direct.explained:
+        return filtered, q
+    closer = least(direct, q, [ROUGHLY])
+    return (direct, closer) if rms(direct(closer)) <= direct.explained else (filtered, q)
+
+
+def _quick(difference: Difference) -> Difference:
+    """The same with no more parts of a sample than tell models from each other."""
+    return replace(difference, parts=min(difference.parts, MOST_PARTS))
+
+
+def _high_pass(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
+    """The difference of a record after the high-pass, and q (q,) of theta (p,) at the first count."""
+    filtered = replace(_quick(method.make_difference(theta, record.u, record.y)), pole=method.cutoff)
+    begin = np.r_[theta, record.y[0], first_speed(record.y, record.dt, method.cutoff, record.resolution)]
+    return filtered, np.maximum(begin / filtered.scale, filtered.lower)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # far from the counts their probability is beyond numbers
+def _climb_to_top(
+    method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
+) -> Trial:
+    """A trial at a maximum of the likelihood near q (q,). If the maximum may be a local one, a noise that shrinks leads
+    to it; hasty: never."""
+    found = climb(difference, q, None, SETTLED)
+    if not hasty and GIVEN_AWAY * NOISE_FLOOR < found[2] < SUSPICIOUS:
+        place = q
+        for noise in SHRINKING:
+            place = climb(difference, place, noise, SETTLED)[1]
+        found = min(found, climb(difference, place, None, SETTLED), key=lambda one: one[0])
+    best = Best(difference, q, found[1], found[2], status)
+    return Trial(model, method, best, log_likelihood(best, method.cutoff))

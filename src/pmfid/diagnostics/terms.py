@@ -1,0 +1,464 @@
+"""Which terms does a drive have? A search from a model upwards, one term at a time.
+
+Each step is proposed by the score tests of the counts at the best fit of the model so far (`estimators/adequacy.py`),
+which cost nothing, and then fitted. A term is kept where the likelihood ratio is beyond chance, as the number of terms
+that were tried and the scatter of the scores allow it (Rao 1948; Bonferroni), and where it explains parts of the record
+that it was not fitted to. In the end a term goes that the others have made superfluous."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+
+from pmfid.diagnostics.term_fits import Bench
+from pmfid.diagnostics.term_trials import Trial, inflation, pitches
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import DIRECTIONAL, MISSED, NEARLY, Adequacy, Change, PeriodicForce, setting
+from pmfid.estimators.configuration import change_arguments
+from pmfid.models.drive import Drive
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG
+
+#: Least score that is worth a trial if the model does not explain every count: unmodelled effects then scatter the
+#: scores.
+WEAK = 1.0
+#: What the score of a force cannot tell from it: a lag is a dead time to first order.
+OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"lag": ESTIMATE},)})
+#: Terms that are fitted in each step where none explains every count, and steps.
+MOST_TRIED, MOST_STEPS = 4, 8
+#: Pitches that are tried together with another term where no single one suffices.
+MOST_PAIRED = 2
+#: Number of candidates in each step, about, without periodic forces and pitches.
+USUAL = 8
+#: A gain that every further parameter of a term has to bring.
+PER_PARAMETER = 4.0
+#: Gains of two terms that differ by less, in the units of chance, are the same: three standard deviations.
+ALIKE = 9.0
+#: A pitch that explains more than this part of what the best one explains leaves open which it is.
+HARDLY = 0.5
+#: Free runs over other parts are worse from this part on: below is what the last steps of a fit leave.
+NO_WORSE = 0.002
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A change of the model, its description and its origin. z: score in standard deviations; inflation: scatter of the
+    score relative to independent errors, at first without the term, and after the fit with it; explains: doubled gain
+    of the log-likelihood that the score promises; elsewhere: promised gain over parts that the coefficient is not taken
+    from; scanned: the pitch comes from a scan."""
+
+    change: Change
+    says: str
+    z: float
+    inflation: float
+    explains: float
+    elsewhere: float
+    scanned: bool = False
+
+    @property
+    def key(self) -> str:
+        """The key of [model] that it sets."""
+        return next(iter(self.change))
+
+
+@dataclass(frozen=True)
+class FittedCandidate:
+    """One candidate, fitted on top of a model. gain: doubled gain of the log-likelihood, scaled so that a useless
+    parameter brings 1; needed: the gain from which on it counts; error, without: errors of free runs over other parts
+    of the record with it and without it [unit of y]; verdict: "kept", "either" or the reason why not."""
+
+    candidate: Candidate
+    trial: Trial | None
+    gain: float
+    needed: float
+    error: float
+    verdict: str
+    without: float = math.inf
+
+    @property
+    def kept(self) -> bool:
+        return self.verdict == KEPT
+
+    @property
+    def explains_all(self) -> bool:
+        """Does the model explain every count with it? Then no score at the model before it is to be asked."""
+        return self.trial is not None and self.trial.best.clean
+
+    @property
+    def refused(self) -> bool:
+        """Is it beyond chance, and yet not kept for a reason other than a better one?"""
+        return self.gain >= self.needed and self.verdict not in (KEPT, EITHER, DROPPED, LESS)
+
+    @property
+    def size(self) -> float:
+        """Doubled gain of the log-likelihood as it stands."""
+        return self.gain * self.candidate.inflation
+
+
+#: The special case of directional friction.
+LOAD: Change = MappingProxyType({"offset": True})
+KEPT, EITHER, DROPPED, LESS = "kept", "either", "superfluous", "explains less"
+WORSE = "predicts other parts worse"
+UNCLEAR = "its pitch is unclear: give it"
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The search: trials, from the initial model to the chosen one; their errors of free runs over other parts of the
+    record [unit of y]; all candidates that were fitted in each step; the chosen model without each of the added terms;
+    and its adequacy."""
+
+    trials: tuple[Trial, ...]
+    errors: tuple[float, ...]
+    steps: tuple[tuple[FittedCandidate, ...], ...]
+    without: tuple[FittedCandidate, ...]
+    adequacy: Adequacy
+
+    @property
+    def chosen(self) -> Trial:
+        return self.trials[-1]
+
+    @property
+    def added(self) -> dict[str, object]:
+        """Keys of [model] that the search sets."""
+        return changed_fields(self.trials[0].model, self.chosen.model)
+
+    @property
+    def refused(self) -> tuple[FittedCandidate, ...]:
+        """Terms beyond chance that were not kept, and that nothing else has taken the place of."""
+        last = self.steps[-1:] if self.steps and not any(step.kept for step in self.steps[-1]) else ()
+        return tuple(
+            step
+            for tried in (last if self.adequacy.adequate else self.steps)
+            for step in tried
+            if step.trial is not None and step.refused and step.candidate.key not in self.added
+        )
+
+    @cached_property
+    def either(self) -> tuple[tuple[FittedCandidate, FittedCandidate], ...]:
+        """Terms that were kept, with others that explain as much and were not."""
+        pairs = []
+        for tried in self.steps:
+            kept = [step for step in tried if step.kept and step.candidate.key in self.added]
+            others = [step for step in tried if step.verdict == EITHER and step.candidate.key not in self.added]
+            pairs += [(kept[0], other) for other in others if kept]
+        return tuple(pairs)
+
+
+def changed_fields(first: Drive, last: Drive) -> dict[str, object]:
+    """Fields in which the last model differs from the first."""
+    pairs = ((field.name, getattr(first, field.name), getattr(last, field.name)) for field in fields(Drive))
+    return {name: after for name, before, after in pairs if before != after}
+
+
+def search(
+    bench: Bench,
+    model: Drive,
+    places: Sequence[PeriodicForce] = (),
+    scan: bool = True,
+    done: Callable[[float], None] | None = None,
+) -> Terms:
+    """From the model upwards. places: what may come again along the travel, too; scan: look for the pitch of a cogging
+    force. Raises NotIdentifiableError where not even the model to begin with has a fit."""
+    looking = scan and model.cogging is None and all(place.key != "cogging" for place in places)
+    first = bench.first(model)
+    return _Search(bench, tuple(places), looking, [first], [bench.elsewhere(first)], done or (lambda part: None)).run()
+
+
+@dataclass
+class _Search:
+    """A search under way: trials and their errors as in `Terms`; done: called with the part of the work."""
+
+    bench: Bench
+    places: tuple[PeriodicForce, ...]
+    looking: bool
+    trials: list[Trial]
+    errors: list[float]
+    done: Callable[[float], None]
+    steps: list[tuple[FittedCandidate, ...]] = field(default_factory=list)
+
+    def run(self) -> Terms:
+        """Adds a term in each step, and removes terms that others have made superfluous."""
+        seen, without = list[Drive](), tuple[FittedCandidate, ...]()
+        while len(self.steps) < MOST_STEPS and self.trials[-1].model not in seen:
+            seen.append(self.trials[-1].model)
+            tried = self._try_candidates()
+            self.steps.append(tried)
+            best = next((step for step in tried if step.kept), None)
+            if best is None or best.trial is None:
+                break
+            self._take(best.trial, best.error)
+            without = self._drop_superfluous()
+        self.trials[-1] = self.bench.settle_fit(self.trials[-1])
+        self.done(1.0)
+        adequacy = self.trials[-1].weigh_forces(self.places)
+        return self._resolve_alternatives(
+            Terms(tuple(self.trials), tuple(self.errors), tuple(self.steps), without, adequacy)
+        )
+
+    def _resolve_alternatives(self, found: Terms) -> Terms:
+        """Rules out alternatives that explained as much as a kept term while others were missing, and that explain less
+        in its place now."""
+        less = [other for kept, other in found.either if self._is_less(found.chosen, kept.candidate, other.candidate)]
+        steps = (
+            tuple(replace(step, verdict=LESS) if any(step is one for one in less) else step for step in tried)
+            for tried in found.steps
+        )
+        return replace(found, steps=tuple(steps))
+
+    def _is_less(self, chosen: Trial, kept: Candidate, other: Candidate) -> bool:
+        first = self.trials[0].model
+        change = {key: getattr(first, key) for key in kept.change} | dict(other.change)
+        try:
+            swapped = self.bench.fit_model(change_arguments(chosen.model, change), chosen)
+        except (NotIdentifiableError, UsageError):
+            return True
+        return 2 * (chosen.log_likelihood - swapped.log_likelihood) / kept.inflation >= ALIKE
+
+    def _take(self, trial: Trial, error: float) -> None:
+        self.trials.append(trial)
+        self.errors.append(error)
+
+    def _try_candidates(self) -> tuple[FittedCandidate, ...]:
+        """The candidates of a model, fitted, with a verdict on each; the best first."""
+        trial = self.trials[-1]
+        number = USUAL + len(self.places)
+        candidates = propose_candidates(trial, trial.weigh_forces(self.places))
+        looking = self.looking and trial.model.cogging is None and not trial.best.clean
+        number += pitches(trial.best).size if looking else 0
+        again = () if trial.best.clean else (*_otherwise_late(trial), *_list_retries(trial, self.steps, candidates))
+        judged = self._judge_steps(self._fit_candidates(trial, candidates[:MOST_TRIED], again, number))
+        if looking and not any(step.kept for step in judged):
+            judged = self._judge_steps(
+                [*judged, *self._fit_candidates(trial, self._propose_pitches(trial), (), number)]
+            )
+        if trial.best.clean or any(step.kept for step in judged):
+            return tuple(judged)
+        return (*judged, *self._judge_steps(self._pairs(trial, judged, number)))
+
+    def _fit_candidates(
+        self, trial: Trial, candidates: Sequence[Candidate], again: Sequence[Candidate], number: int
+    ) -> list[FittedCandidate]:
+        """Fits candidates, the best first, and others whose score says nothing. Candidates that promise much less than
+        the first are fitted only if nothing explains every count."""
+        fitted = list[FittedCandidate]()
+        for candidate in (*candidates, *again):
+            known = any(step.explains_all and step.gain > step.needed for step in fitted)
+            near = candidate in candidates and candidate.explains >= NEARLY * candidates[0].explains
+            if known and (candidate.scanned or not near):
+                break
+            fitted.append(_fit_candidate(self.bench, trial, candidate, number))
+            self.done((len(self.steps) + len(fitted) / (len(candidates) + len(again) + 1)) / (MOST_STEPS + 1))
+        return fitted
+
+    def _pairs(self, trial: Trial, tried: Sequence[FittedCandidate], number: int) -> list[FittedCandidate]:
+        """Two terms at once, where no single one suffices: the two that explain most alone, and the first of them with
+        a force along the travel, whose quick fit may go astray while the other is missing. That force alone, fitted as
+        others are, where another term was kept before, which may be in its place."""
+        best = [step.candidate for step in tried if step.trial is not None][:2]
+        looking = self.looking and trial.model.cogging is None
+        pairs = [tuple(best)] if len(best) == 2 else []
+        along = self._propose_peaks(trial) if looking else []
+        pairs += [(best[0] if best and len(self.trials) == 1 else one, one) for one in along]
+        fitted = list[FittedCandidate]()
+        for one, other in pairs:
+            change = {**one.change, **other.change}
+            if other.change.items() <= change.items() and one.change.items() <= change.items():
+                says = other.says if one is other else f"{one.says}, and {other.says}"
+                both = replace(one, change=change, says=says, scanned="cogging" in change)
+                fitted.append(_fit_candidate(self.bench, trial, replace(both, elsewhere=math.inf), number**2))
+            if fitted and fitted[-1].explains_all:
+                break
+        return fitted
+
+    def _propose_peaks(self, trial: Trial) -> list[Candidate]:
+        """Cogging forces at the peaks of the scans."""
+        places = [PeriodicForce("cogging", pitch) for pitch in self.bench.scan_pitches(trial)[:MOST_PAIRED]]
+        return [Candidate({one.key: one.period}, one.says, 0.0, 1.0, 0.0, math.inf, True) for one in places]
+
+    def _propose_pitches(self, trial: Trial) -> list[Candidate]:
+        """Cogging forces of the pitches that scans end at."""
+        found = []
+        for gain, pitch in self.bench.pitches(trial):
+            place = PeriodicForce("cogging", pitch)
+            seen = trial.weigh_forces([place])
+            scores = [abs(z) for candidate, z in zip(seen.forces, seen.z, strict=True) if candidate.name == place.key]
+            z = float(max(scores, default=0.0))
+            found.append(Candidate({place.key: pitch}, place.says, z, 1.0, gain, gain, True))
+        return found
+
+    def _judge_steps(self, found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
+        """Keeps the first candidate that is beyond chance and predicts other parts no worse."""
+        judged, kept, error = list[FittedCandidate](), None, self.errors[-1]
+        for step in _simplest_first(found):
+            if step.trial is None or (reason := find_objection(step, found)):
+                judged.append(step if step.trial is None else replace(step, verdict=reason, without=error))
+                continue
+            own = step.error if math.isfinite(step.error) else self.bench.elsewhere(step.trial)
+            verdict = WORSE if is_worse(own, error) else _next_to(step, kept) if kept else KEPT
+            judged.append(replace(step, error=own, verdict=verdict, without=error))
+            kept = judged[-1] if judged[-1].kept else kept
+        return judged
+
+    def _drop_superfluous(self) -> tuple[FittedCandidate, ...]:
+        """The chosen model without each of the added terms. The search goes on to one of these models if the loss is
+        within chance, or the term worsens the prediction of other parts."""
+        first = self.trials[0].model
+        while True:
+            last = self.trials[-1].model
+            tried = [self._remove_term(change) for change in removable(first, last)]
+            simpler = [self._remove_term(DIRECTIONAL, LOAD)] if last.friction != first.friction else []
+            gone = [step for step in (*tried, *simpler) if step.verdict == DROPPED and step.trial is not None]
+            if not gone:
+                return tuple(tried)
+            least = min(gone, key=lambda step: step.gain)
+            self.steps.append((least,))
+            if least.trial is not None:
+                self._take(least.trial, least.without)
+
+    def _remove_term(self, change: Change, instead: Change = MappingProxyType({})) -> FittedCandidate:
+        """The model fitted without a term. instead: a simpler term that takes its place."""
+        whole, first = self.trials[-1], self.trials[0].model
+        own = {key: getattr(whole.model, key) for key in change}
+        candidate = Candidate(own, " and ".join(setting(*pair) for pair in own.items()), 0.0, 1.0, 0.0, math.inf)
+        try:
+            back = {key: getattr(first, key) for key in change} | dict(instead)
+            found = self.bench.fit_model(change_arguments(whole.model, back), whole)
+        except (NotIdentifiableError, UsageError):  # nothing follows the record without it
+            return FittedCandidate(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
+        candidate = replace(candidate, inflation=inflation(found, whole))
+        needed, loss = _compute_needed_gain(whole, found, USUAL + len(self.places)), _gain(whole, found, candidate)
+        error = self.bench.elsewhere(found)
+        gone = loss < needed or is_worse(self.errors[-1], error)
+        return FittedCandidate(candidate, found, loss, needed, self.errors[-1], DROPPED if gone else KEPT, error)
+
+
+def is_worse(error: float, before: float) -> bool:
+    """Is an error of free runs larger than the error of the model without a term?"""
+    return error > (1 + NO_WORSE) * before
+
+
+def removable(first: Drive, last: Drive) -> list[Change]:
+    """Each change by itself of those that lead from one model to another."""
+    found = changed_fields(first, last)
+    together = {"friction": DIRECTIONAL}
+    return [dict(together.get(key, {key: value})) for key, value in found.items() if key != "offset" or last.offset]
+
+
+def _next_to(step: FittedCandidate, kept: FittedCandidate) -> str:
+    """The verdict on a term in comparison with the kept one."""
+    return EITHER if _measure_deficit(step, kept) < ALIKE and not _is_special_case(kept, step) else LESS
+
+
+def _measure_deficit(step: FittedCandidate, best: FittedCandidate) -> float:
+    """By how much a term explains less than the best, in units of chance."""
+    if step.trial is None or best.trial is None:
+        return math.inf
+    return 2 * (best.trial.log_likelihood - step.trial.log_likelihood) / best.candidate.inflation
+
+
+def _simplest_first(found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
+    """The best first, but for one that has fewer parameters, is a part of it, and explains as much but for chance."""
+    ordered = sorted(found, key=lambda step: step.size, reverse=True)
+    for step in ordered[1:]:
+        if _is_special_case(step, ordered[0]) and _measure_deficit(step, ordered[0]) < ALIKE + PER_PARAMETER:
+            return [step, *(one for one in ordered if one is not step)]
+    return ordered
+
+
+def _is_special_case(step: FittedCandidate, other: FittedCandidate) -> bool:
+    """Is a term the special case of another? A load is a special case of directional friction."""
+    return step.candidate.key == "offset" and other.candidate.key == "friction"
+
+
+def _otherwise_late(trial: Trial) -> list[Candidate]:
+    """A lag next to a dead time, and a dead time next to a lag: no score tells them apart, likelihoods do."""
+    keys = [key for key in (DEAD_TIME, LAG) if getattr(trial.model, key) == ESTIMATE]
+    if len(keys) != 1:
+        return []
+    other = LAG if keys == [DEAD_TIME] else DEAD_TIME
+    return [Candidate({other: ESTIMATE}, "a dead time and a lag of the input", 0.0, 1.0, 0.0, math.inf)]
+
+
+def _list_retries(
+    trial: Trial, steps: Sequence[tuple[FittedCandidate, ...]], candidates: Sequence[Candidate]
+) -> tuple[Candidate, ...]:
+    """Candidates that were beyond chance in the last step, and lost: the kept term may have taken up part of their
+    effect, so that their scores say nothing any more."""
+    if not steps:
+        return ()
+    lost = [step.candidate for step in steps[-1] if step.trial and not step.kept and step.gain > step.needed]
+    known = {candidate.key for candidate in candidates}
+    return tuple(one for one in lost if one.key not in known and not _has(trial.model, one.change))
+
+
+def _has(model: Drive, change: Change) -> bool:
+    return all(getattr(model, key) == value for key, value in change.items())
+
+
+def propose_candidates(trial: Trial, found: Adequacy) -> list[Candidate]:
+    """Candidates that the counts ask for, ordered by promised gain; of several forces with one change, the best."""
+    by_change: dict[str, Candidate] = {}
+    for k in np.argsort(-found.gain).tolist():
+        candidate = found.forces[k]
+        if not _deserves_trial(trial, found, k) or (candidate.positive and found.size[k] < 0):
+            continue
+        for change in (*candidate.changes, *OTHERWISE.get(candidate.name, ())):
+            if _has(trial.model, change):
+                continue
+            scatter, gain = float(found.size_std[k] ** 2 * found.expected[k]), float(found.gain[k])
+            one = Candidate(change, candidate.says, float(found.z[k]), scatter, gain, float(found.elsewhere[k]))
+            by_change.setdefault(repr(sorted(change.items())), one)
+    return list(by_change.values())
+
+
+def _deserves_trial(trial: Trial, found: Adequacy, k: int) -> bool:
+    """Is a force worth a trial? If the model explains every count, the score must be beyond chance. Otherwise
+    unmodelled effects scatter the scores, and the likelihood decides."""
+    if trial.best.clean:
+        return bool(abs(found.z[k]) >= MISSED)
+    return bool(abs(found.z[k]) >= WEAK and found.gain[k] >= MISSED**2)
+
+
+def _gain(trial: Trial, before: Trial, candidate: Candidate) -> float:
+    return 2 * (trial.log_likelihood - before.log_likelihood) / candidate.inflation
+
+
+def _compute_needed_gain(found: Trial, before: Trial, number: int) -> float:
+    return MISSED**2 + 2 * math.log(number) + PER_PARAMETER * (found.parameters - before.parameters - 1)
+
+
+def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int) -> FittedCandidate:
+    try:
+        found = bench.further(trial, candidate.change)
+        if candidate.scanned:
+            found = bench.tune_pitch(found)
+            candidate = replace(candidate, change={**candidate.change, "cogging": found.model.cogging})
+    except (NotIdentifiableError, UsageError):  # or the model has no room for both
+        return FittedCandidate(candidate, None, 0.0, math.inf, math.inf, "no fit")
+    candidate = replace(candidate, inflation=inflation(trial, found))
+    return FittedCandidate(
+        candidate, found, _gain(found, trial, candidate), _compute_needed_gain(found, trial, number), math.inf, ""
+    )
+
+
+def find_objection(step: FittedCandidate, found: Sequence[FittedCandidate]) -> str:
+    """The reason against a term, whatever other terms there are; empty if there is none."""
+    if step.gain < step.needed:
+        return "within chance"
+    if step.candidate.elsewhere <= 0 and not step.explains_all:
+        return "not in other parts of the record"
+    return UNCLEAR if is_unclear(step, found) else ""
+
+
+def is_unclear(step: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
+    """Is it a force along the travel of a pitch that is hardly better than another one? Neither is to be believed."""
+    if step.explains_all:
+        return False
+    own = step.candidate
+    others = [one for one in found if one.candidate.key == own.key == "cogging" and one.candidate.change != own.change]
+    return any(one.trial and one.size > HARDLY * step.size for one in others)

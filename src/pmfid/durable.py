@@ -1,0 +1,252 @@
+"""Files that are whole or absent: checksums, locks, two generations, crash points."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, ClassVar, TypeVar
+
+from pmfid.errors import UsageError
+
+__all__ = ["CRASH_AT", "arm", "crash_point"]
+
+#: The variable that names a point and the time of passing it that ends the process, as "checkpoint.renamed:3".
+CRASH_AT = "PMFID_CRASH_AT"
+
+
+_left: dict[str, int] = {}
+
+
+def arm(setting: str) -> None:
+    """Ends the process at a point, as in the variable; "" for none."""
+    _left.clear()
+    if setting:
+        name, _, times = setting.partition(":")
+        _left[name] = int(times or 1)
+
+
+def crash_point(name: str) -> None:
+    """Kills the process if this point is armed and its number of passes is reached."""
+    if _left and name in _left:
+        _left[name] -= 1
+        if _left[name] == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+arm(os.environ.get(CRASH_AT, ""))
+
+MAGIC, VERSION = b"PMFIDCKP", 1
+_HEAD, _REST = struct.Struct("<8sII"), struct.Struct("<QQ")
+#: Bytes before the body; a multiple of 8, so that float64 in a mapped body is aligned.
+_BEFORE = _HEAD.size + _REST.size
+#: Longest body [bytes]; a header with a longer one is refused.
+_LONGEST = 2**36
+
+Event = dict[str, Any]
+#: Bytes without gaps, of which no copy is made.
+Chunk = bytes | memoryview
+
+
+class DamagedError(Exception):
+    """Why a file is not whole."""
+
+
+@dataclass(frozen=True)
+class WholeFile:
+    """A file that is whole: its sequence number and its body."""
+
+    path: Path
+    sequence: int
+    body: Chunk
+
+
+def put(file: IO[bytes], sequence: int, chunks: Sequence[Chunk], half: str) -> None:
+    """Writes chunks of bytes (n,) where the file stands; half: the point of `crash` in their middle. Raises OSError."""
+    rest = _REST.pack(sequence, sum(map(len, chunks)))
+    checksum = zlib.crc32(rest)
+    for chunk in chunks:
+        checksum = zlib.crc32(chunk, checksum)
+    file.write(_HEAD.pack(MAGIC, VERSION, checksum) + rest)
+    for k, chunk in enumerate(chunks):
+        if k == len(chunks) // 2:
+            file.write(chunk[: len(chunk) // 2])
+            file.flush()
+            crash_point(half)
+            chunk = chunk[len(chunk) // 2 :]
+        file.write(chunk)
+
+
+def read(path: Path) -> WholeFile:
+    """A file in memory. Raises OSError, and DamagedError for what is not whole."""
+    with open(path, "rb") as file:
+        head = file.read(_BEFORE)
+        length = _length(head, os.fstat(file.fileno()).st_size)
+        return _check_body(path, head, file.read(length))
+
+
+def map_file(path: Path) -> WholeFile:
+    """A file mapped into memory; changes of the body stay in this process. The file must not be cut while it is in
+    use. Raises like `read`."""
+    with open(path, "rb") as file:
+        head, size = file.read(_BEFORE), os.fstat(file.fileno()).st_size
+        _length(head, size)
+        pages = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_COPY)
+    return _check_body(path, head, memoryview(pages)[_BEFORE:])
+
+
+def _length(head: bytes, size: int) -> int:
+    if len(head) < _BEFORE:
+        raise DamagedError("it is shorter than the head of a checkpoint")
+    magic, version, _ = _HEAD.unpack_from(head)
+    length = int(_REST.unpack_from(head, _HEAD.size)[1])
+    if magic != MAGIC or version != VERSION:
+        raise DamagedError("it is no checkpoint of this version")
+    if length != size - _BEFORE or length > _LONGEST:
+        raise DamagedError("it is cut short, or something follows its end")
+    return length
+
+
+def _check_body(path: Path, head: bytes, body: Chunk) -> WholeFile:
+    checksum = int(_HEAD.unpack_from(head)[2])
+    if zlib.crc32(body, zlib.crc32(head[_HEAD.size :])) != checksum:
+        raise DamagedError("its checksum is wrong")
+    return WholeFile(path, int(_REST.unpack_from(head, _HEAD.size)[0]), body)
+
+
+def set_aside(path: Path, problem: str, tell: Callable[[Event], None]) -> None:
+    """Renames what cannot be used, so that people can look at it and nothing overwrites it."""
+    place = next(p for k in range(1, 10**6) if not (p := path.with_name(f"{path.name}.damaged-{k}")).exists())
+    try:
+        path.rename(place)
+    except OSError as error:
+        place = path
+        problem = f"{problem}; it cannot be set aside: {error.strerror}"
+    tell({"event": "checkpoint", "damaged": place.name, "problem": problem})
+
+
+def sync_folder(folder: Path) -> None:
+    """The name of a new file is durable once its folder is."""
+    if os.name != "posix":
+        return
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
+
+
+#: Name of the lock file in a folder.
+NAME = "lock"
+
+
+def lock(file: int) -> bool:
+    """Locks a file for this process until the process closes the file or ends; False if another process has the lock.
+    Always True on systems without such locks."""
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def hold(folder: Path, setting: str, other: str) -> IO[bytes]:
+    """Makes a folder and locks it until the returned file is closed. setting: name of the folder's setting; other: the
+    possible other owner. Raises UsageError if another owner has it, and if it cannot be made, locked or written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held: IO[bytes] = open(folder / NAME, "ab")  # noqa: SIM115
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{setting}: {folder}: {reason}; choose a folder that can be written") from None
+    try:
+        free = lock(held.fileno())
+    except OSError as error:
+        held.close()
+        raise UsageError(f"{setting}: {folder}: {error.strerror}; choose a folder that can be locked") from None
+    if not free:
+        held.close()
+        raise UsageError(f"{setting}: {other} works in {folder}; end that, or choose another folder")
+    return held
+
+
+Content = TypeVar("Content")
+
+
+@dataclass
+class CheckpointFolder:
+    """A folder with two generations of checkpoints; it is made if absent, and has one owner at a time.
+
+    Raises UsageError if another owner has the folder, and if it cannot be made.
+    """
+
+    folder: Path
+    sequence: int = 0
+
+    #: Words of errors: the setting that names the folder, and the possible other owner.
+    setting: ClassVar[str] = "folder"
+    other: ClassVar[str] = "another process"
+
+    def __post_init__(self) -> None:
+        self._lock: IO[bytes] = hold(self.folder, self.setting, self.other)
+
+    def load(self, read: Callable[[bytes], Content], tell: Callable[[Event], None]) -> Content | None:
+        """Result of `read` for the newest whole checkpoint; None if there is none. A checkpoint that is damaged, or
+        that `read` refuses with ValueError, is renamed and reported, and the older one is taken."""
+        for one in self.whole(tell):
+            try:
+                return read(bytes(one.body))
+            except ValueError as error:
+                set_aside(one.path, str(error), tell)
+        return None
+
+    def whole(self, tell: Callable[[Event], None]) -> list[WholeFile]:
+        """The whole checkpoints, the newest first; damaged ones are renamed and reported."""
+        found = []
+        for path in self._places():
+            try:
+                found.append(read(path))
+            except FileNotFoundError:
+                continue
+            except (OSError, DamagedError) as error:
+                set_aside(path, str(error), tell)
+        self.sequence = max([self.sequence, *(one.sequence for one in found)])
+        return sorted(found, key=lambda one: one.sequence, reverse=True)
+
+    def _places(self) -> tuple[Path, Path]:
+        return self.folder / "checkpoint-0", self.folder / "checkpoint-1"
+
+    def write(self, chunks: Sequence[Chunk]) -> None:
+        """A new checkpoint in place of the older one; it is durable when this returns. Raises OSError."""
+        sequence = self.sequence + 1
+        part = self.folder / "checkpoint.part"
+        try:
+            with open(part, "wb") as file:
+                put(file, sequence, chunks, "checkpoint.half")
+                crash_point("checkpoint.written")
+                file.flush()
+                os.fsync(file.fileno())
+            crash_point("checkpoint.synced")
+            os.replace(part, self._places()[sequence % 2])
+        except OSError:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise
+        self.sequence = sequence
+        crash_point("checkpoint.renamed")
+        sync_folder(self.folder)
+        crash_point("checkpoint.durable")
+
+    def close(self) -> None:
+        """Another one may have the folder."""
+        self._lock.close()

@@ -1,1 +1,0 @@
-"""Files that are either whole or absent on disk, also after a kill or a power failure."""

@@ -1,0 +1,373 @@
+"""Where a search begins, and the windows that it passes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.motion import ENCODER_ALONE, QUOTIENT_STEP, WHITE, WORST_FIT, Difference, first_speed, least, rms
+from pmfid.estimators.uncertainty import TINY
+from pmfid.types import Floats
+
+Found = TypeVar("Found")
+
+#: Time constants of the filters over which the start of a free run is read.
+READ = 5.0
+#: Filter time constants over which speeds to begin with are read.
+WITHIN = (1.0, READ)
+#: Passes of Gauss and Newton's method; a stop that comes and goes may keep it from settling.
+PASSES = 8
+SETTLED_START = 1e-12
+#: A step too far is tried once more as this part of itself.
+SHORTER = 0.25
+#: Stribeck speeds to start from, as parts of the usual one: with each, what is left is a sum of squares of its own.
+STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
+#: Those that are gone on from: the one that leaves the least need not lead to the best maximum.
+MOST_SPEEDS = 2
+
+
+def start_samples(dt: float, cutoff: float) -> int:
+    """How many samples the start of a free run is read from; dt [s], cutoff [rad/s]."""
+    return max(2, math.ceil(READ / (cutoff * dt)))
+
+
+def choose_start(difference: Difference, theta: Floats, cutoff: float, speeds: Sequence[float] = ()) -> Floats:
+    """q (q,) at scaled parameters (p,), with a start to improve: that whose motion is the nearest, of the speeds that
+    the counts show within 1 / cutoff [s] and within several times that, and of further ones.
+
+    From a speed within stiction, where the axis was moving, there is no way to a better one.
+    """
+    shown = [first_speed(difference.y, difference.dt, cutoff / part, difference.resolution) for part in WITHIN]
+    places = [np.array([difference.y[0], speed]) / difference.scale[-2:] for speed in dict.fromkeys((*shown, *speeds))]
+    starts: list[Floats] = [np.concatenate([theta, place]) for place in places]
+    return min(starts, key=lambda q: rms(difference(q)))
+
+
+def fit_start(difference: Difference, q: Floats) -> Floats:
+    """q (q,) with the start of least squares, its parameters as they are.
+
+    From rest within stiction a velocity moves nothing: it is taken for that of q to a few counts in a filter time
+    constant, as in every error bar.
+    """
+    prior = np.array([0.0, 1 / difference.start_velocity_std])
+    speed, left = q[-1], _weigh_residual(difference, q, q[-1])
+    for _ in range(PASSES):
+        slope = np.r_[WHITE * difference.jacobian(q, first=q.size - 2), prior[None]]
+        if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(left))):
+            break  # parameters that nothing can be simulated with
+        step = np.r_[np.zeros(q.size - 2), np.linalg.lstsq(slope, -left)[0]]
+        before = float(left @ left)
+        for part in (1.0, SHORTER):
+            trial = q + part * step
+            found = _weigh_residual(difference, trial, speed)
+            if float(found @ found) < before:
+                q, left = trial, found
+                break
+        if not float(left @ left) < (1 - SETTLED_START) * before:
+            break
+    return q
+
+
+def _weigh_residual(difference: Difference, q: Floats, speed: float) -> Floats:
+    """(n + 1,) what is left of the position and of the start velocity `speed`, in their standard deviations."""
+    return np.append(WHITE * difference(q), (q[-1] - speed) / difference.start_velocity_std)
+
+
+def find_least_from_start(difference: Difference, q: Floats, cutoff: float, tolerances: Sequence[float]) -> Floats:
+    """`least` from q (q,). Where a force has a shape, from where the motion at these parameters starts by the first
+    samples, and from q itself only if more is left than the encoder explains: along the travel the sum of squares has a
+    minimum for each way to begin. Raises NotIdentifiableError where nothing settles."""
+    if not difference.equation.shaped:
+        return least(difference, q, tolerances)
+    found, refused = list[Floats](), NotIdentifiableError("no start of the motion leads anywhere")
+    for begin in (read_start(difference, q, cutoff), q):
+        try:
+            found.append(least(difference, begin, tolerances))
+        except NotIdentifiableError as error:
+            refused = error
+            continue
+        if rms(difference(found[-1])) <= difference.explained:
+            break
+    if not found:
+        raise refused
+    return min(found, key=lambda one: rms(difference(one)))
+
+
+def read_start(difference: Difference, q: Floats, cutoff: float) -> Floats:
+    """q (q,) with a start that is read from the first samples."""
+    direct = replace(difference, pole=0.0)
+    first = direct.part(0, min(start_samples(direct.dt, cutoff), direct.y.size))
+    return fit_start(first, choose_start(first, q[:-2], cutoff))
+
+
+def fit_at_speeds(
+    usual: float, at: Callable[[float], Found], worse: Callable[[Found], float]
+) -> list[tuple[float, Found]]:
+    """Stribeck speeds to go on from, the best first, and what was found at each; usual: speed of the motion; at: fits
+    with a speed that is known; worse: by what they are compared. Raises NotIdentifiableError where none settles."""
+    found = list[tuple[float, Found]]()
+    refused = NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
+    for speed in (usual * np.array(STRIBECK_SPEEDS)).tolist():
+        try:
+            found.append((speed, at(speed)))
+        except NotIdentifiableError as error:
+            refused = error
+    if not found:
+        raise refused
+    return sorted(found, key=lambda one: worse(one[1]))[:MOST_SPEEDS]
+
+
+#: Each window begins in the middle of the one before: where they lie must not decide.
+HOPS = 2
+MAX_STEPS = 60
+#: A step that lowers the sum of squares by less than this part has settled.
+SETTLED_DESCENT = 1e-8
+#: The same where windows of different lengths are compared.
+ROUGHLY = 1e-4
+MAX_DAMPING = 1e8
+
+
+@dataclass(frozen=True)
+class Windows(Difference):
+    """A `Difference` over windows that overlap, without a high-pass, as a function of q = (theta, x0, v0, x0, v0, ...)
+    / scale: parameters (p,), and a start for each window.
+
+    Its samples are those of the windows one after the other. pieces: the windows; firsts: their first samples in the
+    record.
+    """
+
+    pieces: tuple[Difference, ...] = ()
+    firsts: tuple[int, ...] = ()
+
+    @classmethod
+    def cover_stretches(cls, difference: Difference, stretches: Sequence[tuple[int, int]], length: int) -> Windows:
+        """Windows of about `length` samples that fill stretches of the record, from first to last - 1 each."""
+        edges = [edge for stretch in stretches for edge in _covering(*stretch, length)]
+        own = {field.name: getattr(difference, field.name) for field in fields(Difference)} | {"pole": 0.0}
+        pieces = tuple(Difference(**own).part(first, last) for first, last in edges)
+        return cls(**own, pieces=pieces, firsts=tuple(first for first, _ in edges))
+
+    def start_windows(self, theta: Floats, cutoff: float) -> Floats:
+        """q (q,) at scaled parameters (p,) with the start of each window that fits it; each is begun at the speed that
+        the window before has there, or that the counts show within 1 / cutoff [s]."""
+        places, speeds, before = [], np.zeros(0), 0
+        for part, first in zip(self.pieces, self.firsts, strict=True):
+            there = speeds[first - before : first - before + 1].tolist()
+            q = fit_start(part, choose_start(part, theta, cutoff, there))
+            places.append(q[theta.size :])
+            speeds, before = part.motion(q)[1], first
+        return np.concatenate([theta, *places])
+
+    def split_windows(self, q: Floats) -> list[tuple[Difference, Floats]]:
+        """Each window with its own q (p + 2,)."""
+        p = self.parameters
+        return [(part, np.r_[q[:p], place]) for part, place in zip(self.pieces, q[p:].reshape(-1, 2), strict=True)]
+
+    def __call__(self, q: Floats) -> Floats:
+        return np.concatenate([part(own) for part, own in self.split_windows(q)])
+
+    def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
+        position, velocity = zip(*(part.motion(own) for part, own in self.split_windows(q)), strict=True)
+        return np.concatenate(position), np.concatenate(velocity)
+
+    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = QUOTIENT_STEP) -> Floats:
+        return np.concatenate([part.own_sensitivity(own, None, width) for part, own in self.split_windows(q)])
+
+    def sum_by_sample(self, values: Floats) -> Floats:
+        """(n, ...) at the samples of the record, the sum over the windows that have them."""
+        total, begin = np.zeros((self.y.size, *values.shape[1:])), 0
+        for part, first in zip(self.pieces, self.firsts, strict=True):
+            total[first : first + part.y.size] += values[begin : begin + part.y.size]
+            begin += part.y.size
+        return total
+
+    @property
+    def lower(self) -> Floats:
+        return np.concatenate([super().lower[:-2], np.full(2 * len(self.pieces), -np.inf)])
+
+    @property
+    def size_of_motion(self) -> float:
+        """About the mean of each window: what a start cannot follow."""
+        return rms(np.concatenate([part.y - np.mean(part.y) for part in self.pieces]) / self.resolution)
+
+
+def _covering(first: int, last: int, length: int) -> list[tuple[int, int]]:
+    count = max(1, round((last - first) / length))
+    size = (last - first) // count
+    begins = np.linspace(first, last - size, HOPS * (count - 1) + 1).round().astype(int)
+    return [(begin, begin + size) for begin in begins.tolist()]
+
+
+@dataclass(frozen=True)
+class _Slope:
+    """One window, linear at its q: what is left (n,), the parameters' own effect on it (n, p), and by how much its
+    start moves, (2,) for what is left and (2, p) for a unit of each parameter."""
+
+    left: Floats
+    own: Floats
+    start: Floats
+    moves: Floats
+
+
+def _slope(part: Difference, q: Floats) -> _Slope:
+    error, jacobian = part(q), part.jacobian(q)
+    effects, nuisance = np.column_stack([error, jacobian[:, :-2]]), jacobian[:, -2:]
+    prior = np.array([[0.0, 1 / part.start_velocity_std]])
+    targets = np.r_[WHITE * effects, np.zeros((1, effects.shape[1]))]
+    moves = np.linalg.lstsq(np.r_[WHITE * nuisance, prior], targets)[0]
+    apart = effects - nuisance @ moves
+    return _Slope(apart[:, 0], apart[:, 1:], moves[:, 0], moves[:, 1:])
+
+
+def descend(windows: Windows, q: Floats, settled: float = SETTLED_DESCENT) -> Floats:
+    """Least squares from q (q,): damped steps of Gauss and Newton, the starts eliminated window by window; a parameter
+    that a step would take below its bound stays there."""
+    low, p, damping = windows.lower, windows.parameters, 1e-3
+    cost, slopes = _cost(windows(q)), [_slope(part, own) for part, own in windows.split_windows(q)]
+    for _ in range(MAX_STEPS):
+        theta = np.maximum(q[:p] + _step(slopes, damping, q[:p] <= low[:p]), low[:p])
+        trial = _move_starts(windows, q, theta, slopes)
+        found = _cost(windows(trial))
+        if found < cost:
+            gain, q, cost, damping = 1 - found / cost, trial, found, damping / 10
+            if gain < settled:
+                break
+            slopes = [_slope(part, own) for part, own in windows.split_windows(q)]
+        elif damping > MAX_DAMPING:
+            break
+        else:
+            damping *= 10
+    return q
+
+
+def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> Floats:
+    """Other parameters (p,), and each start where it follows from them, or where it was: a start within stiction moves
+    nothing until it moves much, and one such window must not hold up all others."""
+    places, change = [], theta - q[: theta.size]
+    for (part, own), slope in zip(windows.split_windows(q), slopes, strict=True):
+        along = slope.moves @ change
+        starts = [own[-2:] - step for step in (slope.start + along, along, 0.0 * along)]
+        places.append(min(starts, key=lambda start: _cost(part(np.r_[theta, start]))))
+    return np.concatenate([theta, *places])
+
+
+def _step(slopes: Sequence[_Slope], damping: float, bound: NDArray[np.bool_]) -> Floats:
+    """Of the parameters (p,), those at a bound only away from it."""
+    normal = np.sum([slope.own.T @ slope.own for slope in slopes], axis=0)
+    downhill = -np.sum([slope.own.T @ slope.left for slope in slopes], axis=0)
+    free = ~(bound & (downhill < 0))
+    normal = normal + damping * np.diag(np.maximum(np.diagonal(normal), TINY))
+    step = np.zeros(free.size)
+    step[free] = np.linalg.solve(normal[np.ix_(free, free)], downhill[free])
+    return step
+
+
+def _cost(left: Floats) -> float:
+    """Sum of squares; infinite where a step was too far."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = float(left @ left)
+    return total if total < np.inf else np.inf
+
+
+#: Parts of the record, each predicted from the others by a free run.
+FOLDS = 3
+#: Pieces in which a part is run as well, each with its own start: one long run is a matter of chance, many short ones
+#: say little on drift. WORTH: length of a piece over the span that its start is read from.
+PIECES, WORTH = (1, 2, 4, 8), 4
+#: The shortest window, in time constants of the filters and in samples: shorter ones say little but where they start.
+SHORTEST, FEWEST = 20.0, 40
+#: A longer window is taken where it predicts as well but for this part: it knows more.
+AS_WELL = 0.05
+
+
+@dataclass(frozen=True)
+class WindowChoice:
+    """samples: of a window; seconds; errors: for each length that was tried [s], infinite for the whole record, the
+    error of free runs over parts that were not fitted to, in one piece and in several [unit of the resolution]: the
+    geometric mean of the root mean squares."""
+
+    samples: int
+    seconds: float
+    errors: dict[float, float]
+
+    @property
+    def says(self) -> str:
+        """For people."""
+        chosen = "one window over the whole record" if math.isinf(self.seconds) else f"windows of {self.seconds:.3g} s"
+        if len(self.errors) < 2:
+            return f"{chosen}: it is too short to choose their length on it"
+        best = {length: error for length, error in self.errors.items() if length != self.seconds}
+        other = min(best, key=lambda length: best[length])
+        named = "one window" if math.isinf(other) else f"windows of {other:.3g} s"
+        others = f"by {best[other]:.3g} with {named}" if best[other] < math.inf else "other windows give no estimate"
+        return (
+            f"{chosen}, chosen on this record: free runs over each third of it with what the others give, also "
+            f"restarted within it, are off by {self.errors[self.seconds]:.3g}, {others}"
+        )
+
+
+def choose_window(difference: Difference, theta: Floats, cutoff: float) -> WindowChoice:
+    """The length for a difference without a high-pass, from scaled parameters (p,); cutoff [rad/s] of the filters."""
+    n, dt = difference.y.size, difference.dt
+    shortest = max(FEWEST, math.ceil(SHORTEST / (cutoff * dt)))
+    lengths = [n, *_halves(n * (FOLDS - 1) // FOLDS // 2, shortest)]
+    errors = {_seconds(k, n, dt): predicted_elsewhere(difference, theta, cutoff, k) for k in lengths}
+    best = min(errors.values())
+    samples = next((length for length in lengths if errors[_seconds(length, n, dt)] <= (1 + AS_WELL) * best), n)
+    return WindowChoice(samples, _seconds(samples, n, dt), errors)
+
+
+def _seconds(length: int, n: int, dt: float) -> float:
+    return math.inf if length >= n else length * dt
+
+
+def _halves(length: int, shortest: int) -> Iterator[int]:
+    while length >= shortest:
+        yield length
+        length //= 2
+
+
+def predicted_elsewhere(difference: Difference, theta: Floats, cutoff: float, length: int) -> float:
+    """Error of free runs over parts of the record [unit of the resolution], geometric mean: each part and each length
+    of the runs counts alike, also where one of them is hard to predict. Infinite where there is no estimate, or half
+    the motion is left."""
+    n, logs = difference.y.size, []
+    edges = np.linspace(0, n, FOLDS + 1).round().astype(int).tolist()
+    for first, last in pairwise(edges):
+        rest = [(a, b) for a, b in ((0, first), (last, n)) if b - a >= FEWEST]
+        try:
+            windows = Windows.cover_stretches(difference, rest, length)
+            q = descend(windows, windows.start_windows(theta, cutoff), ROUGHLY)
+        except (NotIdentifiableError, np.linalg.LinAlgError):
+            return math.inf
+        if not rms(windows(q)) < max(WORST_FIT * windows.size_of_motion, windows.explained):
+            return math.inf
+        part, found = difference.part(first, last), q[: theta.size]
+        logs += [_log_error(part, found, cutoff, pieces) for pieces in _pieces(part, cutoff)]
+    return math.exp(float(np.mean(logs))) * difference.resolution
+
+
+def _pieces(part: Difference, cutoff: float) -> list[int]:
+    least = WORTH * start_samples(part.dt, cutoff)
+    return [count for count in PIECES if count == 1 or part.y.size // count >= least]
+
+
+def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> float:
+    """Logarithm of the root mean square error [counts] of runs over the pieces of a part."""
+    edges = np.linspace(0, part.y.size, pieces + 1).round().astype(int).tolist()
+    runs = [free_run(part.part(first, last), theta, cutoff) for first, last in pairwise(edges)]
+    left = rms(np.concatenate(runs))
+    return math.log(max(left, ENCODER_ALONE)) if left < math.inf else math.inf
+
+
+def free_run(part: Difference, theta: Floats, cutoff: float) -> Floats:
+    """(n,) what is left of a difference at scaled parameters (p,) [counts], with a start from its first samples."""
+    read = part.part(0, min(start_samples(part.dt, cutoff), part.y.size))
+    return part(fit_start(read, choose_start(read, theta, cutoff)))

@@ -1,0 +1,375 @@
+"""A fleet of shards, with checkpoints on disk."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.durable import CheckpointFolder, DamagedError, Event, set_aside
+from pmfid.errors import UsageError, whole_number
+from pmfid.estimators import shards as stored
+from pmfid.estimators.fleet import runner_of
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.results import Tracks
+from pmfid.estimators.runner import SMALL, Runner, SampleBlock, threads
+from pmfid.estimators.shards import (
+    Each,
+    Handles,
+    Listing,
+    Shard,
+    ShardGroup,
+    ShardPiece,
+    identity_of,
+    place_of,
+    read_listing,
+    read_shard,
+    state_of,
+)
+
+__all__ = ["Restored", "restored_from"]
+
+
+@dataclass(frozen=True)
+class Restored:
+    """What a fleet began with. sequence: number of the checkpoint, 0: none; mark: stored with it; damaged: files that
+    were not whole and are set aside, each with its reason; lost: handles of axes that were reset for that reason."""
+
+    sequence: int
+    mark: object
+    damaged: tuple[str, ...]
+    lost: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Shards as a checkpoint has them. broken: numbers of the damaged ones, which are reset, and the reason."""
+
+    listing: Listing
+    shards: list[Shard]
+    broken: Mapping[int, str]
+
+
+@dataclass(frozen=True)
+class Content:
+    """All that a fleet has. size: places of a shard."""
+
+    restored: Restored
+    size: int
+    shards: list[Shard]
+    handles: Handles
+
+
+def restored_from(vault: CheckpointFolder, groups: Mapping[bytes, ShardGroup], each: Each) -> Content | None:
+    """The newest checkpoint with whole shards only. If there is none, the newest checkpoint, with its damaged shards
+    reset. None: there is no checkpoint. groups: the configurations by their identity. Raises UsageError for axes of
+    another configuration."""
+    reports = list[Event]()
+    readable = _listings(vault, reports.append)
+    for listing in readable:
+        taken = _take_shards(listing, vault.folder, groups, each)
+        for number, problem in taken.broken.items():
+            _say(place_of(vault.folder, number, listing.shards[number].side), problem, reports.append)
+        if not taken.broken:
+            return _content(taken, reports)
+    if readable:
+        return _content(_take_shards(readable[0], vault.folder, groups, each), reports)
+    lost = Restored(0, None, _sentences(reports), np.zeros(0, np.int64))
+    return Content(lost, 0, [], Handles()) if reports else None
+
+
+def _listings(vault: CheckpointFolder, tell: Callable[[Event], None]) -> list[Listing]:
+    """Of the checkpoints there are, the newest first."""
+    readable = list[Listing]()
+    for found in vault.whole(tell):
+        try:
+            readable.append(read_listing(found.sequence, bytes(found.body)))
+        except ValueError as error:
+            set_aside(found.path, str(error), tell)
+    return readable
+
+
+def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGroup], each: Each) -> Taken:
+    broken: dict[int, str] = {}
+    shards = list[Shard]()
+    for number, listed in enumerate(listing.shards):
+        if listed.identity not in groups:
+            raise UsageError(
+                f"{folder} has axes of a configuration that is none of the {len(groups)} estimators given; give all "
+                "with which axes were added, as in ShardedFleet(folder, [estimator]), or choose another folder"
+            )
+        shards.append(Shard(groups[listed.identity], number, listing.size))
+
+    def read(shard: Shard) -> None:
+        listed = listing.shards[shard.number]
+        try:
+            read_shard(folder, listed, shard)
+        except DamagedError as error:
+            broken[shard.number] = str(error)
+            shard.begin(np.arange(listed.rows), shard.group.start)
+
+    each(read, shards)
+    return Taken(listing, shards, dict(sorted(broken.items())))
+
+
+def _say(path: Path, problem: str, tell: Callable[[Event], None]) -> None:
+    """Says that a file is not whole, and sets it aside if it is there."""
+    if path.exists():
+        set_aside(path, problem, tell)
+    else:
+        tell({"event": "checkpoint", "damaged": path.name, "problem": problem})
+
+
+def _content(taken: Taken, reports: Sequence[Mapping[str, Any]]) -> Content:
+    listing, places = taken.listing, np.flatnonzero(taken.listing.handles.taken)
+    lost = places[np.isin(places // max(1, listing.size), list(taken.broken))]
+    restored = Restored(listing.sequence, listing.mark, _sentences(reports), listing.handles.make_handles(lost))
+    return Content(restored, listing.size, taken.shards, listing.handles)
+
+
+def _sentences(reports: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    return tuple(f"{one['damaged']}: {one['problem']}" for one in reports)
+
+
+T = TypeVar("T")
+Estimator = RecursiveEstimator | Runner[RecursiveEstimator]
+#: Places of a shard: some MB, which a disk writes in one go, and little to write again for a single axis.
+SHARD = 4096
+#: Axes that a thread steps at once.
+PIECE = 512
+
+
+class ShardedFleet:
+    """Axes of any number of configurations, in shards that are stepped and saved apart; each has the bits that its
+    estimator alone would give.
+
+    An axis is called by its handle, a number that `add` gives and that no other axis ever gets; its place in memory is
+    used again after `remove`. folder: of the checkpoints, one fleet at a time; the fleet resumes from the last whole
+    checkpoint there, see `restored`; None: no checkpoints. estimators: the configurations of the axes in the folder,
+    and others. shard: axes of a shard, if the folder does not say. workers: threads, None: as many as there are
+    processors. One thread at a time may use it. Raises UsageError for other numbers, for an estimator that is not
+    recursive, a folder that cannot be used, and for axes in it whose configuration is not among the estimators.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str] | None = None,
+        estimators: Iterable[Estimator] = (),
+        *,
+        shard: int = SHARD,
+        workers: int | None = None,
+    ) -> None:
+        self.workers = threads(workers)
+        self._size = whole_number("shard", shard, 1, "it is the number of axes of a shard")
+        if self._size > stored.MOST_OF_SHARD:
+            raise UsageError(f"shard must be at most {stored.MOST_OF_SHARD}, got {shard}")
+        self._groups: dict[bytes, ShardGroup] = {}
+        self._shards: list[Shard] = []
+        self._handles = Handles()
+        for estimator in estimators:
+            self._group(runner_of(estimator))
+        self._vault = None if folder is None else CheckpointFolder(Path(folder))
+        self.restored: Restored | None = None
+        self._closed = False
+        if self._vault is not None:
+            self._begin(self._vault)
+
+    def _begin(self, vault: CheckpointFolder) -> None:
+        try:
+            found = restored_from(vault, self._groups, self._each)
+        except BaseException:
+            vault.close()
+            raise
+        if found is not None:
+            self.restored, self._size = found.restored, found.size or self._size
+            self._shards, self._handles = found.shards, found.handles
+
+    def __repr__(self) -> str:
+        folder = None if self._vault is None else str(self._vault.folder)
+        return f"ShardedFleet({folder!r}, {list(self.estimators)!r}, shard={self._size}, workers={self.workers})"
+
+    @property
+    def axes(self) -> int:
+        """How many there are now."""
+        return int(np.count_nonzero(self._handles.taken))
+
+    @property
+    def estimators(self) -> tuple[RecursiveEstimator, ...]:
+        """The configurations, as new estimators."""
+        return tuple(group.runner.estimator for group in self._groups.values())
+
+    def handles(self, estimator: Estimator | None = None) -> NDArray[np.int64]:
+        """(k,) of all axes, or of those with the configuration of an estimator, in the order of their places, in which
+        `run` is fastest."""
+        places = np.flatnonzero(self._handles.taken)
+        if estimator is not None:
+            identity = identity_of(runner_of(estimator))
+            own = np.array([shard.group.identity == identity for shard in self._shards], np.bool_)
+            places = places[own[places // self._size]] if places.size else places
+        return self._handles.make_handles(places)
+
+    # --- axes come and go ---------------------------------------------------------------------------------------------
+
+    def add(self, estimator: Estimator, axes: int = 1) -> NDArray[np.int64]:
+        """Adds axes, which begin in the present state of an estimator or `Runner`; returns their handles (axes,).
+        Raises UsageError for another number, an estimator that is not recursive, and more than the memory holds."""
+        runner = runner_of(estimator)
+        number = whole_number("axes", axes, 0, "it is how many are added")
+        if number > stored.MOST - self._size * (len(self._shards) + 1):
+            raise UsageError(f"a fleet has {stored.MOST} places at most, got {axes} axes more; take another fleet")
+        group, start = self._group(runner), state_of(runner)
+        try:
+            places = self._places_for(group, number)
+            for shard, rows in self._split_by_shard(places):
+                shard.begin(rows, start)
+        except MemoryError:
+            raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
+        return self._handles.take(places)
+
+    def remove(self, handles: ArrayLike) -> None:
+        """Without these axes. Their handles are refused from now on, also where their places are used again. The memory
+        stays for those that are added. Raises UsageError for an axis that is not there or comes twice."""
+        self._handles.release(self._handles.places(handles))
+
+    def _group(self, runner: Runner[RecursiveEstimator]) -> ShardGroup:
+        return self._groups.setdefault(identity_of(runner), ShardGroup(runner))
+
+    def _places_for(self, group: ShardGroup, axes: int) -> NDArray[np.int64]:
+        """Free places of a configuration for new axes: places that have been in use first, then new shards."""
+        found, left = [np.zeros(0, np.int64)], axes
+        for shard in self._shards:
+            if left and shard.group is group:
+                found.append(self._handles.free(shard.number * self._size, (shard.number + 1) * self._size)[:left])
+                left -= found[-1].size
+        first = len(self._shards)
+        more = [Shard(group, first + k, self._size) for k in range(-(-left // self._size))]
+        self._handles.grow(self._size * len(more))
+        self._shards += more
+        return np.concatenate([*found, np.arange(left) + first * self._size])
+
+    def _split_by_shard(self, places: NDArray[np.int64]) -> list[tuple[Shard, NDArray[np.int64]]]:
+        """Shards and rows of ascending places."""
+        if not places.size:
+            return []
+        numbers = places // self._size
+        parts = np.split(places % self._size, np.flatnonzero(np.diff(numbers)) + 1)
+        return [(self._shards[number], rows) for number, rows in zip(np.unique(numbers), parts, strict=True)]
+
+    # --- samples ------------------------------------------------------------------------------------------------------
+
+    def run(self, handles: ArrayLike, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
+        """The next n samples of the axes `handles` (k,), each at most once and all of one configuration.
+
+        u: (k, n), or (n,) the same for all; counts: (k, n); every and what is read in place: as in `Fleet.run`. The
+        estimates are in the order of the handles. Raises UsageError for an axis that is not there or comes twice, for
+        several configurations, and like `Fleet.run`.
+        """
+        places = self._handles.places(handles)
+        runner = self._only(places).runner
+        work = SampleBlock.from_arguments(u, counts, every, places.size, len(runner.names))
+        order = None if np.all(np.diff(places) > 0) else np.argsort(places)
+        if work.samples.size and order is None:
+            self._run(places, work)
+        elif work.samples.size:
+            self._run(places[order], replace(work, u=work.u[order], counts=work.counts[order]))
+        return work.tracks(runner.names, runner.units, None if order is None else np.argsort(order))
+
+    def _only(self, places: NDArray[np.int64]) -> ShardGroup:
+        """The configuration of some axes."""
+        numbers: list[int] = np.unique(places // self._size).tolist()
+        found = {self._shards[number].group.identity for number in numbers}
+        if len(found) != 1:
+            raise UsageError(
+                f"a call takes axes of one configuration, got {len(found)}; run those of each by themselves, "
+                "`handles(estimator)` tells which they are"
+            )
+        return self._shards[numbers[0]].group
+
+    def _run(self, places: NDArray[np.int64], work: SampleBlock) -> None:
+        """Ascending places."""
+        pieces, at = list[ShardPiece](), 0
+        for shard, rows in self._split_by_shard(places):
+            shard.changed = True
+            for first in range(0, rows.size, PIECE):
+                part = rows[first : first + PIECE]
+                pieces.append(ShardPiece(shard, part, slice(at, at + part.size)))
+                at += part.size
+        way = pieces[0].shard.group.fastest_way
+        self._each(lambda piece: piece.run(work, way), pieces, worth=work.counts.size >= SMALL)
+
+    def _each(self, action: Callable[[T], None], some: Sequence[T], worth: bool = True) -> None:
+        """Does something with all of some; worth: more threads than this one."""
+        if self.workers == 1 or not worth:
+            for one in some:
+                action(one)
+            return
+        with ThreadPoolExecutor(self.workers) as pool:
+            list(pool.map(action, some))
+
+    def axis(self, handle: int) -> RecursiveEstimator:
+        """A new estimator in the state of one axis; its `get_state` is what firmware and Python share. Raises
+        UsageError for one that is not there."""
+        shard, row = self._row(handle)
+        single, kernel = shard.group.runner.estimator, shard.group.borrow()
+        kernel.hold(shard.states[row : row + 1])
+        kernel.load(single.runner.kernel, 0)
+        shard.group.give_back(kernel)
+        return single
+
+    def gap(self, handle: int, counts: int) -> None:
+        """Samples of one axis were lost, and its next one has these counts: `Fleet.gap`, and its errors."""
+        shard, row = self._row(handle)
+        shard.group.runner.estimator.check_gaps()
+        kernel = shard.group.borrow()
+        kernel.hold(shard.states[row : row + 1])
+        kernel.gap(0, counts)
+        shard.group.give_back(kernel)
+        shard.changed = True
+
+    def _row(self, handle: int) -> tuple[Shard, int]:
+        number = whole_number("handle", handle, None, "it is what `add` gave")
+        if not -(2**63) <= number < 2**63:
+            raise UsageError(f"there is no axis {number}; `handles()` has those that are there")
+        place = int(self._handles.places([number])[0])
+        return self._shards[place // self._size], place % self._size
+
+    # --- checkpoints --------------------------------------------------------------------------------------------------
+
+    def checkpoint(self, mark: object = None, *, sync: bool = True) -> int:
+        """Writes the shards that have changed since the last checkpoint; their bytes. When it returns, the whole fleet
+        is on disk as it is now; a kill before that leaves the last one.
+
+        mark: a JSON value stored with the checkpoint, as how far the samples have been read. sync: waits until the disk
+        has the checkpoint, so that it outlives a loss of power; False: it outlives the process alone, and its checksum
+        shows what a loss of power destroyed. Raises OSError if the disk does not take it, and the last one counts then.
+        Raises UsageError without a folder, after `close`, or for another mark.
+        """
+        if self._vault is None:
+            raise UsageError("this fleet has no folder for checkpoints; give one as in ShardedFleet('state')")
+        if self._closed:
+            raise UsageError("this fleet was closed, and its folder may be another's; open it again with ShardedFleet")
+        try:
+            json.dumps(mark)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise UsageError(f"mark must be of what JSON knows, got {type(mark).__name__}: {error}") from None
+        return stored.write(self._vault, self._shards, self._handles, mark, self._each, sync)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Another fleet may have the folder; nothing is written, and `checkpoint` is refused from now on. A `with`
+        statement does it at its end."""
+        self._closed = True
+        if self._vault is not None:
+            self._vault.close()

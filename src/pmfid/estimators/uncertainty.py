@@ -1,0 +1,203 @@
+"""Error bars: how scores scatter, and where the encoder's lattice may lie."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import hold_last_input
+from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, Best, cost
+from pmfid.estimators.motion import Difference, first_speed, mean_velocity
+from pmfid.estimators.results import Columns
+from pmfid.types import Floats
+
+#: Blocks of the longest scale, at least.
+FEWEST = 24
+TINY = 1e-300
+#: Width of the difference quotients that are compared with the fine ones, as a part of a parameter.
+COARSE = 1e-2
+#: Factor between variances beyond which the dependence is not smooth.
+SMOOTH = 4.0
+#: Further widths for a rough dependence.
+WIDTHS = (1e-3, 3e-2, 0.1, 0.3)
+
+
+def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
+    """Variances (p,) of the sum of scores (n, p), as the scatter of their sums over blocks says (tapered segments that
+    overlap by half: Welch 1967): the largest over blocks of `shortest`, twice that, and so on, as long as 24 of them
+    are left.
+
+    shortest: samples over which scores cancel each other, as the differences of a coarse count do.
+    """
+    n = scores.shape[0]
+    length = max(1, min(shortest, n // FEWEST))
+    largest = np.zeros(scores.shape[1])
+    while length == 1 or n // length >= FEWEST:
+        largest = np.maximum(largest, np.mean(_blocks(scores, length) ** 2, axis=0) * (n**2 / (n - length)))
+        length *= 2
+    return largest
+
+
+def scatter(scores: Floats, shortest: int = 1) -> Floats:
+    """Covariance (p, p) of the sum of scores (n, p): variances of `block_scatter`, correlations of its middle scale."""
+    n = scores.shape[0]
+    length = max(1, min(shortest, n // FEWEST), round(np.sqrt(n / FEWEST)))
+    sums = _blocks(scores, length)
+    covariance = sums.T @ sums * (n / sums.shape[0])
+    diagonal = np.maximum(np.diagonal(covariance), TINY)
+    factor = np.sqrt(block_scatter(scores, shortest) / diagonal)
+    return np.asarray(covariance * np.outer(factor, factor))
+
+
+def _blocks(scores: Floats, length: int) -> Floats:
+    """Sums (count, p) of scores less their mean over blocks of `length` samples, each beginning in the middle of the
+    one before, with weights that are zero at their ends and of squares that add up to 1."""
+    weight = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
+    weight /= np.linalg.norm(weight)
+    around = scores - scores.mean(axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(around, length, axis=0)[:: max(1, length // 2)]
+    return np.asarray(windows @ weight)
+
+
+def raise_variances(covariance: Floats, variances: Floats) -> Floats:
+    """A covariance (p, p) with its variances raised to at least `variances` (p,), correlations as they are."""
+    diagonal = np.maximum(np.diagonal(covariance), TINY)
+    factor = np.sqrt(np.maximum(variances / diagonal, 1.0))
+    return np.asarray(covariance * np.outer(factor, factor))
+
+
+def widen_covariance(covariance: Floats, at: Callable[[float], Floats]) -> Floats:
+    """A covariance (p, p) of fine difference quotients, raised to the variances of wider ones if these are larger.
+
+    A body with friction sticks and breaks away: the simulated motion jumps where a parameter crosses the value at which
+    one more stroke happens. A fine quotient across such a jump takes the parameter for known to the quotient's width,
+    though a change ten times as large may explain the record as well. A smooth dependence gives the same variances at
+    every width; for a rough one the largest counts. `at` gives the covariance at a width. Raises what `at` raises.
+    """
+    variances, coarse = np.diagonal(covariance), np.diagonal(at(COARSE))
+    if np.all((coarse < SMOOTH * variances) & (variances < SMOOTH * coarse)):
+        return covariance
+    return raise_variances(covariance, np.max([coarse, *(np.diagonal(at(width)) for width in WIDTHS)], axis=0))
+
+
+#: Places of the lattice that are tried: their mean square is exact for the harmonics that hold nine tenths of it.
+PLACES = 8
+#: A simulated motion that goes further runs away [counts].
+MOST_COUNTS = 2.0**53
+
+
+def lattice_scatter(
+    estimator: Estimator,
+    theta: Floats,
+    u: Floats,
+    counts: NDArray[np.int64],
+    columns_of: Callable[[NDArray[np.int64]], Columns],
+    gain: Floats,
+) -> Floats:
+    """Variances (p,) of the parameters over the places of the lattice, for counts of the motion simulated at theta (p,)
+    under u (n,). columns_of: the estimator's columns for counts (n,); gain (p, p): by how much a sum moves theta."""
+    place, sums = _simulate_position(estimator, theta, u, counts), []
+    for k in range(PLACES):
+        read = columns_of(np.floor(place + k / PLACES).astype(np.int64))
+        sums.append(read.zeta.T @ (read.z - read.phi @ theta))
+    return np.asarray(np.mean(np.square(np.array(sums) @ gain.T), axis=0))
+
+
+def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Floats:
+    """The simulated position (n,) [counts], with the start velocity of the counts."""
+    start = first_speed(counts, estimator.dt, estimator.cutoff, 1.0)
+    step = estimator.encoder.resolution
+    velocity = mean_velocity(estimator.equation, theta, estimator.dt, hold_last_input(u), start * step)
+    place = np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * estimator.dt / step)
+    if not np.max(np.abs(place)) < MOST_COUNTS:
+        values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
+        raise NotIdentifiableError(
+            f"the motion simulated with the estimate ({values}) runs away: check the model and the signs of input and "
+            "output, or record a livelier motion"
+        )
+    return place
+
+
+#: Places of the lattice that are tried.
+PHASES = 32
+#: Places of the lattice at which the top of the likelihood is looked for, steps to it, and what one gains at the top.
+TOPS, MOST_STEPS, SETTLED = 16, 30, 1e-3
+#: Standard deviations of the noise from an edge on beyond which it does not matter.
+REACH = 8.0
+
+
+def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise: float | None) -> Floats:
+    """Variances (p,) of sum sensitivity (n, p) * score over the places of the lattice, for counts of the motion
+    simulated at q.
+
+    noise: of the position [counts], of an interval likelihood; None: the score is the position's error itself. Zero
+    where the position has noise of its own, which breaks every pattern.
+    """
+    if noise is not None and noise > GIVEN_AWAY * NOISE_FLOOR:
+        return np.zeros(sensitivity.shape[1])
+    place = difference.motion(q)[0] / difference.resolution
+    sums = []
+    for k in range(PHASES):
+        shifted = place + k / PHASES
+        error = np.floor(shifted) + 0.5 - shifted
+        slope = error if noise is None else cost(error, noise)[1]
+        sums.append(sensitivity.T @ slope)
+    return np.asarray(np.mean(np.square(sums), axis=0))
+
+
+def likelihood_covariance(best: Best, weighted: Floats, scores: Floats) -> Floats:
+    """Covariance (p, p) of the parameters of largest likelihood; weighted (n, p): sensitivities times the roots of the
+    samples' information, scores (n, p): of the likelihood.
+
+    That of the information where the position has noise. Where it has none the likelihood is all but a box, in which
+    the score at the true parameters says little on where its top lies: an axis that is parked near the edge of a count
+    has a large score, and is known all the better. So there the tops themselves are looked for, over the places of the
+    lattice. Or what the scores scatter over blocks, where that is more.
+    """
+    inverse = np.linalg.inv(weighted.T @ weighted)
+    alone = np.diagonal(inverse)
+    if best.clean:
+        alone = np.mean(_tops(best)[:, : alone.size] ** 2, axis=0)
+    alone = np.maximum(alone, block_scatter(scores @ inverse))
+    size = np.sqrt(alone / np.diagonal(inverse))
+    return np.asarray(inverse * np.outer(size, size))
+
+
+def _tops(best: Best) -> Floats:
+    """(places, q): by how much the place of the largest likelihood differs from q, for counts of the motion simulated
+    at q on lattices that are shifted under it."""
+    difference, noise = best.difference, best.noise or NOISE_FLOOR
+    place, jacobian = difference.motion(best.q)[0] / difference.resolution, difference.jacobian(best.q)
+    errors = [np.floor(place + k / TOPS) + 0.5 - (place + k / TOPS) for k in range(TOPS)]
+    return np.array([_top(error, jacobian, noise) for error in errors])
+
+
+def _top(error: Floats, jacobian: Floats, noise: float) -> Floats:
+    """Step (q,) to the largest likelihood of differences error (n,) + jacobian (n, q) @ step [counts]."""
+    step, damping = np.zeros(jacobian.shape[1]), 1e-3
+    now, slope, hessian = _compute_edge_cost(error, jacobian, noise)
+    for _ in range(MOST_STEPS):
+        damped = hessian + damping * np.diag(np.maximum(np.diagonal(hessian), TINY))
+        trial = step - np.linalg.lstsq(damped, slope)[0]
+        found = _compute_edge_cost(error + jacobian @ trial, jacobian, noise)
+        if found[0] < now:
+            gain, step, damping = now - found[0], trial, damping / 10
+            now, slope, hessian = found
+            if gain < SETTLED:
+                break
+        else:
+            damping *= 10
+    return step
+
+
+def _compute_edge_cost(error: Floats, jacobian: Floats, noise: float) -> tuple[float, Floats, Floats]:
+    """Negative log-likelihood, gradient (q,) and curvature (q, q): of the counts whose edges are near enough to matter,
+    for all others it is zero in floating point."""
+    near = np.abs(error) > 0.5 - REACH * noise
+    rows = jacobian[near]
+    now, slope, curvature = cost(error[near], noise)
+    return now, rows.T @ slope, rows.T @ (curvature[:, None] * rows)

@@ -1,0 +1,327 @@
+"""Text files: separators, decimal marks, header lines and units."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+from pmfid.errors import UsageError
+from pmfid.io.safety import unpack_file
+from pmfid.io.tables import TWICE, NotedTable
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: Separators, the likeliest first; a space is any number of spaces and tabs.
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
+#: Lines that are examined.
+LOOKED_AT = 400
+#: Least percentage of fields in a line of data that are numbers, times or empty.
+NUMBERS = 50
+#: Beginnings of lines without data.
+COMMENTS = ("#", "%", "//")
+_NUMBER = {
+    ".": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"),
+    ",": re.compile(r"[+-]?(\d+(,\d+)?|,\d+)([eE][+-]?\d+)?"),
+}
+_TIME = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(Z|[+-]\d\d:?\d\d)?|\d{4}-\d\d-\d\d")
+_WORDS = ("", "na", "n/a", "nan", "null", "none", "inf", "-inf", "+inf", "infinity", "true", "false")
+_UNIT = re.compile(
+    r"[\[(]?\s*(-|%|#|1|s|ms|[uµμ]s|ns|sec|m|mm|[uµμ]m|nm|cm|rad|mrad|deg|°|rev|turns?|inc|counts?|cts?|pulses?|m?[VAN]|"
+    r"N\s?m|Nm|kg|Hz|rpm|1/min|bool|°C|(m|mm|rad|deg|rev|turns?|°|cts|counts)(/s|/s2|/s\^2|\s?s-1))\s*[\])]?"
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """separator, decimal: of the file; names: of the columns, with a unit in brackets from a row of units; first: the
+    first line of data, from 0; named: does the file have a header? numbers: columns, from 0, with numbers alone in the
+    examined lines."""
+
+    separator: str
+    decimal: str
+    names: tuple[str, ...]
+    first: int
+    named: bool
+    numbers: tuple[int, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on a layout without commas, decimal points or a header."""
+        notes = []
+        if (self.separator, self.decimal) != (",", "."):
+            sign = "points" if self.decimal == "." else "commas"
+            notes.append(f"the columns are separated by {SEPARATORS[self.separator]}, with decimal {sign}")
+        if not self.named:
+            notes.append(f"the file has no header: its columns are {', '.join(self.names[:8])}")
+        return tuple(notes)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """The configured part of a layout; None: as the text shows."""
+
+    separator: str | None = None
+    decimal: str | None = None
+
+
+NOTHING = Stated()
+
+
+def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
+    """The layout of the first lines of a file. Raises UsageError if they are no table with the stated layout."""
+    looked = lines[:LOOKED_AT]
+    readings = product(stated.separator or SEPARATORS, stated.decimal or ".,")
+    found = {reading: rows for reading in readings if (rows := _data(looked, *reading))}
+    if not found and sum(bool(line.strip()) for line in looked) == 1:
+        return _empty(looked)
+    if not found:
+        raise UsageError(
+            "no lines of numbers in columns: write a header, then one line for each sample, with a comma, semicolon or "
+            "tab between the columns"
+        )
+    separator, decimal = max(
+        found, key=lambda reading: _worth([split(looked[k], reading[0]) for k in found[reading]], reading[1])
+    )
+    first = found[separator, decimal][0]
+    fields = split(looked[first], separator)
+    names, named = _names(looked[:first], separator, fields)
+    lines_of_data = [split(looked[k], separator) for k in found[separator, decimal]]
+    numbers = tuple(k for k, column in enumerate(zip(*lines_of_data, strict=True)) if _are_numbers(column, decimal))
+    if not named and len(fields) > 1 and fields in ([str(k + start) for k in range(len(fields))] for start in (0, 1)):
+        return Layout(separator, decimal, tuple(fields), first + 1, True, numbers)
+    return Layout(separator, decimal, names, first, named, numbers)
+
+
+def _empty(lines: Sequence[str]) -> Layout:
+    """The layout of a file with a header and no data."""
+    header = next(line for line in lines if line.strip())
+    separator = max(SEPARATORS, key=lambda mark: (len(split(header, mark)), mark != " "))
+    return Layout(separator, ".", tuple(split(header.strip().lstrip("#%/ "), separator)), len(lines), True)
+
+
+def split(line: str, separator: str) -> list[str]:
+    """The fields of a line, without spaces and quotes around them."""
+    parts = (
+        line.split() if separator == " " else next(csv.reader([line], delimiter=separator, skipinitialspace=True), [""])
+    )
+    return [part.strip().strip('"').strip() for part in parts]
+
+
+def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, int]:
+    """The order of readings: several columns before one, then the part of fields with numbers, then the lines."""
+    fields = [field for row in rows for field in row]
+    known = sum(_is_data_field(field, decimal) for field in fields)
+    return len(rows[0]) > 1, known / len(fields), len(rows)
+
+
+def _data(lines: Sequence[str], separator: str, decimal: str) -> list[int]:
+    """The lines of data: most of their fields are numbers, and their number of fields is the most frequent one."""
+    sized = [(k, len(fields)) for k, fields in _fields(lines, separator) if _numeric(fields, decimal)]
+    if not sized:
+        return []
+    usual = Counter(count for _, count in sized).most_common(1)[0][0]
+    return [k for k, count in sized if count == usual]
+
+
+def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    for k, line in enumerate(lines):
+        if line.strip() and not line.lstrip().startswith(COMMENTS):
+            yield k, split(line, separator)
+
+
+def _numeric(fields: Sequence[str], decimal: str) -> bool:
+    """Is this a line of data? It has a number and few words, and it is no setting with a word before each number."""
+    words = [field for field in fields if not _is_data_field(field, decimal)]
+    if len(words) > 1 and set(words) == {fields[0]}:
+        return False
+    known = sum(_is_data_field(field, decimal) for field in fields)
+    return any(_NUMBER[decimal].fullmatch(field) for field in fields) and 100 * known >= NUMBERS * len(fields)
+
+
+def is_data(line: str) -> bool:
+    """Is this a line of data without a word in it, however its fields are separated?"""
+    rows = ((split(line, separator), decimal) for separator, decimal in product(SEPARATORS, ".,"))
+    return any(len(row) > 1 and all(_is_data_field(field, decimal) for field in row) for row, decimal in rows)
+
+
+def _are_numbers(column: Sequence[str], decimal: str) -> bool:
+    """Does a column have numbers and empty cells alone?"""
+    own = [field for field in column if field]
+    return bool(own) and all(_NUMBER[decimal].fullmatch(field) for field in own)
+
+
+def _is_data_field(field: str, decimal: str) -> bool:
+    return bool(_NUMBER[decimal].fullmatch(field) or _TIME.fullmatch(field)) or field.lower() in _WORDS
+
+
+def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple[tuple[str, ...], bool]:
+    """The names of the columns with these fields, and whether the file has them. They come from the nearest line above
+    with as many fields, which may be a comment, and their units from a row of units."""
+    lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
+    if scope := _scope_names([line for line in lines if len(line) == len(fields)]):
+        return scope, True
+    rows = [row for line in reversed(lines) if _says_names(row := _fit_line(line, fields))]
+    if not rows:
+        return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
+    header, units = rows[0], [""] * len(fields)
+    if len(rows) > 1 and are_units(header):
+        header, units = rows[1], [unit.strip("[]() ") for unit in header]
+    names = [name or f"column_{k}" for k, name in enumerate(header, 1)]
+    return tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)), True
+
+
+def _says_names(row: Sequence[str]) -> bool:
+    """Does a row have a word that is no substitute for a missing number?"""
+    return any(field.rstrip(";").strip().lower() not in _WORDS for field in row)
+
+
+def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """The names of an export of TwinCAT Scope, whose lines of settings repeat their key above each column of stamps,
+    which are in ms; empty of any other file."""
+    settings = {line[0]: line for line in lines if line.count(line[0]) * 2 <= len(line)}
+    if not {"Name", "SampleTime[ms]"} <= set(settings):
+        return ()
+    units = settings.get("Unit", [""] * len(settings["Name"]))
+    names = []
+    for k, (name, unit) in enumerate(zip(settings["Name"], units, strict=True)):
+        stamps = "time [ms]" if k == 0 else f"time_{k} [ms]"
+        names.append(stamps if name == "Name" else f"{name} [{unit}]" if unit and unit != "Unit" else name)
+    return tuple(names)
+
+
+def are_units(fields: Sequence[str]) -> bool:
+    """Is this a row of units, and of nothing else?"""
+    return all(_UNIT.fullmatch(field) for field in fields if field)
+
+
+def _fit_line(line: list[str], fields: Sequence[str]) -> list[str]:
+    """The line if it has as many fields, or one less and the last field is empty; else an empty list."""
+    if len(line) == len(fields) - 1 and not fields[-1]:
+        line = [*line, ""]
+    return line if len(line) == len(fields) else []
+
+
+#: First bytes of zlib, bzip2, xz and ZIP.
+_PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
+_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+_MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
+_COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
+#: Least percentage of zeros at every second byte of a UTF-16 text; first bytes that are examined.
+_WIDE, _FIRST = 30, 2000
+
+
+def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
+    """The columns as text, numbers with a decimal point; stated: the configured layout. Raises UsageError for other
+    packed files than gzip and zstd, and for a file that is no text or no table."""
+    text = _text(unpack_file(data))
+    head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
+    layout = layout_of(head.splitlines(), stated)
+    return NotedTable(_columns(text[_end_of_line(text, layout.first) :], layout), layout.notes)
+
+
+def _text(data: bytes) -> bytes:
+    """The text as UTF-8, lines ended by line feeds. Raises UsageError for a file that is no text."""
+    if data.startswith(_PACKED):  # polars would unpack it, however large
+        raise UsageError("a packed file; unpack it first, and mind how large it becomes")
+    coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _detect_encoding(data)
+    if coding is not None:
+        data = data.decode(coding).encode("utf-8")
+    if b"\0" in data:
+        raise UsageError("not a text file; use the suffix of its type, or export it as UTF-8 CSV")
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
+
+
+def _detect_encoding(data: bytes) -> str | None:
+    """The coding of a text without a mark, None: UTF-8."""
+    first = data[:_FIRST]
+    for coding, zeros in (("utf-16-le", first[1::2]), ("utf-16-be", first[::2])):
+        if 100 * zeros.count(0) > _WIDE * max(1, len(zeros)) and first.count(0) == zeros.count(0):
+            return coding
+    try:
+        if not data.isascii():
+            data.decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return None
+
+
+def _end_of_line(text: bytes, lines: int) -> int:
+    """The place at which the first `lines` lines end."""
+    place = 0
+    for _ in range(lines):
+        found = text.find(b"\n", place)
+        if found < 0:
+            return len(text)
+        place = found + 1
+    return place
+
+
+def _columns(body: bytes, layout: Layout) -> dict[str, object]:
+    import polars as pl
+
+    body = _strip_other_lines(body)
+    if not body or body.isspace():
+        return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
+    if layout.separator == " ":
+        body = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", re.sub(rb"[ \t]+", b" ", body))
+    return named_columns(_frame(body, layout), layout)
+
+
+def _strip_other_lines(body: bytes) -> bytes:
+    """The lines of data alone, copied only if there are other lines."""
+    if any(mark in body for mark in (b"#", b"%", b"//")):
+        body = _COMMENT.sub(b"", body)
+    return body.rstrip().removesuffix(b"\nEOF") if body.endswith((b"\n\n", b"EOF", b"EOF\n", b" ", b"\t")) else body
+
+
+def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
+    """The columns with numbers in the first lines as numbers, the others as text. If a later cell is no number, all are
+    text, because only a column that is used may cause an error."""
+    import polars as pl
+
+    def read(numbers: Sequence[int]) -> pl.DataFrame:
+        kinds = {str(k): pl.Float64 if k in numbers else pl.String for k in range(len(layout.names))}
+        return pl.read_csv(
+            body,
+            separator=layout.separator,
+            has_header=False,
+            schema=kinds,  # with names of its own: those of polars begin with column_0 or column_1
+            null_values=_MISSING,
+            decimal_comma=layout.decimal == "," and bool(numbers),
+        )
+
+    for numbers in (layout.numbers, ()) if layout.numbers else ((),):
+        try:
+            return read(numbers)
+        except pl.exceptions.ComputeError:
+            continue
+    raise UsageError(
+        f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are no "
+        "data, as a sum at the end or settings at the beginning"
+    )
+
+
+def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:
+    """The columns with the names of a layout, text with a decimal point."""
+    import polars as pl
+
+    table: dict[str, object] = {}
+    for name, column in zip(layout.names, frame.iter_columns(), strict=True):
+        text = _with_points(column) if layout.decimal == "," and column.dtype == pl.String else column
+        table[f"{name}{TWICE}" if name in table else name] = text.alias(name)
+    return table
+
+
+def _with_points(column: pl.Series) -> pl.Series:
+    """Decimal commas as points. A number with points between thousands becomes a text that is no number."""
+    import polars as pl
+
+    thousands = column.str.contains(r"^\s*[+-]?\d{1,3}(\.\d{3})+")
+    marked = pl.select(pl.when(thousands).then(column + " (with a point for thousands)").otherwise(column)).to_series()
+    return marked.str.replace(",", ".", literal=True)

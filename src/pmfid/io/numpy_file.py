@@ -1,0 +1,41 @@
+"""NumPy files: .npz with an array for each column, .npy with one array."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+from pmfid.io.hdf5 import flatten_fields
+from pmfid.io.safety import checked_archive
+from pmfid.io.tables import Table
+
+ARRAY = b"\x93NUMPY"
+
+
+def parse_numpy(data: bytes) -> Table:
+    """The arrays by name; of one array its fields, or its columns. Raises UsageError for arrays of objects, which would
+    need unpickling, and ValueError for damage."""
+    if data.startswith(ARRAY):
+        array = _array(data)
+        plain = array.dtype.names is None and array.ndim == 2
+        return {f"column_{k + 1}": array[:, k] for k in range(array.shape[1])} if plain else flatten_fields({"": array})
+    with checked_archive(data) as archive:
+        names = [name for name in archive.namelist() if name.endswith(".npy")]
+        return flatten_fields({name.removesuffix(".npy"): _array(archive.read(name)) for name in names})
+
+
+def _array(data: bytes) -> NDArray[np.generic]:
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    head = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, by_columns, dtype = head(stream)
+    if dtype.hasobject:
+        raise UsageError("an array of objects is not read: save numbers, with numpy.savez and arrays of float")
+    body = data[stream.tell() :]
+    size = int(np.prod(shape, dtype=object)) * dtype.itemsize
+    if size != len(body):
+        raise ValueError(f"{len(body)} bytes of values, but the shape {shape} has {size}")
+    return np.frombuffer(body, dtype).reshape(shape, order="F" if by_columns else "C")

@@ -1,0 +1,121 @@
+"""Bounds of what a file may unpack to, and files that are packed."""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pmfid.errors import UsageError
+
+#: Largest unpacked size of a file: a multiple of its own size, or a number of bytes if that is more.
+MOST_TIMES, MOST_BYTES = 20, 2**28
+
+
+@contextmanager
+def readable(kind: str) -> Iterator[None]:
+    """Turns any error of a reader into a UsageError: OSError, ValueError, zlib.error, and the PanicException of polars,
+    which is no Exception. Only exceptions that end the program pass through."""
+    try:
+        yield
+    except UsageError:
+        raise
+    except BaseException as error:
+        if isinstance(error, (KeyboardInterrupt, SystemExit, GeneratorExit)):
+            raise
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise UsageError(f"not a readable {kind} file, truncated or corrupt ({reason}); export it again") from None
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """No warnings and no logs of a library: damage to a file is reported by the error alone."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)
+
+
+@contextmanager
+def require_extra(extra: str) -> Iterator[None]:
+    """For the import of a library from an extra of the package: raises UsageError with the command that installs it."""
+    try:
+        yield
+    except ImportError as error:
+        name = (error.name or extra).partition(".")[0]
+        raise UsageError(f"{name} reads such a file, and is not installed: pip install 'pmfid[{extra}]'") from None
+
+
+def most_of(packed: int) -> int:
+    """Most bytes that `packed` bytes may unpack to."""
+    return max(MOST_BYTES, MOST_TIMES * packed)
+
+
+def check_unpacked(size: int, packed: int, what: str) -> None:
+    """Raises UsageError if `packed` bytes may not unpack to `size` bytes."""
+    if size > most_of(packed):
+        raise UsageError(
+            f"{what} takes {size / 1e6:.0f} MB or more out of a file of {packed / 1e6:.2g} MB; decimate or cut the "
+            "record"
+        )
+
+
+def checked_archive(data: bytes) -> zipfile.ZipFile:
+    """A ZIP archive with whole parts of their declared sizes. Raises UsageError for a decompression bomb, and
+    ValueError or BadZipFile for damage."""
+    archive = zipfile.ZipFile(io.BytesIO(data))
+    check_unpacked(sum(part.file_size for part in archive.infolist()), len(data), "what is packed")
+    if any(part.flag_bits & 1 for part in archive.infolist()):
+        raise UsageError("the file is encrypted; save it without a password")
+    if (bad := archive.testzip()) is not None:
+        raise ValueError(f"{bad} is damaged")
+    return archive
+
+
+GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
+
+
+def unpack_file(data: bytes) -> bytes:
+    """The unpacked bytes of a file; the bytes themselves if they are not packed. Raises UsageError for a decompression
+    bomb, and for a truncated file."""
+    if data.startswith(GZIP):
+        return _unpack_gzip(data)
+    return from_zstd(data, most_of(len(data)), "the text") if data.startswith(ZSTD) else data
+
+
+def from_zstd(data: bytes, most: int, what: str) -> bytes:
+    """The unpacked bytes of one or more frames of zstd, at most `most`; what: their name in messages."""
+    with require_extra("zst"):
+        import zstandard
+    packed = io.BytesIO(data)
+    try:
+        text = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True).read(most + 1)
+    except zstandard.ZstdError:
+        text = b""
+    if len(text) > most:
+        check_unpacked(most_of(len(data)) + 1, len(data), what)
+    if not text:
+        raise UsageError("not a readable .zst file, truncated or corrupt; export it again")
+    return text
+
+
+def _unpack_gzip(data: bytes) -> bytes:
+    """The unpacked bytes of one or more members of gzip."""
+    most, text = most_of(len(data)), bytearray()
+    rest = data
+    while rest.startswith(GZIP):
+        member = zlib.decompressobj(wbits=31)
+        text += member.decompress(rest, most + 1 - len(text))
+        check_unpacked(len(text), len(data), "the text")
+        if not member.eof:
+            raise UsageError("not a readable .gz file, truncated or corrupt; export it again")
+        rest = member.unused_data
+    return bytes(text)

@@ -1,0 +1,284 @@
+"""Tables: columns by name from files, frames and arrays, and their clocks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError, did_you_mean
+from pmfid.types import Floats
+
+if TYPE_CHECKING:
+    import narwhals.stable.v2 as nw
+    import polars as pl
+
+#: The column of stamps [s].
+TIME: Final = "time"
+#: Largest difference of stamps within one cycle of a task, as a part of the cycle.
+CYCLE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """time: stamps (n,) [s]; values (n,) at these."""
+
+    time: Floats
+    values: NDArray[np.generic]
+
+
+class ClockedSignals(Mapping[str, object]):
+    """Signals by name, on the clock of one of them: `TIME` has its stamps. Another with one value in each of its cycles
+    is taken cycle by cycle, and any other holds its last value."""
+
+    def __init__(self, signals: Mapping[str, Signal], base: str = "", others: tuple[str, ...] = ()) -> None:
+        """base: the signal with the clock, by default the longest; others: signals that must have begun."""
+        self._signals = signals
+        usual = max(signals, key=lambda name: signals[name].time.size, default="")
+        stamps = signals[base if base in signals else usual].time if signals else np.empty(0)
+        starts = [signals[name].time[0] for name in others if name in signals and signals[name].time.size]
+        self._from = int(np.searchsorted(stamps, max(starts, default=-np.inf) - CYCLE * _period(stamps)))
+        self._stamps, self._held = stamps, dict[str, None]()
+
+    def align(self, base: str, others: tuple[str, ...]) -> ClockedSignals:
+        """The signals on the clock of `base`, from the first stamp at which the others have begun."""
+        return ClockedSignals(self._signals, base, others)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the requested columns that hold their last value."""
+        return tuple(
+            f"{name} has stamps of its own: its last value is taken at those of the output" for name in self._held
+        )
+
+    def __getitem__(self, name: str) -> object:
+        if name == TIME and name not in self._signals:
+            return self._stamps[self._from :]
+        return self._sample(name, self._signals[name])[self._from :]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((TIME, *self._signals)))
+
+    def __len__(self) -> int:
+        return len(set(self._signals) | {TIME})
+
+    def _sample(self, name: str, signal: Signal) -> NDArray[np.generic]:
+        """The values of a signal at the stamps."""
+        stamps, time = self._stamps, signal.time
+        if time.size == stamps.size and np.all(np.abs(time - stamps) <= CYCLE * _period(stamps)):
+            return signal.values
+        self._held[name] = None
+        last = np.searchsorted(time, stamps, side="right") - 1
+        if not time.size:
+            return np.full(stamps.size, np.nan)
+        return np.where(last < 0, np.nan, np.asarray(signal.values, np.float64)[np.maximum(last, 0)])
+
+
+def _period(stamps: Floats) -> float:
+    return float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
+
+
+__all__ = ["TWICE", "NotedTable", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
+
+#: Column by name: an array or a polars series, whichever the reader of the file has.
+Table = Mapping[str, object]
+
+#: Remedies for a cell that is no number.
+NUMBERS = "write numbers like 0.25, and remove lines that are no data"
+DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
+#: Seconds.
+DAY = 86_400.0
+#: A unit in brackets at the end of a name.
+_UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")
+
+
+class NotedTable(dict[str, object]):
+    """A table with notes on how it was read, for people."""
+
+    def __init__(self, columns: Mapping[str, object], notes: tuple[str, ...]) -> None:
+        super().__init__(columns)
+        self.notes = notes
+
+
+def notes_of(table: Table) -> tuple[str, ...]:
+    """The notes of a table on how it was read; empty for a plain table."""
+    return table.notes if isinstance(table, NotedTable | ClockedSignals) else ()
+
+
+def whole_name(table: Table, name: str) -> str:
+    """The full name of a column: the file may add a unit in brackets, "t [ms]" for "t", or a unique path, "/run.t"."""
+    if name in table:
+        return name
+    plain = {full: _UNIT.sub("", full) for full in table}
+    for found in (
+        [full for full, called in plain.items() if called == name],
+        [full for full, called in plain.items() if called.endswith(f".{name}")],
+    ):
+        if found:
+            return found[0] if len(found) == 1 else name
+    return name
+
+
+#: Bytes of a cell of text: a number or a time has a tenth of it.
+LONGEST_CELL = 1000
+#: Polars' end of the name of a column that is there already.
+TWICE = "_duplicated_0"
+
+
+def lookup(table: Table, key: str, name: str) -> object:
+    """The column `name`, which [record] `key` asks for; raises UsageError that lists the columns."""
+    if f"{name}{TWICE}" in table:
+        raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
+    if name in table:
+        return table[name]
+    listed = ", ".join(list(table)[:30]) or "none"
+    hint = did_you_mean(name, table)
+    raise UsageError(f"[record] {key} = {name!r}: there is no such column; available are {listed}{hint}")
+
+
+def _check_cells(label: str, series: pl.Series) -> None:
+    """Raises UsageError for texts that no number or time needs: a packed file may repeat a long one in every row."""
+    import polars as pl
+
+    if series.dtype == pl.String and (longest := cast("int", series.str.len_bytes().max() or 0)) > LONGEST_CELL:
+        raise UsageError(
+            f"{label} has a text of {longest} bytes, more than {LONGEST_CELL}: neither a number nor a time; "
+            "name a column of numbers"
+        )
+
+
+def column(table: Table, key: str, name: str) -> Floats:
+    """The column `name` as (n,) numbers, NaN for empty cells; raises UsageError if it is not numeric."""
+    value = lookup(table, key, name)
+    label = f"{key} column {name!r}"
+    if isinstance(value, np.ndarray):
+        return from_array(label, value).ravel()
+    return _from_series(label, cast("pl.Series", value))
+
+
+def times(table: Table, name: str) -> tuple[Floats, bool]:
+    """The time column `name` as (n,) numbers, and whether it had dates or times of day, which give s since its first
+    row.
+
+    Whole numbers count from the first row, too, in their own unit: an epoch in ns has more digits than a float.
+    Raises UsageError as `column`.
+    """
+    value, label = lookup(table, "time", name), f"time column {name!r}"
+    if isinstance(value, np.ndarray):
+        return from_array(label, value).ravel(), False
+    return _read_clock(label, cast("pl.Series", value))
+
+
+def _read_clock(label: str, series: pl.Series) -> tuple[Floats, bool]:
+    import polars as pl
+
+    _check_cells(label, series)
+    if series.dtype == pl.String and not _has_number(series):
+        series = _parse_times(series)
+    daily = series.dtype if series.dtype == pl.Time else None
+    if daily is not None:
+        series = series.cast(pl.Duration("ns"))
+    if series.dtype.is_temporal() and series.dtype != pl.Date:
+        ns = series.dt.timestamp("ns") if series.dtype != pl.Duration else series.cast(pl.Duration("ns")).cast(pl.Int64)
+        since = ns - (ns.drop_nulls().first() or 0)
+        seconds = since.cast(pl.Float64).fill_null(np.nan).to_numpy() * 1e-9
+        return np.asarray(seconds if daily is None else _past_midnight(seconds)), True
+    return _from_series(label, series, DATES), False
+
+
+def _past_midnight(seconds: Floats) -> Floats:
+    """Times of day (n,) that continue after midnight."""
+    back = np.nan_to_num(np.diff(seconds, prepend=seconds[:1])) < -DAY / 2
+    return seconds + DAY * np.cumsum(back)
+
+
+def _has_number(series: pl.Series) -> bool:
+    import polars as pl
+
+    return not series.str.strip_chars().cast(pl.Float64, strict=False).is_null().all()
+
+
+def _parse_times(series: pl.Series) -> pl.Series:
+    """Dates with times, or times of day, in ISO 8601; any other text unchanged."""
+    import polars as pl
+
+    plain = series.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
+    plain = plain.str.replace(r"(Z|[+-]\d\d:?\d\d)$", "")
+    first = plain.drop_nulls().first()
+    form = "%H:%M:%S%.f" if re.fullmatch(r"\d{1,2}:\d\d:\d\d([.]\d+)?", str(first)) else "%Y-%m-%d %H:%M:%S%.f"
+    kind = pl.Time() if form.startswith("%H") else pl.Datetime("ns")
+    parsed = plain.str.strptime(kind, form, strict=False)
+    return parsed if not parsed.is_null().all() else series
+
+
+def from_array(label: str, array: NDArray[np.generic]) -> Floats:
+    """An array as float64 in its own shape; raises UsageError, with the label, unless it is a real vector."""
+    if array.dtype.kind not in "biuf":
+        raise UsageError(f"{label} is not a real numeric array but {array.dtype}; save it as a vector of double")
+    if array.size > 1 and max(array.shape) != array.size:
+        raise UsageError(f"{label} is not a vector, its shape is {array.shape}; save one column as its own variable")
+    return array.astype(np.float64)
+
+
+def _from_series(label: str, series: pl.Series, remedy: str = NUMBERS) -> Floats:
+    import polars as pl
+
+    _check_cells(label, series)
+    if series.dtype == pl.String:
+        parsed = series.str.strip_chars().cast(pl.Float64, strict=False)
+        bad = (parsed.is_null() & series.is_not_null()).arg_true()
+        if len(bad):
+            raise UsageError(f"{label} is not numeric: {series[bad[0]][:60]!r} in row {bad[0] + 1}; {remedy}")
+        series = parsed
+    if not series.dtype.is_numeric() and series.dtype != pl.Null:
+        raise UsageError(f"{label} is not numeric but {series.dtype}; store it as numbers (time in s)")
+    numbers = series if series.dtype == pl.Float64 else series.cast(pl.Float64)
+    values: Floats = (numbers.fill_null(np.nan) if numbers.null_count() else numbers).to_numpy()
+    return values
+
+
+def table_of(frame: object) -> Table:
+    """The columns of a frame, or of a dict of arrays. Raises UsageError for any other object."""
+    if isinstance(frame, Mapping):
+        return {str(name): np.asarray(values) for name, values in frame.items()}
+    import narwhals.stable.v2 as nw
+
+    try:
+        found: nw.DataFrame[Any] = nw.from_native(_wrap_frame(frame), eager_only=True)
+    except TypeError:
+        raise UsageError(
+            f"a record is a frame of pandas, Polars or Arrow, a dict of arrays or the path of a file, got "
+            f"{type(frame).__name__}; collect a lazy frame first"
+        ) from None
+    return {name: _column(found[name]) for name in found.columns}
+
+
+def _wrap_frame(frame: object) -> Any:
+    """The frame itself if Narwhals reads it; a Polars frame of any other Arrow data."""
+    import narwhals.stable.v2 as nw
+    import polars as pl
+
+    if hasattr(frame, "__arrow_c_stream__") and nw.from_native(frame, pass_through=True) is frame:
+        return pl.DataFrame(frame)
+    return frame
+
+
+def _column(series: nw.Series[Any]) -> object:
+    """A column in the form of a file's columns: whole numbers, dates and missing values stay what they are."""
+    import narwhals.stable.v2 as nw
+    import polars as pl
+
+    if isinstance(series.to_native(), pl.Series):
+        return series.to_native()
+    if series.dtype.is_temporal() and getattr(series.dtype, "time_zone", None):
+        series = series.dt.convert_time_zone("UTC").dt.replace_time_zone(None)
+    if series.dtype.is_numeric():
+        missing = series.is_null().any()
+        return pl.Series(series.name, (series.cast(nw.Float64) if missing else series).to_numpy())
+    if series.dtype.is_temporal():
+        return pl.Series(series.name, series.to_numpy())
+    return pl.Series(series.name, series.to_list(), strict=False)

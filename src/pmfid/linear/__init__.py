@@ -1,0 +1,1 @@
+"""Transfer functions from records, off-line."""

@@ -1,0 +1,433 @@
+"""Records of a linear process, and exact propagation between their samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from numbers import Real
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, schur
+
+from pmfid.errors import UsageError
+from pmfid.presentation import Presentable, Summary, plain
+from pmfid.types import Floats
+
+#: Terms of the exponential series once its argument is scaled below SERIES_NORM: beyond float64.
+SERIES_TERMS = 14
+SERIES_NORM = 0.25
+#: Columns of a product of a small matrix with a long one at a time.
+BLOCK = 2048
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Instants of one uninterrupted stretch of a record.
+
+    steps: (N-1,) times between neighbouring instants, or one number where all are equal; size: N.
+    """
+
+    steps: Floats | float
+    size: int
+
+    @property
+    def uniform(self) -> bool:
+        return isinstance(self.steps, float)
+
+    @property
+    def duration(self) -> float:
+        """From the first instant to the last."""
+        return float(np.sum(self.steps)) * (self.size - 1 if self.uniform else 1)
+
+    @property
+    def instants(self) -> Floats:
+        """(N,) from 0 on."""
+        steps = np.full(self.size - 1, self.steps) if isinstance(self.steps, float) else self.steps
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def reversed(self) -> Grid:
+        """The same with the last instant first."""
+        return Grid(self.steps if isinstance(self.steps, float) else self.steps[::-1], self.size)
+
+
+@dataclass(frozen=True)
+class Transition:
+    """x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]); arrays of one step (uniform grid) or of each."""
+
+    phi: Floats
+    now: Floats
+    change: Floats
+
+
+def transition(F: Floats, g: Floats, grid: Grid) -> Transition:
+    """The exact transition for w linear between instants (its change 0 where it is held); F: (n, n), g: (n,)."""
+    n = F.shape[0]
+    steps = np.atleast_1d(np.asarray(grid.steps, float))
+    distinct, back = np.unique(steps, return_inverse=True)
+    whole = np.zeros((distinct.size, n + 2, n + 2))
+    whole[:, :n, :n] = F * distinct[:, None, None]
+    whole[:, :n, n] = g * distinct[:, None]
+    whole[:, n, n + 1] = 1.0
+    found = expm(whole[0]) if grid.uniform else _exponential(whole)[back.ravel()]
+    return Transition(found[..., :n, :n], found[..., :n, n], found[..., :n, n + 1])
+
+
+def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held: bool) -> Floats:
+    """States (n, channels, N) under w (channels, N) from start (n, channels); held: w is constant within a step. Not a
+    number where a step of the process leaves the range of numbers, as one that is far off may."""
+    step = transition(F, g, grid)
+    if not np.all(np.isfinite(step.phi)):
+        return np.full((*start.shape, w.shape[1]), np.nan)
+    if not grid.uniform:
+        forced = step.now.T[:, None, :] * w[:, :-1]
+        if not held:
+            forced = forced + step.change.T[:, None, :] * np.diff(w)
+        return _recur_varying(step.phi, forced, start)
+    T, Q = schur(step.phi, output="complex")
+    back = Q.conj().T
+    now, change = back @ step.now, np.zeros(F.shape[0]) if held else back @ step.change
+    modes = _recur(
+        T, [a * w[:, :-1] + (0.0 if held else b * np.diff(w)) for a, b in zip(now, change, strict=True)], back @ start
+    )
+    return _combine_modes(Q, modes).reshape(*start.shape, -1)
+
+
+def _recur(T: Floats, forced: list[Floats], start: Floats) -> list[Floats]:
+    """x[k+1] = T x[k] + forced[k], T upper triangular (a Schur form keeps close poles exact): a first-order recursion
+    for each state, the last one first."""
+    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
+
+    states: list[Floats] = []
+    for i in range(T.shape[0] - 1, -1, -1):
+        drive = np.empty((start.shape[1], forced[i].shape[1] + 1), complex)
+        drive[:, 0], drive[:, 1:] = start[i], forced[i]
+        for value, state in zip(T[i, i + 1 :], states, strict=True):
+            drive[:, 1:] += value * state[:, :-1]
+        states.insert(0, lfilter([1.0], [1.0, -T[i, i]], drive))
+    return states
+
+
+def _combine_modes(Q: Floats, modes: list[Floats]) -> Floats:
+    """Real part of Q modes, in blocks so small that the product stays in one thread: more threads only wait."""
+    real, imag = np.array([mode.real.ravel() for mode in modes]), np.array([mode.imag.ravel() for mode in modes])
+    result = np.empty(real.shape)
+    for first in range(0, real.shape[1], BLOCK):
+        part = slice(first, first + BLOCK)
+        result[:, part] = Q.real @ real[:, part] - Q.imag @ imag[:, part]
+    return result
+
+
+def product(matrix: Floats, rows: Floats) -> Floats:
+    """matrix (n, n) times rows (n, N), in blocks for the same reason."""
+    result = np.empty(rows.shape)
+    for first in range(0, rows.shape[1], BLOCK):
+        part = slice(first, first + BLOCK)
+        result[:, part] = matrix @ rows[:, part]
+    return result
+
+
+def _recur_varying(phi: Floats, forced: Floats, start: Floats) -> Floats:
+    drive = np.ascontiguousarray(np.moveaxis(forced, -1, 0))
+    states = np.empty((drive.shape[0] + 1, *start.shape))
+    states[0] = x = start
+    for k in range(drive.shape[0]):
+        x = phi[k] @ x + drive[k]
+        states[k + 1] = x
+    return np.asarray(np.moveaxis(states, 0, -1))
+
+
+def _exponential(matrices: Floats) -> Floats:
+    """exp of each of (k, n, n) by scaling, series and squaring; scipy's goes through them one by one."""
+    size = float(np.max(np.sum(np.abs(matrices), axis=-1)))
+    squarings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / SERIES_NORM))))
+    scaled = matrices / 2.0**squarings
+    unit = np.eye(matrices.shape[-1])
+    result = unit + scaled / SERIES_TERMS
+    for term in range(SERIES_TERMS - 1, 0, -1):
+        result = unit + scaled @ result / term
+    for _ in range(squarings):
+        result = result @ result
+    return np.asarray(result)
+
+
+#: Instants closer than this to an even spacing, in parts of the step, are evenly spaced: clocks and decimals do that.
+EVEN = 5e-3
+#: Two instants closer than this, in parts of the median step, are one.
+SAME = 1e-9
+#: A longer step, in medians, is a gap: what the input did in it is not known.
+GAP = 1.75
+HOLDS = ("zoh", "foh")
+#: Samples of the response from reference to input, and how many samples of a record there must be for each of them.
+RESPONSE = 200
+SAMPLES_PER_COEFFICIENT = 10
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Experiment(Presentable):
+    """One record of a process.
+
+    u, y: (N,) input and output at the same instants; y is NaN where a sample is missing, u where it is not known, which
+    ends a stretch. dt: sample period [s], or t: (N,) instants [s], rising, with any spacing. hold: "zoh", the input
+    keeps its value until the next instant, or "foh", it goes there in a straight line. gap: a step longer than this
+    [s] separates two stretches with unknown initial conditions; None: 1.75 median steps. reference: (N,) the set point
+    of a controller, not correlated with the noise; in closed loop the source of the instruments. name: of the record,
+    for people.
+    Raises UsageError if the arrays do not fit each other, the time does not rise, or neither dt nor t is there.
+    """
+
+    u: Floats
+    y: Floats
+    dt: float | None = None
+    t: Floats | None = None
+    hold: str = "zoh"
+    gap: float | None = None
+    reference: Floats | None = None
+    name: str = "record"
+
+    def __post_init__(self) -> None:
+        u, y = _numbers("u", self.u), _numbers("y", self.y)
+        if u.ndim != 1 or u.shape != y.shape or u.size < 2:
+            raise UsageError(f"u and y must be two arrays of the same length, got {u.shape} and {y.shape}")
+        if np.any(np.isinf(u)) or np.any(np.isinf(y)):
+            raise UsageError("u or y is infinite somewhere; write NaN where a sample is missing")
+        if self.hold not in HOLDS:
+            raise UsageError(f"hold must be one of {HOLDS}, got {self.hold!r}")
+        if self.gap is not None and not (isinstance(self.gap, Real) and self.gap > 0):
+            raise UsageError(f"gap must be a positive time in s, or None for 1.75 median steps, got {self.gap!r}")
+        if (self.dt is None) == (self.t is None):
+            raise UsageError("give the sample period dt in s, or the instants t, and not both")
+        object.__setattr__(self, "u", u)
+        object.__setattr__(self, "y", y)
+        self._check_time(u.size)
+        if self.reference is not None:
+            reference = _numbers("reference", self.reference)
+            if reference.shape != u.shape or not np.all(np.isfinite(reference)):
+                raise UsageError(f"reference must be finite and as long as u, got shape {reference.shape}")
+            object.__setattr__(self, "reference", reference)
+
+    def _check_time(self, size: int) -> None:
+        if self.t is None:
+            if not (isinstance(self.dt, Real) and math.isfinite(self.dt) and self.dt > 0):
+                raise UsageError(f"dt must be positive and finite, got {self.dt!r}; it is the sample period in s")
+            return
+        t = _numbers("t", self.t)
+        if t.shape != (size,):
+            raise UsageError(f"t must be as long as u, got shape {t.shape}")
+        _check_rising(t)
+        object.__setattr__(self, "t", t)
+
+    def summary(self) -> Summary:
+        span = f"{self.times[-1] - self.times[0]:.4g} s, about {self.period:.4g} s apart"
+        title = f"{self.name}: {self.u.size} samples over {span}, {self.hold}"
+        signals = {
+            key: values for key, values in self.columns().items() if key != "t" and isinstance(values, np.ndarray)
+        }
+        rows = [(key, *_range(values), str(np.count_nonzero(~np.isfinite(values)))) for key, values in signals.items()]
+        lines = [f"{key} from {low} to {high}" + f", {gone} missing" * (gone != "0") for key, low, high, gone in rows]
+        return Summary(title, ("signal", "lowest", "highest", "missing"), rows, lines)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each sample."""
+        found: dict[str, object] = {"t": self.times, "u": self.u, "y": self.y}
+        return found if self.reference is None else found | {"reference": self.reference}
+
+    def to_dict(self) -> dict[str, object]:
+        """Lists over the samples."""
+        own = {"name": self.name, "hold": self.hold, "gap": self.gap, "dt": self.dt}
+        return {key: plain(value) for key, value in (own | self.columns()).items()}
+
+    @cached_property
+    def times(self) -> Floats:
+        """(N,) instants [s]."""
+        return np.asarray(np.arange(self.u.size) * (self.dt or 1.0)) if self.t is None else self.t
+
+    @cached_property
+    def period(self) -> float:
+        """The median step [s]; the mean one where the spacing is even up to rounding."""
+        steps = np.diff(self.times)
+        median = float(np.median(steps))
+        mean = float(np.mean(steps))
+        even = self.times[0] + mean * np.arange(self.times.size)
+        return mean if np.max(np.abs(self.times - even)) < EVEN * mean else median
+
+    @cached_property
+    def explained_input(self) -> Floats | None:
+        """(N,) the part of the input that the reference explains, by an impulse response (Van den Hof and Schrama
+        1993): like the input, but without the noise that the controller feeds back. It is as long as the record
+        supports (Schwarz's criterion): each further coefficient would bring some of that noise back."""
+        if self.reference is None:
+            return None
+        known = np.isfinite(self.u)
+        reference = self.reference * _shrinking(self.reference)  # the impulse response grows by as much
+        length = max(1, min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT))
+        lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), reference], length)
+        columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
+        kept = _count_columns(columns[known], self.u[known])
+        response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
+        return np.asarray(columns[:, :kept] @ response)
+
+    def detrended(self) -> Experiment:
+        """About the operating point: without the means of input and output. What drifts in the output stays: a drift
+        that is taken out of the output, but not out of the input, is one of the process, too."""
+        return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
+
+    def decimated(self, factor: int) -> Experiment:
+        """Every factor-th sample. Raises UsageError where the held input changes in between: what it did then would be
+        lost; leave samples of y out instead (NaN), which keeps the input."""
+        if factor < 1 or self.hold != "zoh":
+            raise UsageError(
+                f"decimation needs a held input and a factor of at least 1, got {factor} and {self.hold!r}"
+            )
+        kept = np.arange(0, self.u.size, factor)
+        if not np.array_equal(np.repeat(self.u[kept], factor)[: self.u.size], self.u, equal_nan=True):
+            raise UsageError(
+                f"the input changes within {factor} samples; write NaN for the outputs to leave out instead"
+            )
+        t, r = self.t, self.reference
+        thinned = replace(
+            self,
+            u=self.u[kept],
+            y=self.y[kept],
+            t=None if t is None else t[kept],
+            reference=None if r is None else r[kept],
+        )
+        return thinned if self.dt is None else replace(thinned, dt=self.dt * factor)
+
+    def stretches(self, delay: int = 0) -> list[RecordStretch]:
+        """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
+        u, t = self.u, self.times
+        limit = GAP * self.period if self.gap is None else self.gap
+        known = np.isfinite(u)
+        broken = np.flatnonzero(~known[:-1] | (np.diff(t) > limit)) + 1
+        parts = []
+        for part in np.split(np.arange(u.size), broken):
+            # at the first instant without an input the output still counts, unless the input ran there in a line
+            part = part[known[part]] if self.hold == "foh" else part
+            if part.size and known[part[0]]:
+                parts.append(self._stretch(part, delay))
+        return [part for part in parts if part is not None and part.rows.size > 1]
+
+    def _stretch(self, part: NDArray[np.int64], delay: int) -> RecordStretch | None:
+        u, y, t = self.u[part], self.y[part], self.times[part]
+        reference = None if self.explained_input is None else self.explained_input[part]
+        held = self.hold == "zoh"
+        measured = np.isfinite(y)
+        if part.size < delay + 2 or not np.any(measured[delay:]):
+            return None
+        even = t[0] + self.period * np.arange(t.size)
+        if np.max(np.abs(t - even)) < EVEN * self.period:
+            filled = np.interp(even, even[measured], y[measured])
+            cut = slice(None, u.size - delay)
+            rows = np.flatnonzero(measured[delay:])
+            grid = Grid(self.period, u.size - delay)
+            inputs = [u[cut]] + ([] if reference is None else [reference[cut]])
+            return RecordStretch(grid, np.array(_finite(inputs)), filled[delay:], rows, part[delay:][rows], held)
+        return self._uneven(part, t, u, y, reference, delay, held)
+
+    def _uneven(
+        self,
+        part: NDArray[np.int64],
+        t: Floats,
+        u: Floats,
+        y: Floats,
+        reference: Floats | None,
+        delay: int,
+        held: bool,
+    ) -> RecordStretch | None:
+        """The grid has the instants of the output and those at which the late input changes."""
+        measured = np.isfinite(y)
+        late = t + delay * self.period
+        inside = (t >= late[0] - SAME) & (t <= late[-1])
+        merged = np.union1d(t[inside], late[late <= t[-1]])
+        grid_t = merged[np.r_[True, np.diff(merged) > SAME * self.period]]
+        rows_of = np.searchsorted(grid_t, t - SAME * self.period)
+        rows = np.flatnonzero(measured & inside & (rows_of < grid_t.size))
+        if grid_t.size < 2 or rows.size < 2:
+            return None
+        filled = np.interp(grid_t, t[measured], y[measured])
+        signals = _finite([u] + ([] if reference is None else [reference]))
+        if held:
+            index = np.searchsorted(late, grid_t + SAME * self.period, side="right") - 1
+            inputs = [signal[index] for signal in signals]
+        else:
+            inputs = [np.interp(grid_t, late, signal) for signal in signals]
+        return RecordStretch(
+            Grid(np.diff(grid_t), grid_t.size), np.array(inputs), filled, rows_of[rows], part[rows], held
+        )
+
+
+def _range(values: Floats) -> tuple[str, str]:
+    known = values[np.isfinite(values)]
+    return (f"{known.min():.4g}", f"{known.max():.4g}") if known.size else ("unknown", "unknown")
+
+
+def _shrinking(signal: Floats) -> float:
+    """A power of two that brings a signal to about one, so that its squares stay in the number format."""
+    largest = float(np.max(np.abs(signal), initial=0.0))
+    return math.ldexp(1.0, -min(max(math.frexp(largest)[1], -1000), 1000))
+
+
+def _count_columns(columns: Floats, target: Floats) -> int:
+    """How many of the first columns (N, p), two or more, explain target (N,) best by Schwarz's criterion."""
+    target = target * _shrinking(target)
+    size = np.linalg.norm(columns, axis=0)
+    Q, _ = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
+    left = float(target @ target) - np.cumsum((Q.T @ target) ** 2)
+    floor = np.finfo(float).eps * float(target @ target) + 1e-300
+    criterion = target.size * np.log(np.maximum(left, floor)) + np.arange(1, left.size + 1) * np.log(target.size)
+    return 2 + int(np.argmin(criterion[1:]))
+
+
+def _numbers(name: str, values: object) -> Floats:
+    """A copy as numbers of float64."""
+    try:
+        if values is not None and np.asarray(values).dtype.kind in "biufO":
+            return np.array(np.ma.filled(np.ma.asarray(values, float), np.nan))  # what is masked is missing
+    except (TypeError, ValueError):
+        pass
+    raise UsageError(f"{name} must be an array of numbers, NaN where one is missing")
+
+
+def _check_rising(t: Floats) -> None:
+    """Raises UsageError for instants (N,) that are missing, repeated or out of order, with the row, counted from 1."""
+    missing = np.flatnonzero(~np.isfinite(t))
+    if missing.size:
+        rows = f"{missing.size} row{'s' * (missing.size > 1)}"
+        raise UsageError(
+            f"t is missing, NaN or infinite in {rows}, the first is row {missing[0] + 1}; leave that row out"
+        )
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        k = int(back[0])
+        what = "a duplicate; drop one of the two rows, or write t with more digits" if t[k + 1] == t[k] else "sort them"
+        raise UsageError(f"t does not rise: row {k + 2} ({t[k + 1]:.9g}) follows {t[k]:.9g}: {what}")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordStretch:
+    """An uninterrupted part of a record on a grid of M instants.
+
+    inputs: (1 or 2, M) the late input, and the part of it that the reference explains, where there is one; y: (M,)
+    output, between measured instants in a straight line; rows: the instants that are measured; samples: their numbers
+    in the record; held: the input is constant within a step; record: the number of its record.
+    """
+
+    grid: Grid
+    inputs: Floats
+    y: Floats
+    rows: NDArray[np.int64]
+    samples: NDArray[np.int64]
+    held: bool
+    record: int = 0
+
+    def scale_time(self, rate: float) -> RecordStretch:
+        """With time in units of 1/rate."""
+        return replace(self, grid=Grid(self.grid.steps * rate, self.grid.size))
+
+
+def _finite(signals: list[Floats]) -> list[Floats]:
+    """The last value of a stretch may be unknown: nothing comes after it."""
+    return [np.where(np.isfinite(signal), signal, 0.0) for signal in signals]

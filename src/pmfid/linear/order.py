@@ -1,0 +1,242 @@
+"""Search for the structure of a linear process: poles, zeros and dead time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.residuals import Noise, is_white, prewhiten_problem, residual_noise
+from pmfid.linear.responses import Structure
+from pmfid.linear.solve import REFINEMENTS, ProcessProblem, Solution, descend, first_guess, refine, visit
+
+#: A model is judged once a step would lower its sum of squares by less than this part.
+SETTLED = 1e-6
+PASSES = 10
+#: Poles of the smaller one of two models that the colour of the noise is taken from; the other one has the most poles.
+MIDDLE = 3
+#: Best structures among those that did not settle, which are given more passes.
+RETRIED = 8
+#: Structures that are tried before none is recommended; the reason to refuse an estimate.
+TRIED, UNSTABLE = 8, "the estimate is unstable"
+#: A model counts as follows the record no closer than this part of the output: two such models are equally good.
+EXACT = 1e-7
+#: Delays in whole samples, and orders, that are searched where nothing else is said.
+ORDERS = range(1, 6)
+DELAYS = range(6)
+
+
+@dataclass(frozen=True)
+class OrderCandidate:
+    """A structure and how it does.
+
+    n, m, delay [samples]; bic: Schwarz's criterion N log(error power) + p log(N) after the whitening filter of the
+    noise, less is better; fit: percent of the output's standard deviation that the simulation explains; condition: of
+    the scaled sensitivities, large where poles and zeros nearly cancel; settled: whether the iteration did; white:
+    whether the filtered residual is white noise; theta (p,); samples: N; refused: why an estimate of this
+    structure is not accepted, as far as that was tried.
+    """
+
+    n: int
+    m: int
+    delay: int
+    bic: float
+    fit: float
+    condition: float
+    settled: bool
+    white: bool
+    theta: NDArray[np.float64]
+    samples: int
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class Search:
+    """The candidates, best first, those that did not settle last; skipped: structures that cannot be better than the
+    best, by models that contain them; samples: N, the same for all delays."""
+
+    candidates: tuple[OrderCandidate, ...]
+    skipped: int
+    samples: int
+
+    @property
+    def best(self) -> OrderCandidate:
+        return self.candidates[0]
+
+
+def search_structure(
+    experiments: Sequence[Experiment],
+    cutoff: float,
+    *,
+    orders: Sequence[int] = ORDERS,
+    delays: Sequence[int] = DELAYS,
+    offset: bool = False,
+    done: Callable[[float], None] | None = None,
+) -> Search:
+    """All n in orders, m < n and delays, fitted to the same samples by refined instrumental variables.
+
+    Noise that is not white would make any criterion take it for dynamics: so its colour is found first, from what the
+    largest and a middle order leave, and all structures are compared after its whitening filter (`prewhitening.py`).
+    cutoff: pole of the first filters [rad/s]. A structure is skipped where a model that contains it, with one zero less
+    than poles and the same delay, leaves so much that its own sum of squares cannot win; done is called with the part
+    that is finished. Raises UsageError without orders, delays or a usable record, and NotIdentifiableError where no
+    structure follows the record.
+    """
+    if not orders or not delays or min(orders) < 1 or min(delays) < 0:
+        raise UsageError("give orders from 1 on and delays from 0 on")
+    trimmed = [_drop_start(experiment, max(delays)) for experiment in experiments]
+    colour = _colour(trimmed, orders, delays, cutoff, offset)
+    places = [(n, n - 1, delay) for delay in delays for n in sorted(set(orders), reverse=True)]
+    found, bounds = [], {}
+    for count, place in enumerate(places):
+        if (candidate := _try(trimmed, *place, cutoff, offset, colour)) is not None:
+            found.append(candidate)
+            bounds[place[0], place[2]] = candidate.bic
+        _report(done, 0.0, count, len(places))
+    if not found:
+        raise NotIdentifiableError("no structure follows the record: excite it more, or try another cutoff")
+    samples = found[0].samples
+
+    def least(place: tuple[int, int, int]) -> float:
+        n, m, delay = place
+        return bounds.get((n, delay), -math.inf) - (n - 1 - m) * math.log(samples)
+
+    rest = sorted(((n, m, delay) for n, _, delay in places for m in range(n - 1)), key=least)
+    # the most promising first: the better the best, the more can be skipped
+    for count, place in enumerate(rest):
+        best = min(candidate.bic for candidate in found)
+        if least(place) <= best and (candidate := _try(trimmed, *place, cutoff, offset, colour)) is not None:
+            found.append(candidate)
+        _report(done, 0.5, count, len(rest))
+    found = _finish(found, lambda n, m, delay: _try(trimmed, n, m, delay, cutoff, offset, colour, thorough=True))
+    ranked = sorted(found, key=lambda candidate: (not candidate.settled, candidate.bic))
+    return Search(tuple(ranked), len(places) + len(rest) - len(found), samples)
+
+
+def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> Search:
+    """The first structure that is not refused goes to the front; those tried before it say why not. refusal: why there
+    is no estimate of a structure, or UNSTABLE, or "" where there is one."""
+    refused: list[OrderCandidate] = []
+    rest = list(search.candidates)
+    while rest and len(refused) < TRIED:
+        reason = refusal(rest[0])
+        if not reason:
+            return replace(search, candidates=(rest[0], *refused, *rest[1:]))
+        refused.append(replace(rest.pop(0), refused=reason))
+    # better an unstable estimate than none
+    refused.sort(key=lambda candidate: candidate.refused != UNSTABLE)
+    return replace(search, candidates=(*refused, *rest))
+
+
+def _finish(
+    found: list[OrderCandidate], again: Callable[[int, int, int], OrderCandidate | None]
+) -> list[OrderCandidate]:
+    """Those that did not settle and may win once more, with all the patience that an estimate has."""
+    best = min((candidate.bic for candidate in found if candidate.settled), default=math.inf)
+    contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[:RETRIED]
+    better = {id(c): again(c.n, c.m, c.delay) or c for c in contenders}
+    return [better.get(id(candidate), candidate) for candidate in found]
+
+
+def _report(done: Callable[[float], None] | None, start: float, count: int, total: int) -> None:
+    if done is not None:
+        done(start + (count + 1) / (2 * total))
+
+
+def _drop_start(experiment: Experiment, longest: int) -> Experiment:
+    """The first samples are left out at every delay: at the longest delay they have no input yet."""
+    y = experiment.y.copy()
+    y[:longest] = np.nan
+    return replace(experiment, y=y)
+
+
+def _colour(
+    experiments: Sequence[Experiment], orders: Sequence[int], delays: Sequence[int], cutoff: float, offset: bool
+) -> Noise | None:
+    """Of what the best of a middle and of the largest order leaves; None where no such model follows the record."""
+    best, noise = math.inf, None
+    for n in sorted({max(orders), min(max(orders), MIDDLE)}):
+        for delay in delays:
+            problem = _problem(experiments, Structure(n, n - 1, offset), delay, cutoff)
+            point = _refine_structure(problem, SETTLED, PASSES)
+            criterion = math.inf if point is None else _bic(problem, point.point.cost, point.point.error.size)
+            if point is not None and criterion < best:
+                best, noise = criterion, residual_noise(problem, point.point)
+    return noise
+
+
+def _try(
+    experiments: Sequence[Experiment],
+    n: int,
+    m: int,
+    delay: int,
+    cutoff: float,
+    offset: bool,
+    colour: Noise | None,
+    thorough: bool = False,
+) -> OrderCandidate | None:
+    problem = _problem(experiments, Structure(n, m, offset), delay, cutoff)
+    white = problem if colour is None else prewhiten_problem(problem, colour)
+    solution = _refine_structure(white, SETTLED, REFINEMENTS if thorough else PASSES, descending=thorough)
+    return None if solution is None else _make_candidate(problem, white, colour, solution, delay)
+
+
+def _problem(experiments: Sequence[Experiment], structure: Structure, delay: int, cutoff: float) -> ProcessProblem:
+    stretches = [stretch for experiment in experiments for stretch in experiment.stretches(delay)]
+    usable = tuple(stretch.scale_time(cutoff) for stretch in stretches if stretch.rows.size > 2 * structure.size)
+    if not usable:
+        raise UsageError("no record has a stretch with enough samples of input and output; record longer")
+    return ProcessProblem(structure, usable, cutoff)
+
+
+def _refine_structure(
+    problem: ProcessProblem, settled: float, passes: int, *, descending: bool = False
+) -> Solution | None:
+    with np.errstate(all="ignore"):
+        try:
+            solution = refine(problem, first_guess(problem, 1.0), settled, passes)
+            if descending and not solution.settled and not problem.referenced:
+                solution = descend(problem, solution.point, settled)
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+    return solution if np.isfinite(solution.point.cost) else None
+
+
+def _bic(problem: ProcessProblem, cost: float, samples: int, effective: float | None = None) -> float:
+    """Schwarz's criterion; effective: number of samples, where the noise is not white."""
+    power = sum(float(np.sum(stretch.y[stretch.rows] ** 2)) for stretch in problem.stretches)
+    left, count = max(cost, EXACT**2 * power, 1e-300) / samples, effective or samples
+    return count * math.log(left) + problem.structure.size * math.log(count)
+
+
+def _make_candidate(
+    problem: ProcessProblem, white: ProcessProblem, colour: Noise | None, solution: Solution, delay: int
+) -> OrderCandidate:
+    """white: the filtered problem of the solution."""
+    structure, point = problem.structure, solution.point
+    coloured = colour is not None and white is problem
+    theta = point.theta.copy()
+    if structure.offset and white is not problem and colour is not None:
+        theta[-1] /= np.sum(colour.whitener)
+    left = point if white is problem else visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
+    size = np.linalg.norm(point.zeta, axis=0)
+    values = np.linalg.svd(point.zeta / np.where(size > 0, size, 1.0), compute_uv=False)
+    spread = sum(float(np.var(stretch.y[stretch.rows]) * stretch.rows.size) for stretch in problem.stretches)
+    effective = colour.effective(point.error.size) if coloured and colour is not None else None
+    return OrderCandidate(
+        structure.n,
+        structure.m,
+        delay,
+        _bic(white, point.cost, point.error.size, effective),
+        100 * (1 - math.sqrt(left.cost / max(spread, 1e-300))),
+        float(values[0] / max(values[-1], 1e-300)),
+        solution.settled,
+        is_white(point.error),
+        theta * structure.scale(problem.rate),
+        point.error.size,
+    )

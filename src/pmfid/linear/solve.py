@@ -1,0 +1,394 @@
+"""Refined instrumental variables and output error of a transfer function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.linear.experiment import RecordStretch
+from pmfid.linear.responses import Structure, linearise, simulate, stable
+from pmfid.types import Floats
+
+REFINEMENTS = 30
+DESCENTS = 60
+#: A step that would lower the sum of squares by less than this part has settled: 1e-4 standard deviations or less.
+SETTLED = 1e-12
+#: ... or by less than this part of the output's sum of squares: what is left is rounding.
+ROUNDING = 1e-20
+#: A pole that would grow by more than this power of e within the record is at the bound of `stable`.
+EDGE = 0.9
+#: Part of a sensitivity that must not follow from the others.
+APART = 1e-7
+#: Unknown poles from which on the first optimum may be a local one.
+SEVERAL = 3
+#: Another optimum is better if its sum of squares is lower by this part.
+LOWER = 1e-9
+#: Further filter poles to start from, in parts of the first, where that does not settle.
+STARTS = (1.0, 3.0, 1 / 3, 10.0)
+
+
+@dataclass(frozen=True)
+class ProcessProblem:
+    """A structure and the stretches of all records, time in units of the inverse of `rate` [1/s]."""
+
+    structure: Structure
+    stretches: tuple[RecordStretch, ...]
+    rate: float
+
+    @property
+    def duration(self) -> float:
+        return max(stretch.grid.duration for stretch in self.stretches)
+
+    @property
+    def referenced(self) -> bool:
+        return any(stretch.inputs.shape[0] > 1 for stretch in self.stretches)
+
+    @property
+    def without_reference(self) -> ProcessProblem:
+        """The same with the sensitivities to the input as it was."""
+        return replace(self, stretches=tuple(replace(stretch, inputs=stretch.inputs[:1]) for stretch in self.stretches))
+
+
+@dataclass(frozen=True)
+class ProcessPoint:
+    """theta (p,) and initial conditions (stretches, n), and what is linear there with the initial conditions projected
+    out: error (N,), phi, zeta (N, p); cost: sum of squares of the error; power: of the output."""
+
+    theta: Floats
+    initial: Floats
+    error: Floats
+    phi: Floats
+    zeta: Floats
+    cost: float
+    power: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The point at which the iteration ended; settled or not; how many passes."""
+
+    point: ProcessPoint
+    settled: bool
+    passes: int
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of a process that is far off: its loss is not finite, and no better
+def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoint:
+    """Linearises at theta (p,); initial (stretches, n) is moved to where it fits best."""
+    errors, phis, zetas, found = [], [], [], []
+    for stretch, start in zip(problem.stretches, initial, strict=True):
+        here = linearise(problem.structure, theta, start, stretch)
+        Q, R = qr(here.free, mode="economic", check_finite=False)
+        inside = Q.T @ here.error
+        found.append(start + solve_triangular(_regular(R), inside, check_finite=False))
+        errors.append(here.error - Q @ inside)
+        phis.append(here.phi - Q @ (Q.T @ here.phi))
+        zetas.append(here.zeta - Q @ (Q.T @ here.zeta))
+    error = np.concatenate(errors)
+    power = sum(float(np.sum(stretch.y[stretch.rows] ** 2)) for stretch in problem.stretches)
+    return ProcessPoint(theta, np.array(found), error, np.vstack(phis), np.vstack(zetas), float(error @ error), power)
+
+
+def _regular(R: Floats) -> Floats:
+    """Where too few samples are left to tell all initial conditions, a small pivot becomes an infinite one."""
+    pivots = np.abs(np.diagonal(R))
+    dead = pivots < 1e-12 * max(float(np.max(pivots)), 1e-300)
+    if not np.any(dead):
+        return R
+    R = R.copy()
+    R[np.diag_indices_from(R)] = np.where(dead, 1e300, np.diagonal(R))
+    return R
+
+
+def step_from(point: ProcessPoint, phi: Floats) -> Floats:
+    """(zeta^T phi)^-1 zeta^T error, columns scaled to one size."""
+    size = np.linalg.norm(point.zeta, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    normal = (point.zeta / size).T @ (phi / size)
+    try:
+        return np.asarray(np.linalg.solve(normal, (point.zeta / size).T @ point.error) / size)
+    except np.linalg.LinAlgError:
+        return np.full(size.size, np.nan)
+
+
+def movable(problem: ProcessProblem, point: ProcessPoint, step: Floats) -> Floats:
+    """(p,) which parameters may move: all, but for a dead time at its bound that the step (p,) would take beyond it."""
+    free, latest = np.ones(step.size, bool), problem.structure.latest
+    if latest is not None:
+        free[-1] = not (point.theta[-1] <= 0.0 and step[-1] < 0.0) and not (
+            point.theta[-1] >= latest and step[-1] > 0.0
+        )
+    return free
+
+
+def _possible_step(problem: ProcessProblem, point: ProcessPoint, phi: Floats) -> Floats:
+    """The step from a point, a dead time that would leave its bounds kept there."""
+    step = step_from(point, phi)
+    free = movable(problem, point, step)
+    if not np.all(free):
+        step = np.zeros(step.size)
+        step[free] = step_from(replace(point, zeta=point.zeta[:, free]), phi[:, free])
+    return step
+
+
+def filter_problem(problem: ProcessProblem, pole: float) -> ProcessPoint:
+    """All signals filtered by 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
+    structure = problem.structure
+    a = np.atleast_1d(np.poly(np.full(structure.free, -pole)))[:0:-1]
+    late = [structure.dead_time] * (structure.latest is not None)
+    theta = np.r_[a, np.zeros(structure.linear - structure.free), late]
+    return visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
+
+
+def first_guess(problem: ProcessProblem, pole: float) -> ProcessPoint:
+    """Least squares with the filter 1/(s + pole)^n."""
+    point = filter_problem(problem, pole)
+    theta = point.theta
+    size = np.linalg.norm(point.phi, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    found = theta + np.linalg.lstsq(point.phi / size, point.error, rcond=None)[0] / size
+    return _visit_possible(problem, found, point.initial)
+
+
+def _visit_possible(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoint:
+    return visit(problem, possible(problem, theta), initial)
+
+
+def possible(problem: ProcessProblem, theta: Floats) -> Floats:
+    """theta with its poles on the stable side, unless the structure says otherwise: an unstable intermediate model
+    would drown the record. A dead time stays within its bounds."""
+    structure, theta = problem.structure, theta.copy()
+    if not structure.unstable:
+        theta[: structure.free] = stable(theta[: structure.free], problem.duration)
+    if structure.latest is not None:
+        theta[-1] = min(max(theta[-1], 0.0), structure.latest)
+    return theta
+
+
+def refine(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
+    """Instruments and filter follow the estimate; the best point on the way, where it does not settle."""
+    point = best = start
+    for passes in range(1, most + 1):
+        step = _possible_step(problem, point, point.phi)
+        if small(point, step, settled):
+            return Solution(replace(point, theta=point.theta + step), True, passes)
+        if not np.all(np.isfinite(step)):
+            break
+        point = _visit_possible(problem, point.theta + step, point.initial)
+        if not np.isfinite(point.cost):
+            break
+        if point.cost < best.cost or problem.referenced:
+            best = point
+    return Solution(best, False, most)
+
+
+def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTLED) -> Solution:
+    """Damped Gauss-Newton steps (Levenberg and Marquardt) on the sum of squares of the output error."""
+    point, damping = start, 1e-3
+    for passes in range(1, DESCENTS + 1):
+        size = np.maximum(np.linalg.norm(point.zeta, axis=0), 1e-300)
+        scaled = point.zeta / size
+        normal, slope = scaled.T @ scaled, scaled.T @ point.error
+        if small(point, last := _possible_step(problem, point, point.zeta), settled):
+            return Solution(replace(point, theta=point.theta + last), True, passes)
+        slope = np.where(last == 0.0, 0.0, slope)
+        normal = np.where((last == 0.0) | (last == 0.0)[:, None], 0.0, normal)
+        while damping < 1e12:
+            step = np.linalg.solve(normal + damping * np.eye(size.size), slope) / size
+            if not np.all(np.isfinite(step)):
+                return Solution(point, False, passes)
+            trial = _visit_possible(problem, point.theta + step, point.initial)
+            if np.isfinite(trial.cost) and trial.cost <= point.cost:
+                point, damping = trial, damping / 5
+                break
+            damping *= 4
+        else:
+            # no step is downhill: rounding, or the way down leads beyond the stable models
+            return Solution(point, not _has_pole_at_edge(problem, point.theta), passes)
+    return Solution(point, False, DESCENTS)
+
+
+def _has_pole_at_edge(problem: ProcessProblem, theta: Floats) -> bool:
+    """Is a pole as far in the right half-plane as it may be?"""
+    poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
+    return bool(np.any(poles.real * problem.duration > EDGE))
+
+
+def small(point: ProcessPoint, step: Floats, settled: float = SETTLED) -> bool:
+    """Whether such a step would lower the sum of squares by next to nothing."""
+    if not np.all(np.isfinite(step)):
+        return False
+    predicted = float(np.sum((point.zeta @ step) ** 2))
+    return predicted <= max(settled * point.cost, ROUNDING * point.power)
+
+
+def solve(problem: ProcessProblem) -> Solution:
+    """From least squares by refinement; if that does not settle, by descent, and from other filters. With SEVERAL poles
+    or more one of them may miss its resonance, so all filters are tried and the best solution counts."""
+    best: Solution | None = None
+    every = problem.structure.free >= SEVERAL and not problem.referenced
+    for pole in STARTS:
+        solution = refine(problem, first_guess(problem, pole))
+        if not solution.settled and not problem.referenced:
+            solution = descend(problem, solution.point)
+        if best is None or _better(solution, best):
+            best = solution
+        if solution.settled and not every:
+            break
+    if problem.referenced and (best is None or not best.settled):
+        # from what the input as it was says, noise that is fed back among it: not far off
+        near = descend(problem.without_reference, first_guess(problem.without_reference, 1.0)).point
+        best = refine(problem, _visit_possible(problem, near.theta, near.initial))
+    if best is None or not best.settled:
+        raise NotIdentifiableError(f"the iteration does not settle: {_reason(problem)}")
+    return best
+
+
+def _better(solution: Solution, best: Solution) -> bool:
+    """Settled where the other is not, or with a lower sum of squares than rounding explains."""
+    if solution.settled != best.settled:
+        return solution.settled
+    return solution.point.cost < (1 - LOWER) * best.point.cost
+
+
+def _reason(problem: ProcessProblem) -> str:
+    """Why it does not settle, as far as least squares can say."""
+    raw = filter_problem(problem, 1.0)
+    theta = raw.theta + step_from(replace(raw, zeta=raw.phi), raw.phi)
+    free = theta[: problem.structure.free][::-1]
+    poles = np.roots(np.r_[1.0, free]) if np.all(np.isfinite(theta)) else np.zeros(0)
+    if np.any(poles.real * problem.duration > 1.0) and not problem.structure.unstable:
+        return (
+            f"least squares finds a pole at {np.max(poles.real) * problem.rate:+.3g} rad/s: if the process is "
+            "unstable, as only a controller lets it be recorded, say so with unstable = true in [model]; "
+            "otherwise use ls or bcls, or another structure"
+        )
+    offset = "" if problem.structure.offset else "offset = true in [model] where the output has a constant, "
+    return f"the model does not follow the record; try {offset}another structure, dead time or cutoff"
+
+
+def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
+    """Instrumental variables with the filter 1/(s + pole)^n throughout, instruments from the simulated output.
+
+    What the output does between the samples matters here: a straight line, which costs an error of order dt^2; but for
+    what goes straight through (m = n), which jumps with the input."""
+    data, point = filter_problem(problem, pole), first_guess(problem, pole)
+    theta, missed = point.theta, _missed_by_lines(problem, pole, data)
+    for passes in range(1, REFINEMENTS + 1):
+        simulated = [
+            simulate(problem.structure, theta, initial, stretch)
+            for initial, stretch in zip(point.initial, problem.stretches, strict=True)
+        ]
+        ideal = tuple(replace(stretch, y=y) for stretch, y in zip(problem.stretches, simulated, strict=True))
+        through = _get_feedthrough(problem, theta) * missed
+        here = replace(data, zeta=filter_problem(replace(problem, stretches=ideal), pole).phi + through)
+        phi = data.phi + through
+        step = step_from(here, phi)
+        if not np.all(np.isfinite(step)):
+            break
+        before, theta = theta, data.theta + step
+        moved = replace(here, theta=theta, error=data.error - phi @ step)
+        if small(moved, theta - before):
+            return Solution(replace(moved, cost=float(moved.error @ moved.error)), True, passes)
+        theta = possible(problem, theta)
+        point = visit(problem, theta, point.initial)
+    raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
+
+
+def _get_feedthrough(problem: ProcessProblem, theta: Floats) -> float:
+    """The coefficient of what goes straight through, 0 where there is none."""
+    structure = problem.structure
+    return float(theta[structure.free + structure.n]) if structure.m == structure.n else 0.0
+
+
+def _missed_by_lines(problem: ProcessProblem, pole: float, data: ProcessPoint) -> Floats:
+    """(N, p) error of the regressors of an output that equals the input, if straight lines replace the input between
+    its samples; zero without direct feedthrough.
+
+    data: the filtered problem, whose regressors hold the exact input."""
+    structure, missed = problem.structure, np.zeros(data.phi.shape)
+    if structure.m < structure.n:
+        return missed
+    free, first = structure.free, structure.free + structure.integrators
+    itself = data.theta.copy()
+    itself[free : free + structure.n + 1] = np.r_[structure.denominator(data.theta), 1.0]
+    inputs = tuple(
+        _replace_output(stretch, simulate(structure, itself, np.zeros(structure.n), stretch, source=0))
+        for stretch in problem.stretches
+    )
+    lines = filter_problem(replace(problem, stretches=inputs), pole).phi[:, :free]
+    missed[:, :free] = -data.phi[:, first : first + free] - lines
+    return missed
+
+
+def _replace_output(stretch: RecordStretch, signal: Floats) -> RecordStretch:
+    """The stretch with a signal (M,) for output: between measured instants a straight line, as of every output."""
+    times = stretch.grid.instants
+    return replace(stretch, y=np.interp(times, times[stretch.rows], signal[stretch.rows]))
+
+
+#: Passes for each whole number of samples, and how many of the best are followed to the end.
+PASSES, FOLLOWED = 2, 2
+#: Samples beyond the largest of these that the dead time may still reach.
+BEYOND = 2.0
+
+
+def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least: int) -> tuple[RecordStretch, ...]:
+    """Only outputs from `time` on after the first instant: before, the late input is not known. Stretches with fewer
+    than `least` of them are left out."""
+    found = []
+    for stretch in stretches:
+        known = stretch.grid.instants[stretch.rows] >= time * (1 - 1e-9)
+        found.append(replace(stretch, rows=stretch.rows[known], samples=stretch.samples[known]))
+    return tuple(stretch for stretch in found if stretch.rows.size >= least)
+
+
+def solve_dead_time(
+    problem: ProcessProblem, solver: Callable[[ProcessProblem], Solution]
+) -> tuple[ProcessProblem, Solution]:
+    """The best of the solutions from the most promising whole samples, and the problem that it solves: with as many
+    outputs as can be compared."""
+    structure, least = problem.structure, problem.structure.n + 2
+    latest, step = structure.latest or 0.0, float(np.median(problem.stretches[0].grid.steps))
+    places = np.arange(0.0, latest + 1e-6 * step, step)
+    trimmed = replace(problem, stretches=keep_outputs_after(problem.stretches, latest, least))
+    starts = _minima(places, np.array([_cost(trimmed, float(place)) for place in places]))
+    bound = min(latest, float(np.max(starts)) + BEYOND * step)
+    wide = replace(problem, stretches=keep_outputs_after(problem.stretches, bound, least))
+    best: tuple[ProcessProblem, Solution] | None = None
+    failure = NotIdentifiableError("no dead time lets the model follow the record; try another structure or cutoff")
+    for start in starts:
+        here = replace(wide, structure=replace(structure, dead_time=float(start), latest=bound))
+        try:
+            solution = solver(here)
+        except NotIdentifiableError as error:
+            failure = error
+            continue
+        if best is None or solution.point.cost < best[1].point.cost:
+            best = here, solution
+    if best is None:
+        raise failure
+    return best
+
+
+def _cost(problem: ProcessProblem, dead_time: float) -> float:
+    """What a few passes leave with this dead time."""
+    fixed = replace(problem, structure=replace(problem.structure, dead_time=dead_time, latest=None))
+    with np.errstate(all="ignore"):
+        try:
+            cost = refine(fixed, first_guess(fixed, 1.0), most=PASSES).point.cost
+        except (np.linalg.LinAlgError, ValueError):
+            return np.inf
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _minima(places: Floats, costs: Floats) -> Floats:
+    """The best local minima, best first; the first place where there is none."""
+    around = np.r_[np.inf, costs, np.inf]
+    low = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]) & np.isfinite(costs))
+    order = low[np.argsort(costs[low])][:FOLLOWED]
+    return places[order] if order.size else places[:1]

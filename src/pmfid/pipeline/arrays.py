@@ -1,0 +1,252 @@
+"""The commands from Python: arrays and objects in, results out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.config.axis import Axis, load_axis
+from pmfid.config.model import SHAPES, keys_of
+from pmfid.config.record import NO_ENCODER
+from pmfid.config.toml_file import validate_sections as axis_from
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.estimators.configuration import check_arrays, numbers
+from pmfid.findings import Finding
+from pmfid.io.tables import table_of
+from pmfid.linear.experiment import Experiment
+from pmfid.models.drive import Drive, EquationModel, Model
+from pmfid.models.equation import Equation
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.pipeline.identify import check as checked
+from pmfid.pipeline.identify import identify as run
+from pmfid.pipeline.identify import kind_of
+from pmfid.pipeline.kinds import Records, parameters_of
+from pmfid.pipeline.result import Result
+from pmfid.pipeline.terms import TermSearch, list_periodic_forces, search_drive
+from pmfid.pipeline.validation import Validation, validate_parameters
+from pmfid.records.joining import join_records
+from pmfid.records.record import Record, record_of
+
+#: Names of the two signals in messages.
+INPUT, OUTPUT = "u", "y"
+
+
+def identify(
+    u: ArrayLike | Experiment | Sequence[Experiment] | Sequence[tuple[ArrayLike, ArrayLike]] | object,
+    y: ArrayLike | None = None,
+    *,
+    model: Model | None = None,
+    axis: Axis | Path | str | None = None,
+    dt: float | None = None,
+    cutoff: float | None = None,
+    encoder: Encoder | None = None,
+    **settings: object,
+) -> Result:
+    """Identifies a machine or a transfer function, with the same choice of method, flags and notes as `pmfid identify`.
+
+    u: input (n,). y: of a machine the counts of its encoder (n,), integers (see `quantize`), NaN in u or y where a
+    sample is missing, or in place of both several records [(u, y), (u, y)]; of a transfer function the output (n,), any
+    numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
+    model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s];
+    None: of a machine, chosen by the record. encoder: of a machine. settings: the keys of [estimator] in
+    AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision; of a
+    machine tolerance, and given and prior, prior information, {"mass": 1.25} and {"mass": (1.0, 0.1)}, as
+    the mass in place of Drive(input_gain="estimate").
+    axis: in place of all that, an AXIS.toml or its path. u is then a table with its columns: a frame of pandas, Polars
+    or Arrow, a dict of arrays, or the path of a file.
+    Raises UsageError for arguments that do not fit each other, and NotIdentifiableError if the data cannot identify
+    every parameter; its message begins with a mistake in the log that explains it.
+    """
+    if axis is not None:
+        if settings or any(value is not None for value in (y, model, dt, cutoff, encoder)):
+            raise UsageError("axis says everything but the record: leave out y, model, dt, encoder and settings")
+        return _identify_by_axis(u, axis)
+    if model is None:
+        raise UsageError("neither model nor axis is given: give a Drive, or an AXIS.toml")
+    if isinstance(model, TransferFunction):
+        experiments = _experiments(u, y, dt)
+        return run(experiments, axis_of(model, encoder, experiments[0].period, {"cutoff": cutoff, **settings}))
+    pairs = _pairs(u) if y is None else [(cast(ArrayLike, u), y)]
+    if not pairs or dt is None or encoder is None:
+        raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
+    own = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
+    place_matters = own.model.make().equation.place_matters
+    return run(join_records([_record(*pair, own) for pair in pairs], place_matters), own)
+
+
+def _identify_by_axis(record: object, axis: Axis | Path | str) -> Result:
+    """The result of a frame, or of one or several files, with an AXIS.toml."""
+    own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
+    return run(_read(record, own), own)
+
+
+def _read(record: object, axis: Axis) -> Records:
+    """The records in a frame, or in one or several files, as an AXIS.toml describes them."""
+    kind = kind_of(axis)
+    if isinstance(record, str | Path):
+        return kind.read([Path(record)], axis)
+    if isinstance(record, list | tuple) and record and all(isinstance(one, str | Path) for one in record):
+        return kind.read([Path(one) for one in record], axis)
+    return kind.read_table(table_of(record), axis)
+
+
+def check(
+    u: ArrayLike | object,
+    y: ArrayLike | None = None,
+    *,
+    model: Model | None = None,
+    axis: Axis | Path | str | None = None,
+    dt: float | None = None,
+    encoder: Encoder | None = None,
+) -> tuple[Finding, ...]:
+    """Mistakes in the log of a machine, most important first, as from `pmfid check`; empty without any.
+
+    u, y (n,), model, dt [s], encoder: as for `identify`; or u a frame, a dict of arrays or the path of a file, and
+    `axis` an AXIS.toml or its path, in place of the others. Raises UsageError for arguments that do not fit each other.
+    """
+    if axis is not None:
+        if any(value is not None for value in (y, model, dt, encoder)):
+            raise UsageError("axis says everything but the record: leave out y, model, dt and encoder")
+        own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
+        return checked(_read(u, own), own)
+    if model is None or y is None or dt is None or encoder is None:
+        raise UsageError("check needs u, y, model, dt and encoder, or a frame and axis")
+    own = axis_of(model, encoder, dt, {})
+    return checked(_record(cast(ArrayLike, u), y, own), own)
+
+
+def validate(
+    result: Result,
+    u: ArrayLike | Experiment | Sequence[Experiment],
+    y: ArrayLike | None = None,
+    *,
+    dt: float | None = None,
+    encoder: Encoder | None = None,
+) -> Validation:
+    """Free runs with a result over other records, as `pmfid validate` makes them from files.
+
+    u, y, dt, encoder: as for `identify`, of the other record; without dt or encoder the values of the result are used.
+    Raises UsageError for arguments that do not fit each other, and if nothing can be simulated.
+    """
+    own, data = result.estimator, list[Records]()
+    values = dict(zip(result.names, result.theta.tolist(), strict=True))
+    if isinstance(own.model, TransferFunction):
+        period = own.dt if dt is None and y is not None else dt
+        experiments = _experiments(u, y, period)
+        axis = axis_of(own.model, encoder, experiments[0].period, {"cutoff": own.cutoff})
+        data = [[part] for part in experiments]
+    elif y is None:
+        raise UsageError(f"a {own.model.kind} is validated on u and counts (n,); give both")
+    else:
+        axis = axis_of(own.model, encoder or own.encoder, dt or own.dt, {"cutoff": own.cutoff})
+        data = [_record(cast(ArrayLike, u), y, axis)]
+    names = parameters_of(own.model)[0]
+    return validate_parameters(own.method, np.array([values[name] for name in names]), data, axis)
+
+
+def search_terms(
+    u: ArrayLike,
+    counts: ArrayLike,
+    *,
+    model: Drive,
+    dt: float,
+    cutoff: float | None = None,
+    encoder: Encoder,
+    turn: float | None = None,
+    pitch: float | Sequence[float] = (),
+    friction_period: float | None = None,
+    scan: bool = True,
+    other: tuple[ArrayLike, ArrayLike] | None = None,
+    **settings: object,
+) -> TermSearch:
+    """Searches further terms of a drive beyond a model, as `pmfid terms` does.
+
+    u, counts (n,), dt [s], cutoff [rad/s], encoder, settings: as for `identify`. turn: the period of gravity on a
+    rotary axis; pitch: of a cogging force, one or several; friction_period: of friction that changes along the travel
+    [unit of y]; what is not given is not looked for, but a pitch, unless scan is False. other: u and counts of a second
+    record, which the models are to predict in place of parts of the first.
+    Raises UsageError for arguments that do not fit each other, and NotIdentifiableError if the record is too short,
+    or cannot identify the model to begin with.
+    """
+    axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
+    places = list_periodic_forces(turn, [pitch] if isinstance(pitch, int | float) else pitch, friction_period)
+    second = None if other is None else _record(*other, axis)
+    return search_drive(_record(u, counts, axis), axis, places, scan, second)
+
+
+def _pairs(u: object) -> list[tuple[ArrayLike, ArrayLike]]:
+    """The pairs of several records of a machine; empty for any other object."""
+    if isinstance(u, list | tuple) and u and all(isinstance(pair, tuple) and len(pair) == 2 for pair in u):
+        return list(u)
+    return []
+
+
+def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
+    """The record of two arrays; a sample with NaN in one of them is missing."""
+    inputs, given = numbers("u", u), numbers("counts", counts)
+    there = np.isfinite(given) if given.dtype.kind == "f" else np.ones(given.shape, bool)
+    _, whole = check_arrays(inputs, np.where(there, given, 0))
+    return record_of(
+        {INPUT: inputs.astype(np.float64), OUTPUT: np.where(there, whole.astype(np.float64), np.nan)}, axis
+    )
+
+
+def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, object]) -> Axis:
+    """The configuration of these objects as in an AXIS.toml. Raises UsageError for settings that do not fit."""
+    kind = "counts" if encoder is not None else "position"
+    return axis_from(
+        Axis,
+        {
+            "record": {"input": INPUT, "output": OUTPUT, "output_kind": kind, "dt": float(dt)},
+            "encoder": _encoder(encoder, model),
+            "model": _model(model),
+            "estimator": estimator,
+        },
+    )
+
+
+def _encoder(encoder: Encoder | None, model: Model) -> dict[str, object]:
+    if encoder is None:
+        return {"resolution": NO_ENCODER}
+    shared: dict[str, object] = {"resolution": encoder.resolution, "bits": encoder.bits}
+    if isinstance(model, TransferFunction):
+        return shared
+    moving = {"standstill_time": encoder.standstill_time, "max_speed": encoder.max_speed, "guard": encoder.guard}
+    return shared | moving
+
+
+def _model(model: Model) -> dict[str, object]:
+    """The keys of [model] that make the same model."""
+    if isinstance(model, TransferFunction) and model.initial_conditions:
+        raise UsageError("the starts of experiments are always part of the fit here: drop initial_conditions")
+    if isinstance(model, Drive | TransferFunction):
+        return {"kind": model.kind, **{key: getattr(model, key) for key in keys_of(type(model))}}
+    if not isinstance(model, EquationModel):
+        raise UsageError(f"model must be a Drive, an EquationModel or a TransferFunction, got {type(model).__name__}")
+    equation = model.equation
+    late, lag = equation.dead_time, equation.lag
+    if equation != Equation(equation.unknown, equation.known, dead_time=late, lag=lag):
+        raise UsageError("an equation with delay, only_simulated or further is that of a TransferFunction: give one")
+    free = equation.at_once.unknown  # without the term that the dead time brings along
+    unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))
+    for term in known:  # its coefficient is a number, of no name, no unit and no form
+        del term["name"], term["unit"], term["shape"]
+    for term, own in zip(unknown, free, strict=True):
+        if own.shape is not None:
+            term["shape"]["form"] = next(form for form, made in SHAPES.items() if made is type(own.shape))
+    return {"kind": model.kind, "unknown": unknown, "known": known, "dead_time": late, "lag": lag}
+
+
+def _experiments(u: object, y: ArrayLike | None, dt: float | None) -> list[Experiment]:
+    given = [u] if isinstance(u, Experiment) else u
+    if y is None and isinstance(given, Sequence) and given and all(isinstance(part, Experiment) for part in given):
+        return list(given)
+    if y is None or dt is None:
+        raise UsageError("a transfer function is identified from u and y (n,) with dt, or from Experiments; give these")
+    return [Experiment(np.asarray(u, np.float64), np.asarray(y, np.float64), dt=dt)]

@@ -1,0 +1,51 @@
+"""Checks of a log: findings on mistakes in it, before an estimate and with every estimate.
+
+A check takes a `CheckedLog` and yields findings; each family has a file of its own. Checks in SOON cost next to nothing
+and run with every identification. Checks in LATER run in `pmfid check`, and if an estimate is in doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from pmfid.config.axis import Axis
+from pmfid.findings import Finding, codes, sort_findings
+from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, held_output, jump
+from pmfid.pipeline.checks.inputs import find_saturation, held_input
+from pmfid.pipeline.checks.readings import find_gravity, no_inertia, no_motion, read_as
+from pmfid.pipeline.checks.timing import drifts, too_fast, too_slow
+from pmfid.pipeline.checks.view import CheckedLog
+from pmfid.records.joining import unbroken
+from pmfid.records.record import Record
+
+__all__ = ["LATER", "SOON", "Check", "check_record", "scan_record"]
+
+Check = Callable[[CheckedLog], Iterator[Finding]]
+
+#: Families of checks, in this order. A fault of one family would look like faults of later ones, so it ends the search.
+SOON: tuple[tuple[Check, ...], ...] = (
+    (no_motion, forgotten_bits, too_fast),
+    (find_gravity,),
+    (read_as,),
+    (held_output, find_frozen_counts, held_input, find_saturation),
+    (too_slow, jump),
+)
+LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
+
+
+def scan_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
+    """The findings of the fast checks."""
+    return sort_findings(_run_families(CheckedLog(unbroken(record), axis), SOON))
+
+
+def check_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
+    """The findings of all checks."""
+    return sort_findings(_run_families(CheckedLog(unbroken(record), axis), (*SOON, *LATER)))
+
+
+def _run_families(log: CheckedLog, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
+    """The findings of the families, up to the first family with more than a note."""
+    for family in families:
+        found = [finding for check in family for finding in check(log)]
+        yield from found
+        if codes(found):
+            return

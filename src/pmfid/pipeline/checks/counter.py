@@ -1,0 +1,100 @@
+"""Counters that repeat, wrap or miss counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.diagnostics.drives import count_jump
+from pmfid.findings import Finding
+from pmfid.pipeline.checks.view import CheckedLog, Stop
+from pmfid.records.outliers import wrap_of
+
+__all__ = ["period_of"]
+
+#: Most rows between two changes; fewest changes; least part of the changes in step; least part of the rows in step with
+#: a change.
+MOST, LEAST, IN_STEP, OFTEN = 50, 30, 0.98, 0.3
+
+
+def period_of(changes: NDArray[np.intp]) -> int:
+    """The largest k such that the changes (m,), numbers of rows, are multiples of k apart; 1 if there is none.
+
+    By chance m changes are in step with probability k^(1 - m). A column with few changes may be in step by chance or by
+    design, so a column of long steps is left out.
+    """
+    if changes.size < LEAST:
+        return 1
+    rows = int(changes[-1] - changes[0]) + 1
+    for k in range(MOST, 1, -1):
+        step = np.bincount(changes % k, minlength=k).max()
+        if step >= IN_STEP * changes.size and step >= OFTEN * rows / k:
+            return k
+    return 1
+
+
+def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
+    """Counts of a counter that wraps, if the configuration does not name its range."""
+    wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None and log.axis.encoder.range is None else None
+    if wrap is not None:
+        config = log.axis.record
+        sentence, remedy = wrap.describe_mistake(
+            config.output, config.output_kind, log.record.resolution, log.axis.model.make().equation.motion.travel
+        )
+        yield Finding("wrapped", sentence, remedy, "wrong")
+
+
+def jump(log: CheckedLog) -> Iterator[Finding]:
+    """One change of the counts that is no motion, unless [encoder] max_speed excludes such changes."""
+    sentence = count_jump(log.known.counts) if log.axis.encoder.max_speed is None and log.is_machine else ""
+    if sentence:
+        yield Finding("count_jump", sentence, severity="wrong")
+
+
+def held_output(log: CheckedLog) -> Iterator[Finding]:
+    """Counts that are read only every few samples."""
+    every = period_of(np.flatnonzero(log.change))
+    if every > 1:
+        yield Finding(
+            "held_output",
+            f"the output column {log.axis.record.output!r} changes at every {every}th row and no other: it is read "
+            "more slowly than the record, and the motion seems late and in jumps",
+            f"keep every {every}th row, the first of each with a new value, or log the output at the rate of the "
+            "record",
+        )
+
+
+def find_frozen_counts(log: CheckedLog) -> Iterator[Finding]:
+    """Counts that stop although the axis moves: at the end of their range, or anywhere."""
+    counts, stops = log.record.counts, log.sudden_stops
+    if not stops:
+        return
+    output = log.axis.record.output
+    ends = [stop for stop in stops if counts[stop[0]] in (counts.min(), counts.max())]
+    first = (ends or stops)[0]
+    if ends:
+        size = counts[first[0]] * (1 if log.axis.record.output_kind == "counts" else log.record.resolution)
+        yield Finding(
+            "clipped",
+            f"the output column {output!r} ends at {size:.6g} while the axis goes on, {len(ends)} "
+            f"time{'s' * (len(ends) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: the range of the counter or "
+            "the sensor ends there, and what moves on is taken for rest",
+            f"use rows {_format_free_rows(ends, counts.size)}, the most without, or record within the range",
+        )
+        return
+    yield Finding(
+        "stuck",
+        f"the output column {output!r} stands still while the axis goes on, {len(stops)} "
+        f"time{'s' * (len(stops) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: "
+        "the counter, or what reads it, was stuck",
+        f"use rows {_format_free_rows(stops, counts.size)}, the most without, and check the wiring",
+    )
+
+
+def _format_free_rows(stops: list[Stop], rows: int) -> str:
+    """The longest stretch of rows, from 1 on, without any of the stops."""
+    edges = [-1, *(edge for stop in stops for edge in stop), rows]
+    first, last = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
+    return f"{first + 2} to {last}"

@@ -1,0 +1,107 @@
+"""What the input shows by itself: limits that it runs into, values that are logged more slowly than the record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.findings import Finding
+from pmfid.pipeline.checks.counter import period_of
+from pmfid.pipeline.checks.view import CheckedLog, View, view, with_friction
+from pmfid.types import Floats
+
+__all__ = ["find_saturation", "held_input"]
+
+#: An input of fewer values is one of steps.
+LEVELS = 20
+#: Least part of the record at a limit; least ratio to the rows at one of the NEIGHBOURS values next to the limit.
+AT_LIMIT, PILED, NEIGHBOURS = 0.005, 5.0, 20
+#: The missing force at the limit: least size in standard deviations; least size as a part of the largest force, times
+#: the part of the unexplained input that it removes; most that may stay unexplained of the input.
+CERTAIN, SHORT, SEEN = 4.0, 0.008, 0.2
+LARGER = "log the force or current that the drive gave with a larger range, or record with a smaller motion"
+#: Time constants of the filters that show the missing force [samples].
+TIMES = (3.0, 10.0, 30.0, 100.0)
+
+
+def held_input(log: CheckedLog) -> Iterator[Finding]:
+    """An input that is logged only every few samples."""
+    u = log.record.u
+    every = period_of(np.flatnonzero(np.diff(u))) if _varies(u) else 1
+    if every > 1:
+        yield Finding(
+            "held_input",
+            f"the input column {log.axis.record.input!r} changes at every {every}th row and no other: where the drive "
+            "gets it more often than that, the log misses what moved the axis",
+            "log the input at the rate at which the drive gets it, or, if that is this one, use it as it is",
+        )
+
+
+def find_saturation(log: CheckedLog) -> Iterator[Finding]:
+    """An input that stays at its largest or smallest value: limited by the drive, or cut off in the log."""
+    u = log.record.u
+    if not _varies(u):
+        return
+    limits = [limit for limit in (float(u.min()), float(u.max())) if _piles_up(u, limit)]
+    there = np.isin(u, limits)
+    if not limits:
+        return
+    sentence = (
+        f"the input column {log.axis.record.input!r} stays at {' and '.join(f'{limit:.4g}' for limit in limits)} in "
+        f"{100 * np.mean(there):.2g} % of the rows, first in row {int(np.argmax(there)) + 1}"
+    )
+    if _falls_short(log, there):
+        sentence += ", and falls short of what moves the axis there: the log cuts off the force"
+        yield Finding("saturated", sentence, LARGER)
+    else:
+        yield Finding("saturated", f"{sentence}: right where the drive gave no more", f"else {LARGER}", "note")
+
+
+def _varies(u: Floats) -> bool:
+    """Does the input take many values?"""
+    return np.unique(u[:: max(1, u.size // 10_000)]).size > LEVELS
+
+
+def _piles_up(u: Floats, limit: float) -> bool:
+    """Is the input at the limit far more often than at the values next to it?"""
+    values, times = np.unique(u, return_counts=True)
+    neighbours = np.argsort(np.abs(values - limit))[1 : NEIGHBOURS + 1]
+    at_limit = int(times[values == limit][0])
+    return at_limit >= AT_LIMIT * u.size and at_limit > PILED * float(np.mean(times[neighbours]))
+
+
+def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
+    """Does the motion require more force in the rows in which the input is cut off?"""
+    if log.view is None or not log.is_machine:
+        return False
+    side = np.where(there, np.sign(log.force), 0.0)
+    return any(_misses_force(log, shape, time) for time in TIMES for shape in (side, side * _arcs(there)))
+
+
+def _arcs(there: NDArray[np.bool_]) -> Floats:
+    """(n,): an arc over each stretch of rows, as a smooth signal has it beyond a limit, with the same curvature."""
+    edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(np.int8)))
+    first, last = (np.repeat(edges[side::2], edges[1::2] - edges[::2]) for side in (0, 1))
+    rows = np.flatnonzero(there) + 0.5
+    arcs = np.zeros(there.size)
+    arcs[there] = (rows - first) * (last - rows)
+    return arcs
+
+
+def _misses_force(log: CheckedLog, shape: Floats, time: float) -> bool:
+    """Is a force of this shape (n,) missing after filters of one time constant?
+
+    Friction that is neither viscous nor dry would look like this force and has columns of its own.
+    """
+    counts, encoder, dt = log.known.counts[log.part], log.encoder, log.record.dt
+    seen, cut = (view(u[log.part], counts, encoder, dt, time) for u in (log.force, shape))
+    if seen is None or cut is None or not np.any(cut.z):
+        return False
+    plain = View(time, with_friction(seen), seen.z)
+    wider = View(time, np.column_stack([plain.phi, cut.z]), seen.z)
+    missing = -float(wider.theta[-1]) * float(np.mean(np.abs(shape[shape != 0]))) / float(np.max(np.abs(log.force)))
+    less = 1 - wider.unexplained / max(plain.unexplained, 1e-300)
+    sure = wider.sure(np.eye(wider.theta.size)[-1]) < -CERTAIN
+    return sure and missing * less > SHORT and wider.unexplained < SEEN

@@ -1,0 +1,221 @@
+"""Other readings of the two columns: sign, unit, velocity, delay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.encoder import Encoder, fine_counts
+from pmfid.findings import Finding
+from pmfid.models.drive import Drive
+from pmfid.pipeline.checks.timing import drifts, too_slow
+from pmfid.pipeline.checks.view import MASS, PLAIN, VISCOUS, CheckedLog, View, best_view, hasty, liveliest
+from pmfid.pipeline.known import set_any_gain
+from pmfid.types import Counts, Floats
+
+__all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
+
+#: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
+FOLLOWS, BETTER = 0.15, 0.3
+#: The same for friction that no reading has. The input must then have the clock of the output, for an integral also
+#: follows an input of another clock.
+LOOSELY = 0.3
+#: Unexplained part below which, with a significant mass, no other reading is tried.
+CLEARLY = 0.001
+#: Standard deviations from which on a sign is certain, and from which on it is likely.
+CERTAIN, LIKELY = 4.5, 3.0
+#: Unexplained part above which a record says nothing about a sign.
+UNSEEN = 0.5
+#: Least time in which a body reaches its speed [samples]; if there is no body, the factor by which a velocity may leave
+#: more unexplained.
+SAMPLES, ALIKE = 1.5, 2.0
+#: Least duration of the motion of a reading, in time constants of the filters.
+LASTING = 10.0
+#: Change of the velocity from row to row, in parts of the velocity: of a column that is no position, and of one that
+#: may be.
+ROUGH, SMOOTH = 0.6, 0.1
+#: Least travel that shows gravity [rad]: on a shorter one a spring does the same.
+TURNED = 1.0
+RATE = 'give [record] output_kind = "velocity"'
+INTEGRATE = (
+    "name the column of the position or the counts, or integrate this one, its cumulative sum times the sample period"
+)
+
+
+def read_as(log: CheckedLog) -> Iterator[Finding]:
+    """Columns that are exchanged, a velocity, or reversed."""
+    if not log.is_machine:
+        return
+    other = _other_reading(log)
+    if other is not None:
+        yield other
+    elif log.view is not None and log.knows_sign and is_turned(log.view):
+        mistake = "the output has the opposite sign of the input"
+        yield _make_finding("reversed", mistake, suggest_sign(log), log.view.unexplained)
+
+
+def find_gravity(log: CheckedLog) -> Iterator[Finding]:
+    """A rotary axis whose load is out of balance, under a model without gravity."""
+    model = set_any_gain(log.axis).model.make()
+    if not (log.is_machine and isinstance(model, Drive) and model.axis == "rotary" and model.gravity is False):
+        return
+    counts = log.known.counts[log.part]
+    if np.ptp(counts) * log.encoder.resolution < TURNED:
+        return
+    hanging = best_view(log.force[log.part], counts, log.encoder, log.record.dt, model=replace(PLAIN, gravity=True))
+    left = _measure_rest(hanging)
+    if hanging is not None and left < min(FOLLOWS, BETTER * _measure_rest(log.closest_view)) and _is_one_body(hanging):
+        yield _make_finding("gravity", "gravity turns the load", "set gravity = true in [model]", left)
+
+
+def _other_reading(log: CheckedLog) -> Finding | None:
+    """The finding of exchanged columns or a velocity, if that reading explains the input much better."""
+    view = log.closest_view
+    heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
+    left = _measure_rest(view)
+    if heavy and left < CLEARLY:
+        return None
+    velocity, exchanged = _measure_rest(_velocity(log)), _measure_rest(_view_exchanged(log))
+    better = ALIKE if hasty(log.change) > ROUGH > SMOOTH > hasty(np.diff(log.record.u)) else BETTER
+    bound = min(better * left, velocity)
+    if exchanged < min(FOLLOWS, bound) or (exchanged < min(LOOSELY, bound) and not any(drifts(log))):
+        return _make_finding("exchanged", "input and output are exchanged", _exchange(log), exchanged)
+    if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
+        return None
+    bound = left * (BETTER if heavy else 1.0 if _is_one_body(view) else ALIKE)
+    loosely = velocity < LOOSELY and (velocity < bound or (velocity < FOLLOWS and _is_no_body(view)))
+    if velocity < min(FOLLOWS, bound, left) or (loosely and _is_in_time(log)):
+        mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
+        return _make_finding("velocity", mistake, RATE, velocity)
+    return None
+
+
+def _is_in_time(log: CheckedLog) -> bool:
+    """Do input and output share a clock, and is the record fast enough for the axis?"""
+    return not (any(too_slow(log)) or any(drifts(log)))
+
+
+def is_exchanged(log: CheckedLog) -> bool:
+    """Does the motion explain the input if the two columns are exchanged?"""
+    return log.is_machine and _measure_rest(_view_exchanged(log)) < FOLLOWS
+
+
+def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
+    sentence = f"{mistake}, for then the motion explains the input to {100 * (1 - left):.3g} %"
+    return Finding(code, sentence, remedy, "wrong")
+
+
+def is_turned(view: View) -> bool:
+    """Is the mass negative, or does friction drive, in a record that determines both and shows neither with its proper
+    sign?"""
+    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
+    return view.unexplained < UNSEEN and min(mass, work) < -CERTAIN and max(mass, work) < LIKELY
+
+
+def _has_inertia(view: View, dt: float) -> bool:
+    """Is there a mass that takes more than SAMPLES to reach its speed?"""
+    mass, viscous = abs(view.theta[MASS]), abs(view.theta[VISCOUS])
+    return abs(view.sure(np.eye(view.theta.size)[MASS])) > CERTAIN and mass > SAMPLES * dt * viscous
+
+
+def _is_one_body(view: View) -> bool:
+    """Do the mass and the power that friction takes have the same sign, if both are significant?"""
+    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
+    return mass * work > 0 or abs(work) < LIKELY
+
+
+def _is_no_body(view: View) -> bool:
+    """Do the mass and the power that friction takes have opposite signs, both significantly?"""
+    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
+    return mass * work < 0 and min(abs(mass), abs(work)) > LIKELY
+
+
+def _measure_rest(view: View | None) -> float:
+    """The part of the input that a reading leaves unexplained; infinite without a reading."""
+    return np.inf if view is None else view.unexplained
+
+
+def _view_exchanged(log: CheckedLog) -> View | None:
+    if isinstance(log.axis.record.input_scale, str):
+        return None
+    position = log.encoder.position(log.record.counts)  # with steps, as a random input has them
+    encoder, counts = fine_counts(log.record.u)
+    return _view_reading(position - position.mean(), counts, encoder, log.record.dt)
+
+
+def _velocity(log: CheckedLog) -> View | None:
+    encoder, counts = convert_velocity(log.record.counts, log.record.resolution, log.record.dt)
+    return _view_reading(log.force, counts, encoder, log.record.dt)
+
+
+def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
+    """A reading of the record; None if it gives no machine."""
+    part = liveliest(counts)
+    view = best_view(force[part], counts[part], encoder, dt, lasting=LASTING)
+    return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
+
+
+def _exchange(log: CheckedLog) -> str:
+    config = log.axis.record
+    return f'give [record] input = "{config.output}" and output = "{config.input}"'
+
+
+def integrate_velocity(velocity: Floats, dt: float) -> Floats:
+    """The position (n,), which starts at 0, of a velocity (n,) that is linear between samples."""
+    return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
+
+
+def convert_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Encoder, Counts]:
+    """A fine encoder, and its counts (n,) of the integrated velocity; the velocity is counts (n,) times a resolution.
+
+    Count 0 is velocity 0, not the middle of its step. Otherwise an axis at rest would creep on, and its friction would
+    have a direction.
+    """
+    return fine_counts(integrate_velocity(np.float64(resolution) * counts.astype(np.float64), dt))
+
+
+def suggest_sign(log: CheckedLog) -> str:
+    """The remedy for an input whose force has the opposite sign."""
+    model = log.axis.model
+    if model.kind == "drive" and isinstance(model.input_gain, float):
+        return f"give [model] input_gain = {-model.input_gain:g}"
+    return "give the known term of the input in [model] the other sign"
+
+
+#: Least travel from one end to the other [counts].
+FEWEST = 8
+#: Least mass, in its standard deviations.
+DISTINCT = 2.0
+
+
+def no_motion(log: CheckedLog) -> Iterator[Finding]:
+    """An axis at rest, or one that hardly leaves its count."""
+    travel = int(np.ptp(log.record.counts))
+    if travel == 0:
+        sentence = f"the output column {log.axis.record.output!r} never changes"
+        yield Finding("little_motion", sentence, "record a motion, and check that this is the encoder", "wrong")
+        return
+    if not np.any(log.record.u):
+        sentence = f"the input column {log.axis.record.input!r} is zero throughout"
+        yield Finding("little_motion", sentence, "log what drives the axis", "wrong")
+        return
+    if travel < FEWEST and not is_exchanged(log):
+        yield Finding(
+            "little_motion",
+            f"the axis moves by {travel} counts in all: the encoder's steps hide the motion",
+            "record a longer stroke, or use a finer encoder",
+            "wrong",
+        )
+
+
+def no_inertia(log: CheckedLog) -> Iterator[Finding]:
+    """An axis whose acceleration does not follow the input."""
+    view = log.view if log.is_machine else None
+    if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < DISTINCT:
+        yield Finding(
+            "little_motion",
+            "the acceleration does not follow the input: this record cannot determine a mass",
+            "record a motion with reversals and varying speed",
+        )

@@ -1,0 +1,204 @@
+"""Time stamps that do not fit the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from pmfid.diagnostics.drives import counts_per_sample
+from pmfid.findings import Finding
+from pmfid.pipeline.checks.view import CheckedLog, View, hasty, liveliest, view, with_friction
+from pmfid.types import Counts, Floats
+
+__all__ = ["Drift", "drift_of"]
+
+#: Largest shift that is tried, to either side [samples]; pieces of the record.
+LARGEST_SHIFT, PIECES = 30, 16
+#: Least length of a piece, in multiples of the largest shift.
+LEAST = 2
+#: Largest drift over the whole record that is tried, to either side, and the step between drifts [samples].
+FURTHEST, STEP = 30.0, 0.5
+
+
+@dataclass(frozen=True)
+class Drift:
+    """samples: shift of the input against the output over `rows` of the record, later if positive; sure: the same in
+    standard deviations; less: unexplained power with the drift over unexplained power without."""
+
+    samples: float
+    rows: int
+    sure: float
+    less: float
+
+    @property
+    def rate(self) -> float:
+        """Drift per row [samples]."""
+        return self.samples / self.rows
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums over each of PIECES pieces: gram (k, p, p) of the columns; cross (k, s, p) of the columns with the input at
+    each shift; power (k, s) of the input."""
+
+    gram: Floats
+    cross: Floats
+    power: Floats
+
+    def drop_piece(self, piece: int) -> _Sums:
+        keep = np.arange(len(self.gram)) != piece
+        return _Sums(self.gram * keep[:, None, None], self.cross * keep[:, None, None], self.power * keep[:, None])
+
+    def measure_rest(self, shifts: Floats) -> Floats:
+        """(m,): part of the input's power that stays unexplained if piece k is shifted by shifts (m, k)."""
+        low = np.clip(np.floor(shifts).astype(int) + LARGEST_SHIFT, 0, 2 * LARGEST_SHIFT - 1)
+        part = np.clip(shifts + LARGEST_SHIFT - low, 0.0, 1.0)
+        rows = np.arange(len(self.gram))
+        cross = (1 - part)[..., None] * self.cross[rows, low] + part[..., None] * self.cross[rows, low + 1]
+        power = (1 - part) * self.power[rows, low] + part * self.power[rows, low + 1]
+        total, together = power.sum(axis=1), cross.sum(axis=1)
+        theta = np.linalg.pinv(self.gram.sum(axis=0), rcond=1e-10, hermitian=True) @ together.T
+        return np.asarray((total - np.sum(theta.T * together, axis=1)) / np.maximum(total, 1e-300))
+
+
+def drift_of(view: View) -> Drift | None:
+    """The drift between input and output that explains the record best; None if the record is too short."""
+    n = view.z.size - 2 * LARGEST_SHIFT
+    if n < PIECES * LEAST * LARGEST_SHIFT:
+        return None
+    sums = _sums(view, n)
+    whole, best, least = _best(sums)
+    others = np.array([_best(sums.drop_piece(piece))[0] for piece in range(PIECES)])
+    spread = np.sqrt((PIECES - 1) / PIECES * np.sum((others - others.mean()) ** 2) + STEP**2 / 12)
+    return Drift(whole, n, abs(whole) / float(spread), best / max(least, 1e-300))
+
+
+def _best(sums: _Sums) -> tuple[float, float, float]:
+    """The best drift [samples], the unexplained part with it, and the least unexplained part without drift."""
+    drifts = np.arange(-FURTHEST, FURTHEST + STEP, STEP)
+    middles = np.arange(-LARGEST_SHIFT / 2, LARGEST_SHIFT / 2 + 1)
+    places = (np.arange(PIECES) + 0.5) / PIECES - 0.5
+    shifts = middles[:, None, None] + drifts[None, :, None] * places
+    left = sums.measure_rest(shifts.reshape(-1, PIECES)).reshape(middles.size, drifts.size)
+    _, column = np.unravel_index(int(np.argmin(left)), left.shape)
+    return float(drifts[column]), float(left.min()), float(left[:, drifts.size // 2].min())
+
+
+def _sums(view: View, n: int) -> _Sums:
+    B = with_friction(view)[LARGEST_SHIFT : LARGEST_SHIFT + n]
+    size = np.linalg.norm(B, axis=0)
+    B = B[:, size > 0] / size[size > 0]
+    shifted = np.lib.stride_tricks.sliding_window_view(view.z, n)[::-1]  # row s: later by s - MOST samples
+    edges = np.linspace(0, n, PIECES + 1).astype(int)
+    pairs = list(pairwise(edges))
+    gram = np.array([B[a:b].T @ B[a:b] for a, b in pairs])
+    cross = np.array([shifted[:, a:b] @ B[a:b] for a, b in pairs])
+    power = np.array([np.sum(shifted[:, a:b] ** 2, axis=1) for a, b in pairs])
+    return _Sums(gram, cross, power)
+
+
+#: Change of the velocity from sample to sample, as a part of the velocity, above which samples miss the motion; counts
+#: per sample above which this change is not due to the encoder.
+HASTY, FINE = 0.42, 3.0
+#: The same in records too short for filters; part of the change that the logged input leaves unexplained; least
+#: standard deviation of the change [counts]; least rows.
+RATHER, ASTRAY, COUNTS, ROWS = 0.25, 0.5, 10.0, 12
+#: Counts per sample below which most samples carry no information; counts per sample that suffice.
+IDLE, PLENTY = 0.02, 0.2
+#: Time constants of the filters that show a drift [samples]; of a drift the least size [samples], the least size in
+#: standard deviations, and the largest ratio of the unexplained parts with and without it.
+DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
+#: Most further corrections; largest corrected drift, as a multiple of the first.
+CORRECTIONS, MOST = 3, 1.5
+#: Samples that are searched for a drift.
+MOST_SAMPLES = 40_000
+
+
+def too_slow(log: CheckedLog) -> Iterator[Finding]:
+    """A sample period within which the velocity changes by much of its size."""
+    change = np.diff(log.known.counts)
+    moving = np.abs(change[change != 0])
+    if moving.size < 2 or float(np.median(moving)) < FINE:
+        return
+    jumps = hasty(change)
+    if not (jumps > HASTY or (jumps > RATHER and _misses_input(log))):
+        return
+    yield Finding(
+        "rate_low",
+        f"the velocity changes by {100 * jumps:.0f} % of its size from row to row: with a sample period of "
+        f"{log.record.dt:g} s the record misses most of the motion",
+        f"make a new record at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
+    )
+
+
+def _misses_input(log: CheckedLog) -> bool:
+    """Does the velocity of a short record change in a way that the logged input does not explain?"""
+    change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
+    turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
+    if log.view is not None or not log.is_machine or turn.size < ROWS or np.std(turn) < COUNTS:
+        return False
+    causes = np.column_stack([u[:-2], u[1:-1], velocity, np.sign(velocity), np.ones(turn.size)])
+    left = turn - causes @ np.linalg.lstsq(causes, turn, rcond=None)[0]
+    return bool(np.linalg.norm(left) > ASTRAY * np.linalg.norm(turn - turn.mean()))
+
+
+def too_fast(log: CheckedLog) -> Iterator[Finding]:
+    """A sample period within which the count hardly ever changes."""
+    per_sample = counts_per_sample(log.known.counts)
+    if 0 < per_sample < IDLE:
+        keep = max(2, round(PLENTY / per_sample))
+        yield Finding(
+            "rate_high",
+            f"the axis moves {per_sample:.2g} counts per row: nearly all rows say nothing, and filters as slow as the "
+            "motion are long",
+            f"keep every {keep}th row, with the mean of the input over the {keep} rows from it on",
+        )
+
+
+def drifts(log: CheckedLog) -> Iterator[Finding]:
+    """An input with another clock than the output."""
+    if not log.is_machine or log.view is None:
+        return
+    rate, n = _drift(log), log.record.u.size
+    if rate == 0:
+        return
+    yield Finding(
+        "drift",
+        f"the input moves against the output by {abs(rate) * n:.2g} rows within {n}, for then the motion explains "
+        "it better throughout: they are of two clocks",
+        f"log both by one clock, or multiply the time of the input by {1 + rate:.6f} and take the latest "
+        "one at each time of the output",
+    )
+
+
+def _drift(log: CheckedLog) -> float:
+    """The most significant drift per row, 0 if none is significant. Corrections refine the drift, which large drifts
+    need."""
+    part = liveliest(log.known.counts, MOST_SAMPLES)
+    u, counts = log.force[part], log.known.counts[part]
+    first = _surest(log, u, counts)
+    if first is None:
+        return 0.0
+    rate = first.rate
+    for _ in range(CORRECTIONS):
+        further = _surest(log, _resample_input(u, rate), counts)
+        if further is None or abs(rate + further.rate) > MOST * abs(first.rate):
+            break
+        rate += further.rate
+    return rate
+
+
+def _resample_input(u: Floats, rate: float) -> Floats:
+    """The input (n,), held between its rows, at the rows of an output against which it drifts by a rate."""
+    rows = np.arange(u.size) / (1 + rate)
+    return np.asarray(u[np.minimum(rows, u.size - 1).astype(int)])
+
+
+def _surest(log: CheckedLog, u: Floats, counts: Counts) -> Drift | None:
+    views = [view(u, counts, log.encoder, log.record.dt, time) for time in DRIFT_TIMES]
+    found = [drift for one in views if one is not None and (drift := drift_of(one)) is not None]
+    sure = [one for one in found if abs(one.samples) >= DRIFTED and one.sure > SURE and one.less < LESS]
+    return max(sure, key=lambda one: one.sure, default=None)

@@ -1,0 +1,335 @@
+"""A log as the checks see it: signals on a common grid, stops, candidate models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.config.axis import Axis
+from pmfid.diagnostics.drives import counts_per_sample
+from pmfid.encoder import Encoder
+from pmfid.estimators.ls import LS
+from pmfid.estimators.plants import plant_of
+from pmfid.models.drive import Drive
+from pmfid.pipeline.known import finds_gain, set_any_gain
+from pmfid.records.outliers import repair_as_configured
+from pmfid.records.record import Record
+from pmfid.types import Counts, Floats
+
+__all__ = ["PARTS", "View", "best_view", "view", "with_friction"]
+
+#: Time constants of the filters that are tried [samples].
+TIMES = (3.0, 10.0, 30.0, 100.0)
+#: Pieces of the record, whose differences give standard deviations; least samples of a piece.
+PARTS, SHORTEST = 8, 20
+#: Least duration of a record, in time constants: after slow filtering anything explains a short record.
+ENOUGH = 60.0
+#: Least part of the travel that goes back in a motion with both directions.
+ONE_WAY = 0.05
+#: Speed over which friction at rest falls, as a part of the usual speed.
+SLOW = 0.1
+MASS, VISCOUS, COULOMB, LOAD = range(4)
+#: The model of these four columns.
+PLAIN = Drive(1.0, offset=True)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Columns phi (n, p) of motion, the first those of the plain drive, and the filtered input z (n,), after filters
+    with a time constant of `time` samples."""
+
+    time: float
+    phi: Floats
+    z: Floats
+
+    @cached_property
+    def basis(self) -> Floats:
+        """(n, r): an orthonormal basis of the columns of phi; columns that are zero are left out."""
+        size = np.linalg.norm(self.phi, axis=0)
+        return np.asarray(np.linalg.qr(self.phi[:, size > 0] / size[size > 0])[0])
+
+    @cached_property
+    def unexplained(self) -> float:
+        """Part of the input that no sum of the columns explains."""
+        return float(self.measure_rest(self.z))
+
+    def measure_rest(self, z: Floats) -> float:
+        """Part of another filtered input (n,) that no sum of the columns explains."""
+        size = float(np.linalg.norm(z))
+        return float(np.linalg.norm(z - self.basis @ (self.basis.T @ z))) / size if size > 0 else 1.0
+
+    @cached_property
+    def theta(self) -> Floats:
+        """(p,): mass, viscous and Coulomb friction, load, further terms, per unit of the input; 0 if not visible."""
+        return solve_least_squares(self.phi, self.z)
+
+    @cached_property
+    def pieces(self) -> Floats:
+        """(PARTS, p): theta of the record, each time without one piece."""
+        edges = np.linspace(0, self.z.size, PARTS + 1).astype(int)
+        rows = np.arange(self.z.size)
+        kept = [(rows < a) | (rows >= b) for a, b in pairwise(edges)]
+        return np.array([solve_least_squares(self.phi[keep], self.z[keep]) for keep in kept])
+
+    def sure(self, weights: Floats) -> float:
+        """The sum of theta (p,) with weights (p,), in its standard deviations (jackknife over the pieces)."""
+        value, others = float(self.theta @ weights), self.pieces @ weights
+        spread = float(np.sqrt((PARTS - 1) / PARTS * np.sum((others - others.mean()) ** 2)))
+        return value / spread if spread > 0 else float(np.sign(value)) * np.inf
+
+    @property
+    def one_way(self) -> bool:
+        """Does the axis move in one direction nearly all the time? Dry friction is then a load."""
+        velocity = self.phi[:, VISCOUS]
+        back = float(np.sum(np.abs(velocity[velocity < 0]))) / max(float(np.sum(np.abs(velocity))), 1e-300)
+        return min(back, 1 - back) < ONE_WAY
+
+    @property
+    def moving(self) -> float:
+        """Effective number of moving rows: rows of equal power that have the same first two moments of power."""
+        power = np.square(self.phi[:, VISCOUS])
+        return float(power.sum() ** 2 / max(float(np.sum(power**2)), 1e-300))
+
+    @property
+    def friction_work(self) -> Floats:
+        """Weights (p,) of the power that friction takes from the motion."""
+        velocity, weights = self.phi[:, VISCOUS], np.zeros(self.theta.size)
+        weights[VISCOUS], weights[COULOMB] = np.mean(velocity**2), np.mean(self.phi[:, COULOMB] * velocity)
+        return weights
+
+
+def solve_least_squares(phi: Floats, z: Floats) -> Floats:
+    """(p,): least squares of z (n,) on phi (n, p)."""
+    size = np.linalg.norm(phi, axis=0)
+    scale = np.where(size > 0, size, 1.0)
+    return np.asarray(np.linalg.lstsq(phi / scale, z, rcond=1e-10)[0] / scale)
+
+
+def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float, model: Drive = PLAIN) -> View | None:
+    """The record after filters of a time constant [samples], with the columns of a model with input gain 1; None if the
+    filters do not settle within the record."""
+    method = LS(model, replace(encoder, guard=False), dt, 1 / (time * dt))
+    if u.size < max(method.settle_samples + PARTS * SHORTEST, ENOUGH * time):
+        return None
+    columns = method.columns(u, counts)
+    return View(time, columns.phi, columns.z)
+
+
+def best_view(
+    u: Floats, counts: Counts, encoder: Encoder, dt: float, lasting: float = 0.0, model: Drive = PLAIN
+) -> View | None:
+    """The view that explains most of the input, among views whose motion lasts for more than `lasting` time constants;
+    None if the record is too short, or nothing moves."""
+    views = [view(u, counts, encoder, dt, time, model) for time in TIMES]
+    moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
+    seen = [one for one in moved if one.moving > lasting * one.time]
+    return min(seen, key=lambda one: one.unexplained) if seen else None
+
+
+def with_friction(view: View) -> Floats:
+    """(n, 7): the columns of a view, and friction that falls with speed, grows with its square, or differs by
+    direction."""
+    velocity, direction = view.phi[:, VISCOUS], view.phi[:, COULOMB]
+    usual = float(np.sqrt(np.mean(velocity**2))) or 1.0
+    slow = direction * np.exp(-((velocity / (SLOW * usual)) ** 2))
+    return np.column_stack([view.phi, slow, velocity * np.abs(velocity), np.abs(direction)])
+
+
+#: First and last sample of equal counts.
+Stop = tuple[int, int]
+
+#: Spans over which the edges of a stop are examined [samples]; least turn of the motion at an abrupt edge [counts].
+SPANS, COUNTS = (1, 2, 4, 8, 16, 32), 6
+#: Least ratio of the turn of the motion at an abrupt stop to the largest turn elsewhere.
+ABRUPT = 2.5
+#: A stop that the axis leaves slowly or never: the factor by which its limit is higher. With SEVERAL stops or more, its
+#: turn must also exceed ABRUPT times the median of all stops.
+DEAD, SEVERAL = 2.0, 3
+#: Least part of the record outside of stops for this comparison.
+APART = 0.2
+#: Least samples of a stop; least counts that the usual speed would have brought within it.
+SHORTEST_STOP, MISSED = 5, 4.0
+#: Least part of the rows outside of stops: a column of steps has none.
+MOVING = 0.05
+#: An axis does not rest under a force above HELD times its friction, but for LATE samples, as with a dead time; the
+#: axis would have moved by FAR counts.
+HELD, LATE, FAR = 2.2, 5, 8.0
+#: Most stops that are examined, the longest first.
+MOST = 1000
+
+
+def long_stops(counts: Counts) -> list[Stop]:
+    """Every stretch of equal counts after the first change that is long against the time between two counts."""
+    moving: NDArray[np.intp] = np.flatnonzero(np.diff(counts))
+    if moving.size < 2:
+        return []
+    least = max(float(SHORTEST_STOP), MISSED / max(counts_per_sample(counts), 1e-9))
+    pairs = zip((moving + 1).tolist(), [*moving[1:].tolist(), counts.size - 1], strict=True)
+    stops = [(first, last) for first, last in pairs if last - first >= least]
+    resting = sum(last - first for first, last in stops)
+    if resting > (1 - MOVING) * counts.size:
+        return []
+    return sorted(sorted(stops, key=lambda stop: stop[0] - stop[1])[:MOST])
+
+
+def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
+    """The stops that begin in full motion, and that end in motion or begin too suddenly for the axis itself."""
+    edges = (counts == counts.min()) | (counts == counts.max())
+    edges[[edge for stop in stops for edge in stop]] = True
+    found = set[Stop]()
+    for span in SPANS:
+        if counts.size < 4 * span:
+            break
+        turn = np.zeros(counts.size)
+        turn[span:-span] = np.abs(counts[2 * span :] - 2 * counts[span:-span] + counts[: -2 * span])
+        apart = ~_widen_marks(edges, span)
+        if np.mean(apart) < APART:
+            break
+        long_ones = [stop for stop in stops if stop[1] - stop[0] >= span]
+        found |= _abrupt(turn, long_ones, float(np.max(turn[apart])))
+    return found
+
+
+def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
+    """The stops at whose ends the turn of the motion (n,) far exceeds the turn elsewhere."""
+    limit = max(ABRUPT * (elsewhere + 1), COUNTS)
+    begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
+    # a counter that catches up jumps to where it should be: the larger edge then says more than the smaller one
+    both = (np.sqrt(begins * ends) >= limit) & (np.minimum(begins, ends) > elsewhere + 1)
+    usual = float(np.median(begins)) if begins.size else 0.0
+    dead = (begins >= DEAD * limit) & (begins >= ABRUPT * (usual + 1) if begins.size >= SEVERAL else True)
+    return {stop for stop, yes in zip(stops, both | dead, strict=True) if yes}
+
+
+def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: float, resolution: float) -> set[Stop]:
+    """The stops in which the input `force` (n,) would have moved the axis; view: the filtered rows from the offset
+    on."""
+    rows = np.arange(view.z.size) + offset
+    memory = round(3 * view.time)
+    resting = np.zeros(force.size, dtype=bool)
+    for first, last in stops:
+        resting[first : last + memory] = True
+    keep = ~resting[rows]
+    if np.mean(keep) < MOVING:
+        return set()
+    theta = solve_least_squares(view.phi[keep], view.z[keep])
+    if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
+        return set()
+    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > FAR * resolution}
+
+
+def _moves(force: Floats, theta: Floats, dt: float) -> float:
+    """How far a force (n,) moves a body of theta from rest, at the least."""
+    load = theta[3] if theta.size > 3 else 0.0
+    moved = 0.0
+    for sign in (1.0, -1.0):
+        above = sign * (force - load) - HELD * theta[COULOMB]
+        breaks = np.flatnonzero(np.diff(np.r_[0, above > 0, 0]))
+        for first, last in zip(breaks[::2].tolist(), breaks[1::2].tolist(), strict=True):
+            time = dt * max(0, last - first - LATE)
+            push = float(np.mean(above[first:last]))
+            fastest = push / max(float(theta[VISCOUS]), 1e-300) if theta[VISCOUS] > 0 else np.inf
+            moved = max(moved, min(push / float(theta[MASS]) * time**2 / 2, fastest * time))
+    return moved
+
+
+def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
+    """(n,): the marked samples, and `span` samples to either side."""
+    return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)
+
+
+#: Samples of the part of a record that is filtered: the part with the most motion.
+MOST_SAMPLES = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedLog:
+    """A record as read with a configuration, and quantities that several checks share."""
+
+    record: Record
+    axis: Axis
+
+    @cached_property
+    def change(self) -> Counts:
+        """(n - 1,) of the counts from sample to sample."""
+        return np.asarray(np.diff(self.record.counts))
+
+    @cached_property
+    def is_machine(self) -> bool:
+        """Does the model have a position and a mass, as the readings assume?"""
+        equation = set_any_gain(self.axis).model.make().equation
+        return plant_of(equation).rests and equation.order == 2
+
+    @cached_property
+    def known(self) -> Record:
+        """The record without samples that no motion explains."""
+        return repair_as_configured(self.record, set_any_gain(self.axis)).record
+
+    @cached_property
+    def force(self) -> Floats:
+        """(n,): the input with the sign that the configuration gives its force."""
+        gain = set_any_gain(self.axis).model.make().equation.input_gain
+        return np.asarray(np.sign(gain) * self.known.u)
+
+    @property
+    def knows_sign(self) -> bool:
+        """Does the configuration say which way the input drives?"""
+        return not finds_gain(self.axis)
+
+    @cached_property
+    def encoder(self) -> Encoder:
+        return Encoder(self.record.resolution, standstill_time=self.axis.encoder.standstill_time)
+
+    @cached_property
+    def part(self) -> slice:
+        """The samples that are filtered."""
+        return liveliest(self.known.counts)
+
+    @cached_property
+    def view(self) -> View | None:
+        """The filtered record, with the columns as they are named; None if it shows no motion."""
+        return best_view(self.force[self.part], self.known.counts[self.part], self.encoder, self.record.dt)
+
+    @cached_property
+    def closest_view(self) -> View | None:
+        """The view that explains more of the input: of the plain drive, or of the configured one with its gravity,
+        spring or cogging."""
+        model = set_any_gain(self.axis).model.make()
+        if self.view is None or not isinstance(model, Drive):
+            return self.view
+        own = replace(model.symmetric, input_gain=1.0, offset=True, dead_time=0.0, lag=0.0, axis="linear")
+        counts = self.known.counts[self.part]
+        configured = best_view(self.force[self.part], counts, self.encoder, self.record.dt, model=own)
+        known = [one for one in (self.view, configured) if one is not None]
+        return min(known, key=lambda one: one.unexplained)
+
+    @cached_property
+    def sudden_stops(self) -> list[Stop]:
+        """Stretches of equal counts in which the axis does not rest."""
+        counts = self.record.counts
+        stops = long_stops(counts)
+        found = sudden(counts, stops) if stops else set()
+        if stops and not found and self.view is not None and self.is_machine:
+            offset = self.part.stop - self.view.z.size
+            inside = [stop for stop in stops if stop[1] < self.part.stop]
+            found = held_back(self.force, inside, self.view, offset, self.record.dt, self.record.resolution)
+        return sorted(found)
+
+
+def hasty(change: Counts | Floats) -> float:
+    """How much changes (n,) differ from one to the next, in parts of their size."""
+    power = float(np.mean(np.square(change, dtype=np.float64)))
+    return float(np.sqrt(np.mean(np.square(np.diff(change), dtype=np.float64)) / max(power, 1e-300)))
+
+
+def liveliest(counts: Counts, most: int = MOST_SAMPLES) -> slice:
+    """The `most` consecutive samples over which the counts change most; all samples if there are fewer."""
+    if counts.size <= most:
+        return slice(0, counts.size)
+    travelled = np.r_[0, np.cumsum(np.abs(np.diff(counts)))]
+    start = int(np.argmax(travelled[most - 1 :] - travelled[: counts.size - most + 1]))
+    return slice(start, start + most)

@@ -1,0 +1,304 @@
+"""SPEC.toml, and designs of an input from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pmfid.config.axis import Axis, EstimatorConfig
+from pmfid.config.model import ModelConfig
+from pmfid.config.record import EncoderConfig, RecordConfig
+from pmfid.config.toml_file import FileSection, load_sections
+from pmfid.design.appraisal import Appraisal, appraise
+from pmfid.design.calibration import DesignedRun
+from pmfid.design.campaign import Campaign, campaign
+from pmfid.design.problem import Design, Limits, Problem
+from pmfid.design.sequential import Commissioning, redesign, sequential, simulated_experiment
+from pmfid.design.solver import solve
+from pmfid.errors import UsageError
+from pmfid.models.drive import Drive
+from pmfid.records.record import read_record
+
+__all__ = ["Spec", "load_spec", "make_problem"]
+
+#: Largest limit, in any unit: no machine reaches it.
+MOST_LIMIT = 1e100
+
+Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+# not strict, because TOML has lists and a frozen object wants a tuple
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+Names = Annotated[tuple[str, ...], Field(strict=False)]
+
+
+class DriveSpec(FileSection):
+    """[drive]: mass x'' + viscous_friction x' + coulomb_friction sign(x') + offset = input_gain u, nominal values."""
+
+    input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
+    mass: Positive = Field(description="the moving mass in kg, as near as it is known")
+    viscous_friction: NotNegative = Field(description="the viscous friction in N s/m, as near as it is known")
+    coulomb_friction: NotNegative = Field(description="the Coulomb friction in N, as near as it is known")
+    offset: float | None = Field(None, description="the constant load in N, or leave it out if there is none")
+
+
+class EncoderSpec(FileSection):
+    """[encoder]: what the position is measured with."""
+
+    resolution: Positive | None = Field(None, description="the travel in m per count, for example 22.75e-6")
+    noise_std: Positive | None = Field(
+        None, description="the standard deviation of the position in m; without it, resolution / sqrt(12)"
+    )
+    samples_per_interval: int = Field(1, ge=1, description="the position samples per interval of the input")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.resolution is None and self.noise_std is None:
+            raise ValueError("neither resolution nor noise_std is there; give the travel per count in m")
+        return self
+
+
+class ExperimentSpec(FileSection):
+    """[experiment]: the unknown parameters, and the criterion of a design."""
+
+    unknown: Names = Field(min_length=1, description='the parameters to be found, for example ["mass"]')
+    nuisance: Names = Field((), description="parameters that are unknown as well but of no interest")
+    criterion: Criterion = Field(
+        "D",
+        description="trace (of the information), D, A (trace of the inverse), E, ME (condition) or c (one combination)",
+    )
+    weights: dict[str, float] = Field({}, description="the combination for criterion c, for example {mass = 1.0}")
+    scaled: bool = Field(True, description="true to refer the criterion to parameters over their nominal values")
+
+
+class MotionSpec(FileSection):
+    """[motion]: start, end and duration; the motion is forward throughout unless `directions` says otherwise."""
+
+    duration: Positive = Field(le=1e6, description="the length of the motion in s, at most 1e6")
+    intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
+    start: float = Field(0.0, description="the position in m at the start")
+    start_velocity: float = Field(0.0, description="the velocity in m/s at the start")
+    end: float | None = Field(None, description="the position in m at the end, or leave it out if it is free")
+    end_velocity: float | None = Field(
+        None, description="the velocity in m/s at the end, 0.0 for rest, or leave it out if it is free"
+    )
+    end_tolerance: Pair = Field((0.0, 0.0), description="[position, velocity] by which the end may be missed")
+    directions: Annotated[tuple[int, ...], Field(strict=False)] = Field(
+        (), description="1 forward, -1 backward or 0 at rest, for each interval"
+    )
+
+
+class LimitsSpec(FileSection):
+    """[limits]: bounds of the machine; a single number b stands for [-b, b]."""
+
+    input: Positive | Pair | None = Field(None, description="the largest input in its unit, or [lowest, highest]")
+    input_rate: Positive | None = Field(None, description="the largest change of the input per s")
+    position: Pair | None = Field(None, description="[lowest, highest] position in m")
+    velocity: Positive | Pair | None = Field(None, description="the largest velocity in m/s, or [lowest, highest]")
+    acceleration: Positive | Pair | None = Field(
+        None, description="the largest acceleration in m/s^2, or [lowest, highest]"
+    )
+    jerk: Positive | None = Field(None, description="the largest jerk in m/s^3")
+    energy: Positive | None = Field(None, description="the largest integral of the squared input over time")
+    rms: Positive | None = Field(None, description="the largest root of the mean square of the input")
+    min_speed: NotNegative = Field(
+        0.0,
+        description="the least speed in m/s while the axis moves; at 0.0 it may park where the model is wrong",
+    )
+
+    @model_validator(mode="after")
+    def _limits(self) -> Self:
+        for name, value in self.model_dump(exclude_none=True).items():
+            if np.max(np.abs(value)) > MOST_LIMIT:
+                raise ValueError(f"{name} = {value!r} limits nothing; leave it out, or give what the machine bears")
+        return self
+
+
+class PriorSpec(FileSection):
+    """[prior]: standard deviations known beforehand, from an earlier estimate or a data sheet."""
+
+    mass: Positive | None = Field(None, description="its standard deviation in kg")
+    viscous_friction: Positive | None = Field(None, description="its standard deviation in N s/m")
+    coulomb_friction: Positive | None = Field(None, description="its standard deviation in N")
+    offset: Positive | None = Field(None, description="its standard deviation in N")
+
+
+class RobustSpec(FileSection):
+    """[robust]: by how much the nominal values may be wrong; the limits hold then, too."""
+
+    mass: Annotated[float, Field(ge=0, lt=1)] = Field(0.0, description="the part it may be wrong by, as 0.2")
+    viscous_friction: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="the part it may be wrong by")
+    coulomb_friction: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="the part it may be wrong by")
+    average: Literal["mean", "worst"] | None = Field(
+        None, description="the mean or the worst case of the criterion; without it, its nominal value"
+    )
+
+
+class SearchSpec(FileSection):
+    """[search]: how hard to look."""
+
+    starts: int = Field(20, ge=1, le=1_000_000, description="the number of random starts, at most a million")
+    seed: int = Field(0, ge=0, lt=2**63, description="a whole number, at least 0 and below 2**63")
+
+
+#: The columns of a recorded run, unless SPEC.toml names others.
+RECORD = RecordConfig(input="u", output="counts", output_kind="counts", time="t")
+
+
+class Spec(FileSection):
+    """The whole of SPEC.toml."""
+
+    drive: DriveSpec = Field(description="a section with input_gain, mass, viscous_friction and coulomb_friction")
+    encoder: EncoderSpec = Field(description="a section with the resolution")
+    experiment: ExperimentSpec = Field(description="a section that names the unknown parameters")
+    motion: MotionSpec = Field(description="a section with at least duration and intervals")
+    limits: LimitsSpec = Field(default=LimitsSpec(), description="a section of limits")
+    record: RecordConfig = Field(default=RECORD, description="a section that names the columns of recorded runs")
+    prior: PriorSpec = Field(default=PriorSpec(), description="a section of standard deviations")
+    robust: RobustSpec = Field(default=RobustSpec(), description="a section of relative tolerances")
+    search: SearchSpec = Field(default=SearchSpec(), description="a section with starts and seed")
+
+
+def load_spec(path: Path, overrides: Mapping[str, object] | None = None) -> Spec:
+    """Read and validate a SPEC.toml.
+
+    `overrides` holds dotted keys, {"experiment.criterion": "trace"}, that replace the file's values; None is ignored.
+    Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
+    """
+    return load_sections(Spec, path, overrides, "a SPEC.toml")
+
+
+def make_problem(spec: Spec) -> Problem:
+    """The problem of a specification. Raises UsageError if its parts do not fit each other."""
+    nominal = _nominal(spec.drive)
+    experiment, motion = spec.experiment, spec.motion
+    noise = spec.encoder.noise_std
+    names = (*experiment.unknown, *experiment.nuisance)
+    return Problem(
+        drive=Drive(spec.drive.input_gain, offset="offset" in nominal),
+        nominal=nominal,
+        unknown=experiment.unknown,
+        nuisance=experiment.nuisance,
+        horizon=motion.duration,
+        intervals=motion.intervals,
+        limits=Limits(**spec.limits.model_dump()),
+        resolution=spec.encoder.resolution,
+        noise_variance=None if noise is None else noise**2,
+        start=(motion.start, motion.start_velocity),
+        end=(motion.end, motion.end_velocity),
+        end_tolerance=motion.end_tolerance,
+        samples_per_interval=spec.encoder.samples_per_interval,
+        prior=_prior(spec.prior, names),
+        scaled=experiment.scaled,
+        directions=motion.directions,
+        scenarios=_scenarios(spec.robust, nominal),
+        average=spec.robust.average,
+    )
+
+
+def _nominal(drive: DriveSpec) -> dict[str, float]:
+    values: dict[str, float | None] = drive.model_dump(exclude={"input_gain"})
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _prior(prior: PriorSpec, names: tuple[str, ...]) -> np.ndarray | None:
+    """Information matrix (p, p) of independent standard deviations."""
+    stds = {name: std for name, std in prior.model_dump().items() if std is not None}
+    others = [name for name in stds if name not in names]
+    if others:
+        raise UsageError(f"[prior] {others[0]} is not unknown: [experiment] names {', '.join(names)}; leave it out")
+    return np.diag([stds[name] ** -2.0 if name in stds else 0.0 for name in names]) if stds else None
+
+
+def _scenarios(robust: RobustSpec, nominal: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Every corner of the box that the tolerances span."""
+    wrong = {name: part for name, part in robust.model_dump(exclude={"average"}).items() if part > 0}
+    signs = product((-1, 1), repeat=len(wrong)) if wrong else ()
+    return tuple(
+        {name: nominal[name] * (1 + sign * part) for (name, part), sign in zip(wrong.items(), corner, strict=True)}
+        for corner in signs
+    )
+
+
+#: (starts done, starts in all, best value so far)
+Progress = Callable[[int, int, float], None]
+
+
+def run_design(
+    spec: Spec, *, workers: int = 1, certify: float | None = None, progress: Progress | None = None
+) -> Design:
+    """The design that a specification asks for; certify: seconds for a proved bound, None: none. Raises as `solve`."""
+    return solve(
+        make_problem(spec),
+        spec.experiment.criterion,
+        combination=spec.experiment.weights,
+        starts=spec.search.starts,
+        seed=spec.search.seed,
+        workers=workers,
+        certify=certify,
+        progress=progress,
+    )
+
+
+def run_campaign(spec: Spec, motions: int) -> Campaign:
+    """A campaign of at most `motions` motions that are the most informative together. Raises as `campaign`."""
+    return campaign(
+        make_problem(spec),
+        spec.experiment.criterion,
+        motions=motions,
+        combination=spec.experiment.weights,
+        starts=spec.search.starts,
+        seed=spec.search.seed,
+    )
+
+
+def run_appraisal(spec: Spec, design: Design) -> Appraisal:
+    """A design of the specification compared with the standard inputs."""
+    return appraise(design, spec.experiment.weights, spec.search.seed)
+
+
+def run_commissioning(
+    spec: Spec,
+    runs: Sequence[DesignedRun],
+    wanted: Mapping[str, float],
+    truth: Mapping[str, float] | None = None,
+    rounds: int = 10,
+) -> Commissioning:
+    """The estimate from the runs, and the next design; with the truth {name: value}, all rounds on a simulated axis.
+
+    Raises UsageError for a truth with names that the drive does not have, and as `sequential` and `redesign` do.
+    """
+    problem = make_problem(spec)
+    how = {"criterion": spec.experiment.criterion, "combination": spec.experiment.weights}
+    search = {"starts": spec.search.starts, "seed": spec.search.seed}
+    if truth is None:
+        return redesign(problem, runs, wanted, **how, **search)  # type: ignore[arg-type]
+    unknown = [name for name in truth if name not in problem.nominal]
+    if unknown or runs:
+        raise UsageError(
+            f"{unknown[0]} is no parameter of the drive, which has {', '.join(problem.nominal)}"
+            if unknown
+            else "give recorded runs, or the truth for a simulation, not both"
+        )
+    experiment = simulated_experiment(problem, truth, np.random.default_rng(spec.search.seed))
+    return sequential(problem, experiment, wanted, rounds=rounds, **how, **search)  # type: ignore[arg-type]
+
+
+def read_run(spec: Spec, path: Path) -> DesignedRun:
+    """A recorded run, columns as [record] says (without it: t, u, counts). Raises UsageError as `read_record` does."""
+    resolution = spec.encoder.resolution
+    if resolution is None:
+        raise UsageError(f"{path}: [encoder] has no resolution; give the travel per count of the record in m")
+    axis = Axis(
+        record=spec.record,
+        encoder=EncoderConfig(resolution=resolution),
+        model=ModelConfig(input_gain=spec.drive.input_gain),
+        estimator=EstimatorConfig(cutoff=1.0),
+    )
+    record = read_record(path, axis)
+    return DesignedRun(record.u, np.asarray(record.counts * record.resolution, float), record.dt)

@@ -1,0 +1,446 @@
+"""From a record of a drive to a result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.config.axis import Axis, check_sampling
+from pmfid.diagnostics.drives import examine_estimate
+from pmfid.diagnostics.free_run import FreeRun, drive_run
+from pmfid.diagnostics.verdict import Verdict, verdict
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import Adequacy
+from pmfid.estimators.auto import AUTO, MethodChoice, choose, first_choice
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.batch import BatchEstimator, check_identifiable
+from pmfid.estimators.bridges import gaps_in
+from pmfid.estimators.configuration import construct_estimator, like
+from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
+from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.known import PIECE, Known, Posterior
+from pmfid.estimators.ls import LS
+from pmfid.estimators.output_error import OE
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.results import Columns, Fit, Track, join_tracks
+from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
+from pmfid.io.tables import Table
+from pmfid.models.drive import EquationModel
+from pmfid.models.equation import ESTIMATE, LATE, Equation
+from pmfid.pipeline import checks
+from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
+from pmfid.pipeline.checks.view import liveliest
+from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
+from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
+from pmfid.pipeline.result import DriveResult
+from pmfid.pipeline.stored import Stored
+from pmfid.records.filling import doubt, fill_by_motion
+from pmfid.records.gaps import describe_missing
+from pmfid.records.joining import join_records, unbroken
+from pmfid.records.outliers import repair_as_configured
+from pmfid.records.record import Record, read_record, record_of
+from pmfid.status import Status, status_findings
+from pmfid.types import Counts, Floats
+
+if TYPE_CHECKING:
+    from pmfid._estimate import Estimate
+
+__all__ = ["check_direction"]
+
+#: Largest ratio of the unexplained part after integration to the unexplained part of the record as it is.
+BETTER = 0.5
+
+
+def check_direction(record: Record, axis: Axis) -> str:
+    """The mistake of an equation of first order with a direction if the output is a velocity; otherwise empty.
+
+    The direction follows the output's change. If the output is a velocity, this is the direction of the acceleration.
+    """
+    model, config = axis.model.make(), axis.estimator
+    above = _integrate_equation(model.equation)
+    if above is None or not np.any(np.diff(record.counts)):
+        return ""
+    part = liveliest(record.counts)
+    u, counts = record.u[part], record.counts[part]
+    encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
+    finer, position = convert_velocity(counts, record.resolution, record.dt)
+    try:
+        plain = LS(model, encoder, record.dt, config.pole, order=config.order).fit(u, counts).relative_error
+        risen = IV(EquationModel(above), finer, record.dt, config.pole, order=config.order).fit(u, position)
+    except (NotIdentifiableError, UsageError):
+        return ""
+    if not risen.relative_error < BETTER * plain:
+        return ""
+    return (
+        f"[model] direction is that of the output's change, but {axis.record.output!r} is a velocity: the equation "
+        f"leaves {100 * plain:.2g} %, and {100 * risen.relative_error:.2g} % with the direction of the velocity; "
+        f"{INTEGRATE}, and raise every derivative of the output by one"
+    )
+
+
+def _integrate_equation(equation: Equation) -> Equation | None:
+    """An equation of first order with the output replaced by its integral; None for any other equation."""
+    terms = (*equation.unknown, *equation.known)
+    if equation.order != 1 or any(term.facts.measured and term.facts.one_way for term in terms):
+        return None
+    if not any(term.facts.of_motion for term in terms):
+        return None
+    unknown, known = (
+        tuple(replace(term, derivative=term.derivative + (term.signal == "output")) for term in side)
+        for side in (equation.unknown, equation.known)
+    )
+    above = Equation(unknown, known)
+    return None if above.without_simulation else above
+
+
+CHUNK = 100_000
+#: Largest part of the motion that a simulation which follows the motion leaves unexplained.
+FOLLOWED = 0.2
+
+
+class Drives(Kind[Record]):
+    """Machines with friction, and equations of the user's own: one record of counts."""
+
+    on_line: ClassVar[str] = "riv"
+
+    def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Record:
+        place_matters = axis.model.make().equation.place_matters
+        return join_records([read_record(path, axis, quantize) for path in paths], place_matters)
+
+    def read_table(self, table: Table, axis: Axis) -> Record:
+        return record_of(table, axis)
+
+    def name_and_samples(self, data: Record) -> tuple[str, int]:
+        return data.name, int(data.u.size)
+
+    def prepare_axis(self, data: Record, axis: Axis) -> Axis:
+        axis = match_kind(data, axis)
+        if axis.estimator.cutoff is not None or data.counts.size == 0:
+            return axis
+        known = repair_as_configured(data, axis).record
+        either = [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]
+        models = [one.model.make() for one in either]
+        encoder, forgetting = axis.encoder.make_encoder(data.resolution), axis.estimator.forgetting
+        cutoff = choose_cutoff(models, encoder, data.dt, known.u, known.counts, forgetting)
+        return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
+
+    def complete_record(self, data: Record, axis: Axis) -> Record:
+        if data.there is None or np.all(data.there | np.isnan(data.u)):
+            return data
+        known = repair_as_configured(data, axis).record
+        for one in [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
+            model = one.model.make()
+            if IV.refuses(model.simple.equation):
+                return data
+            method = IV(model.simple, one.encoder.make_encoder(data.resolution), data.dt, one.estimator.pole)
+            found = fill_by_motion(method, known.u, known.counts, data.there)
+            if found is not None:
+                u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
+                renewed = {describe_missing(data.u, data.there): describe_missing(u, data.there)}
+                notes = tuple(renewed.get(note, note) for note in data.notes)
+                more = doubt(method, u, counts, data.there)
+                return replace(data, u=u, counts=counts, notes=notes, doubt=more)
+        return data
+
+    def check(self, data: Record, axis: Axis) -> None:
+        axis = set_any_gain(axis)
+        mistake = check_direction(repair_as_configured(data, axis).record, axis)
+        if mistake:
+            raise UsageError(mistake)
+
+    def scan_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
+        return checks.scan_record(data, axis)
+
+    def check_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
+        return checks.check_record(data, axis) or repair_as_configured(data, axis).findings
+
+    def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
+        known = repair_as_configured(data, axis)
+        result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
+        result = replace(result, theta_std=_widen_errors(result, data))
+        return result.with_findings(*known.findings)
+
+    def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
+        whole = unbroken(data)
+        known = repair_as_configured(whole, axis)
+        method = simulator(axis, data.dt, data.resolution)
+        run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
+        cut = whole.notes[len(data.notes) :]
+        return [replace(run, notes=(*cut, *filter(None, (known.sentence,)), *run.notes))]
+
+    def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
+        equation = axis.model.make().equation
+        stored.check_known("input_gain", equation.input_gain)
+        stored.check_equation(equation.text)
+
+    def unit_of_output(self, axis: Axis) -> str:
+        return axis.model.make().equation.motion.travel if axis.model.kind == "drive" else ""
+
+
+def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
+    """The result of the method of `axis`; asked: the axis as configured, with prior information."""
+    estimator, reason, choice = make_estimator(axis, data), "", None
+    if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
+        choice = first_choice(estimator, data.u, data.counts)
+        estimator, reason = choice.estimator, choice.reason
+    elif axis.estimator.method == AUTO:
+        estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
+    result = _estimate(estimator, data, asked, progress, choice)
+    _check_known(result)
+    return result.with_findings(*make_notes("method", [f"auto chose {reason}"])) if reason else result
+
+
+def match_kind(record: Record, axis: Axis) -> Axis:
+    """The same axis, rotary if the file says that its output is an angle. Raises UsageError if parameters of a linear
+    axis are known."""
+    if not record.rotary or axis.model.kind != "drive" or axis.model.axis == "rotary":
+        return axis
+    if axis.estimator.given or axis.estimator.prior or axis.monitor.nominal:
+        raise UsageError(
+            'the file has an angle for output: write [model] axis = "rotary", and inertia in place of a known mass'
+        )
+    return axis.model_copy(update={"model": axis.model.model_copy(update={"axis": "rotary"})})
+
+
+def make_estimator(axis: Axis, record: Record) -> Estimator:
+    """The estimator that a configuration asks for, at the record's sample period and resolution."""
+    check_sampling(axis, record.dt)
+    model = axis.model.make()
+    first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.searched else "iv"
+    cls = ESTIMATORS[method_of(axis, first)]
+    own = {
+        "model": model,
+        "encoder": axis.encoder.make_encoder(record.resolution),
+        "dt": record.dt,
+        "cutoff": axis.estimator.pole,
+    }
+    estimator = construct_estimator(cls, own | settings(axis, cls))
+    if cls.instrumental and axis.estimator.prefilter_zeros is None:
+        return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
+    return estimator
+
+
+def _check_known(result: DriveResult) -> None:
+    """Raises NotIdentifiableError for a mass below its standard deviation, and for a model whose simulated motion is
+    another one."""
+    leading = result.estimator.equation.leading
+    mass, std = result.theta[leading], result.theta_std[leading]
+    numbers = (*result.theta, *result.theta_std, result.relative_error)
+    if not np.all(np.isfinite(numbers)):
+        raise NotIdentifiableError(
+            "a parameter or its standard deviation is not finite: this record cannot identify it "
+            "(record a motion with reversals and varying speed)"
+        )
+    advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
+    if not std < mass:
+        raise NotIdentifiableError(
+            f"{result.estimator.names[leading]} comes out as {mass:.3g} with a standard deviation of {std:.2g}: this "
+            f"record cannot identify it ({advice})"
+        )
+    if "not_followed" in result.status:
+        raise NotIdentifiableError(f"this record does not fit the model: {advice}")
+
+
+def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> list[Finding]:
+    """The note on an equation whose error exceeds the input. The steps of a coarse encoder in the acceleration cause
+    that, even at the right parameters. Raises NotIdentifiableError if no simulated motion confirms the parameters."""
+    if not relative > 1:
+        return []
+    sentence, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", judgement.adequacy
+    if adequacy is not None and adequacy.left < FOLLOWED:
+        return make_notes(
+            "relative_error",
+            [
+                f"{sentence}, the encoder's steps in the acceleration above all; the simulated motion leaves "
+                f"{100 * adequacy.left:.2g} % of the measured one"
+            ],
+        )
+    if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):
+        advice = (
+            "; ".join(texts(judgement.judged))
+            or "check the columns and the scales of input and output, or lower the cutoff"
+        )
+        raise NotIdentifiableError(
+            f"{sentence}, more than no motion at all would, and no simulated motion follows the measured one: this "
+            f"record cannot identify the parameters as it is read ({advice})"
+        )
+    return []
+
+
+def _estimate(
+    estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: MethodChoice | None
+) -> DriveResult:
+    batch = _batch_twin(estimator)
+    seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _needs_simulation(estimator) else batch
+    columns = seen.columns(record.u, record.counts)
+    check_identifiable(columns, seen.names, seen.least_part)
+    known = known_of(axis, estimator)
+    if isinstance(estimator, RecursiveEstimator):
+        return _recursive(estimator, record, columns, progress, known, axis)
+    fit = choice.fit if choice else batch.fit(record.u, record.counts)
+    if known is not None and known.find_gain:
+        before = estimator.equation.input_gain
+        known, there = known.rescaled(fit)
+        estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
+        fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
+    asked = all_known(estimator, record, fit.theta, fit.theta_std)
+    judgement = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
+    further = fit.theta.size - judgement.spread.size  # parameters that are not linear in the equation
+    spread = np.r_[judgement.spread, np.full(further, np.nan)]
+    unused = []
+    if axis.estimator.window is not None and not isinstance(estimator, OE):
+        unused.append(f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
+    if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
+        unused.append(f"{estimator.method} is an off-line method: forgetting is not used")
+    notes = make_notes("record", record.notes) + make_notes("method", fit.notes) + make_notes("unused", unused)
+    notes += _check_error(estimator, fit.relative_error, judgement)
+    findings = sort_findings((*status_findings(fit.status & ~_collect_status(record)), *judgement.findings, *notes))
+    found = fit.theta, fit.theta_std, findings
+    result = DriveResult(estimator, *found, record, fit.relative_error, judgement.matter, fit=fit, model_spread=spread)
+    return result if known is None else put_together(result, known, axis, known.of(fit, spread))
+
+
+def _widen_errors(result: DriveResult, record: Record) -> Floats:
+    """Standard errors (p,) that include the effect of imputed samples."""
+    if record.doubt is None:
+        return result.theta_std
+    most = float(np.max(record.doubt, initial=0.0))
+    parts = record.doubt if record.doubt.size == result.theta.size else np.full(result.theta.size, most)
+    return np.asarray(np.hypot(result.theta_std, parts * np.abs(result.theta)))
+
+
+def _collect_status(record: Record) -> int:
+    """Status bits that the record's notes explain: its gaps."""
+    return int(Status.SAMPLE_REJECTED | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
+
+
+def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
+    """Whether the model explains the counts. Only a free lag needs a test here: the lag from instrumental variables is
+    not the lag that fits best."""
+    if choice is not None or estimator.equation.lag != ESTIMATE:
+        return choice.adequacy if choice else None
+    known = estimator.equation.at_shapes(fit.theta[len(estimator.equation.names) :])
+    free = like(type(estimator), estimator, model=EquationModel(known))
+    with suppress(NotIdentifiableError):
+        return examine_estimate(free, record.u, record.counts, fit.theta)
+    return None
+
+
+def all_known(
+    estimator: Estimator, record: Record, theta: Floats, std: Floats
+) -> tuple[Estimator, Floats, Counts, Floats, Floats]:
+    """The arguments of `verdict`, with the parameters that are not linear in the equation fixed at their estimates."""
+    equation = estimator.equation
+    p = len(equation.names)
+    if not equation.further:
+        return estimator, record.u, record.counts, theta, std
+    found = like(type(estimator), estimator, model=EquationModel(equation.known_at(theta[p:])))
+    return found, record.u, record.counts, theta[:p], std[:p]
+
+
+def _needs_simulation(estimator: Estimator) -> bool:
+    """Does the equation have regressors that only a simulated motion gives?"""
+    of_speed = any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
+    return of_speed or estimator.equation.lag == ESTIMATE
+
+
+def _batch_twin(estimator: Estimator) -> BatchEstimator:
+    """The off-line method on the same columns."""
+    if isinstance(estimator, BatchEstimator):
+        return estimator
+    if isinstance(estimator, RIV):
+        if _needs_simulation(estimator):
+            return like(IV, estimator, prefilter_zeros=None)
+        model = estimator.model.at_dead_time(0.0) if late_of(estimator) is not None else estimator.model
+        return like(LS, estimator, model=model, prefilter_zeros=None)
+    twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
+    if not isinstance(twin, BatchEstimator):
+        raise UsageError(f"{estimator.method} has no off-line method on the same columns")
+    return twin
+
+
+def late_of(estimator: Estimator) -> int | None:
+    """The index of the dead time, if it is a parameter."""
+    return estimator.equation.roles[LATE]
+
+
+def _recursive(
+    estimator: RecursiveEstimator,
+    record: Record,
+    columns: Columns,
+    progress: Progress | None,
+    known: Known | None,
+    axis: Axis,
+) -> DriveResult:
+    track, reported = _run(estimator, record, progress, known)
+    last = int(track.status[-1])
+    if last & Status.STARTING:
+        raise NotIdentifiableError(
+            "the record ends before there is an estimate: too little motion for every parameter; record longer"
+        )
+    method: Estimator = estimator
+    theta, std = track.theta[-1], track.theta_std[-1]
+    late, free = late_of(estimator), track.theta
+    if _needs_simulation(estimator):
+        simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
+        columns = simulating.columns_at(theta, record.u, record.counts)
+    elif late is not None:  # the equation at the estimated dead time, which is then no unknown
+        at = estimator.model.at_dead_time(max(0.0, float(theta[late])))
+        columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
+        free = np.delete(free, late, axis=1)
+    relative = _relative_error(columns, free, track.status)
+    occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.SAMPLE_REJECTED | Status.RESET)
+    occurred &= ~_collect_status(record)
+    held = occurred | (last & ~int(Status.SETTLING | Status.DISTORTED))
+    last_estimate: Estimate | Posterior = estimator.estimate
+    if known is not None and known.find_gain:
+        known, last_estimate = known.rescaled(last_estimate)
+        method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
+    judgement = verdict(method, record.u, record.counts, theta, std, None, axis.estimator.tolerance)
+    notes = make_notes("record", record.notes) + _check_error(method, relative, judgement)
+    findings = sort_findings((*status_findings(held), *judgement.findings, *notes))
+    found = method, theta, std, findings, record, relative, judgement.matter
+    result = DriveResult(*found, track=reported, model_spread=judgement.spread)
+    return result if known is None else put_together(result, known, axis, known.of(last_estimate, judgement.spread))
+
+
+def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:
+    """The relative error of the filtered equation, each sample with the estimate of its time."""
+    known = columns.used & ((status & (Status.SETTLING | Status.STARTING)) == 0)
+    rows = known[columns.used]
+    z = columns.z[rows]
+    with np.errstate(over="ignore", invalid="ignore"):  # of a track that has diverged: infinite is right, and no result
+        residual = z - np.sum(columns.phi[rows] * theta[known], axis=1)
+        return float(np.linalg.norm(residual) / np.linalg.norm(z))
+
+
+def _run(
+    estimator: RecursiveEstimator, record: Record, progress: Progress | None, known: Known | None
+) -> tuple[Track, Track]:
+    """The tracks of a run over the record, without and with prior information. Chunks give the same numbers as one run;
+    in a gap the estimate stays."""
+    n, parts, reported = record.u.size, list[Track](), list[Track]()
+    chunk = CHUNK if known is None else PIECE
+    edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), n]
+    for place, (first, last) in enumerate(pairwise(edges)):
+        if place % 2 == 1:
+            parts.append(parts[-1].repeat_last(last - first, Status.SETTLING))
+            reported.append(reported[-1].repeat_last(last - first, Status.SETTLING))
+            estimator.gap(int(record.counts[last]))
+            continue
+        for start in range(first, last, chunk):
+            part = slice(start, min(start + chunk, last))
+            parts.append(estimator.run(record.u[part], record.counts[part]))
+            reported.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
+            if progress is not None:
+                progress(part.stop / n)
+    return join_tracks(parts), join_tracks(reported)

@@ -1,0 +1,67 @@
+"""From AXIS.toml to the estimator that a drive runs, sample by sample with its own counter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.config.axis import Axis, EstimatorConfig
+from pmfid.config.record import NO_ENCODER
+from pmfid.errors import UsageError
+from pmfid.estimators.auto import AUTO
+from pmfid.estimators.base import memory_of
+from pmfid.estimators.plants import plant_of
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS, methods_for
+from pmfid.pipeline.drives import make_estimator
+from pmfid.pipeline.identify import kind_of
+from pmfid.pipeline.known import check_numbers_known
+from pmfid.records.record import Record
+
+
+def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None = None) -> RecursiveEstimator:
+    """The recursive estimator of a configuration, for the raw counts of its counter.
+
+    record: gives the sample period, and the pre-filter zeros if the configuration has none. Without a record dt [s] or
+    [record] dt is the sample period, and the zeros are the method's default. Raises UsageError for an off-line method
+    or without a sample period.
+    """
+    if record is not None:
+        axis = kind_of(axis).prepare_axis(record, axis)
+    config, model = check_exportable(axis), axis.model.make()
+    if record is None:
+        record = _no_record(axis, dt)
+        if ESTIMATORS[config.method].instrumental and config.prefilter_zeros is None:
+            needed, memory = len(model.equation.symmetric.noisy), memory_of(config.forgetting, record.dt)
+            zeros = plant_of(model.equation).zeros_without_record(config.pole, memory, needed)
+            config = config.model_copy(update={"prefilter_zeros": zeros})
+    estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
+    encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
+    return replace(estimator, encoder=encoder)  # type: ignore[return-value]
+
+
+def check_exportable(axis: Axis) -> EstimatorConfig:
+    """[estimator] with the method that a drive runs in place of "auto". Raises UsageError for a method or data that no
+    drive has, before a record is read."""
+    kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
+    check_numbers_known(axis, "firmware")
+    if axis.encoder.resolution == NO_ENCODER:
+        raise UsageError("firmware reads counts: give [encoder] resolution, that of the encoder or converter")
+    if config.method == AUTO:
+        config = config.model_copy(update={"method": kind.on_line})
+    usable = [name for name in methods_for(model) if issubclass(ESTIMATORS[name], RecursiveEstimator)]
+    if config.method not in usable:
+        names = ", ".join(usable)
+        raise UsageError(
+            f"{config.method} works on whole records or other models; a drive runs one of {names}: give one as --method"
+        )
+    kind.check_on_line(axis.model_copy(update={"estimator": config}))
+    return config
+
+
+def _no_record(axis: Axis, dt: float | None) -> Record:
+    dt = axis.record.dt if dt is None else dt
+    if dt is None:
+        raise UsageError("the sample period is not known: give --dt in s, [record] dt, or a record")
+    return Record(np.empty(0), np.empty(0, np.int64), dt, axis.encoder.resolution, (), "")

@@ -1,0 +1,105 @@
+"""A free friction curve from a record and AXIS.toml, or from arrays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.config.axis import Axis, check_sampling
+from pmfid.diagnostics.drives import SIGNIFICANT, correlation_score
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.configuration import check_arrays
+from pmfid.estimators.cutoff import choose_cutoff
+from pmfid.estimators.friction_curve import NODES, FrictionCurve
+from pmfid.estimators.friction_curve import friction_curve as curve_of
+from pmfid.estimators.iv import IV
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
+from pmfid.pipeline.arrays import axis_of
+from pmfid.pipeline.drives import match_kind
+from pmfid.pipeline.known import check_numbers_known
+from pmfid.records.joining import unbroken
+from pmfid.records.outliers import repair_as_configured
+from pmfid.records.record import Record
+from pmfid.types import Counts, Floats
+
+#: Keys of forces other than friction, which a friction curve does not model.
+OTHER_FORCES = ("spring", "gravity", "cogging", "friction_period")
+#: Largest time constant of the filters that is chosen [samples]: after slower filters nearby speeds look alike.
+SLOWEST = 30
+FEEDBACK = (
+    "the input follows the part that the curve leaves unexplained, as under position control, or with a dead time or a "
+    "lag that [model] does not have (see pmfid identify): the curve may be off by many of its standard errors, most of "
+    "all under control with one repeated stroke"
+)
+
+
+def friction_curve(
+    u: ArrayLike,
+    counts: ArrayLike,
+    *,
+    model: Drive,
+    encoder: Encoder,
+    dt: float,
+    cutoff: float | None = None,
+    nodes: int = NODES,
+    rising_from: float | None = None,
+) -> FrictionCurve:
+    """Friction over velocity without an assumed law, and the mass, as `pmfid friction` estimates them.
+
+    u: input (n,); counts (n,) of the encoder. model: its input_gain and dead_time are used, its friction is not. dt:
+    sample period [s]. cutoff: pole of the filters [rad/s], None: by the record. nodes: speeds in each direction;
+    rising_from: speed [m/s] above which friction does not fall, None: it may. Raises UsageError for arguments that do
+    not fit and NotIdentifiableError if the record does not separate friction from other forces.
+    """
+    axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
+    return _estimate_curve(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
+
+
+def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
+    """The friction curve of a record that was read for `axis`, without samples that no motion explains."""
+    record, axis = unbroken(record), match_kind(record, axis)
+    repaired, encoder = repair_as_configured(record, axis), axis.encoder.make_encoder(record.resolution)
+    found = _estimate_curve(repaired.record.u, repaired.record.counts, record.dt, encoder, axis, nodes, rising_from)
+    return replace(found, notes=(*record.notes, *filter(None, (repaired.sentence,)), *found.notes))
+
+
+def _estimate_curve(
+    u: Floats, counts: Counts, dt: float, encoder: Encoder, axis: Axis, nodes: int, rising_from: float | None
+) -> FrictionCurve:
+    model = axis.model.make()
+    if not isinstance(model, Drive):
+        raise UsageError('a friction curve is of a machine with friction: give [model] kind = "drive"')
+    check_numbers_known(axis, "a friction curve")
+    if axis.estimator.cutoff is not None:
+        check_sampling(axis, dt)
+    if others := [key for key in OTHER_FORCES if getattr(model, key)]:
+        raise UsageError(f"a friction curve with {', '.join(others)} is not there yet; record a motion without it")
+    if model.lag:
+        raise UsageError(
+            "a friction curve with a lag is not there yet, it would be wrong by many standard errors: give [model] "
+            "dead_time of the same time, or record a motion that is slow compared with it"
+        )
+    if model.dead_time == ESTIMATE:
+        raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")
+    free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time)
+    cutoff = axis.estimator.cutoff or max(choose_cutoff([free], encoder, dt, u, counts), 1 / (SLOWEST * dt))
+    estimator = IV(free, encoder, dt, cutoff, order=axis.estimator.order)
+    found = curve_of(estimator, u, counts, nodes, rising_from)
+    if not found.mass_std < found.mass:
+        raise NotIdentifiableError(
+            f"the mass of the curve comes out as {found.mass:.3g} with a standard deviation of {found.mass_std:.2g}: "
+            "this record does not separate friction from the mass after these filters; use fewer nodes, or a higher "
+            "cutoff, or record reversals and speeds that vary"
+        )
+    change = np.diff(u, prepend=u[:1])[-found.error.size :]
+    follows = correlation_score(found.error, change) > SIGNIFICANT
+    return replace(found, notes=(FEEDBACK,) if follows else (), motion=model.equation.motion)
+
+
+def curve_json(found: FrictionCurve, name: str) -> dict[str, object]:
+    """The object that `--json` prints."""
+    return {"record": name, **found.to_dict()}

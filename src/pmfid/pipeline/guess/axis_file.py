@@ -1,0 +1,197 @@
+"""The AXIS.toml that a record suggests, each line with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.config.units import INPUTS, OUTPUTS, SI, Unit, column_unit
+from pmfid.errors import UsageError
+from pmfid.io.reading import read_table
+from pmfid.io.tables import Table
+from pmfid.pipeline.guess.columns import Pair, numeric, pair_of, role_of, step_of, time_of
+from pmfid.records.clock import UNITS, even_grid, named_unit
+from pmfid.records.outliers import wrap_of
+from pmfid.types import Floats
+
+__all__ = ["AxisGuess", "guess"]
+
+#: Asks for a number that the record does not show: the question, and the value without an answer.
+Ask = Callable[[str, str], str]
+
+#: Shortest, longest and most usual sample period of an axis [s].
+SHORTEST, LONGEST, USUAL = 1e-5, 0.1, 1e-3
+HEADING = """\
+# {name}: guessed from the record by pmfid init. Each line has its reason; the record does not show values marked TO DO.
+"""
+TO_DO = "TO DO: "
+
+
+@dataclass
+class AxisGuess:
+    """Lines of an AXIS.toml, by section."""
+
+    name: str
+    sections: dict[str, list[str]] = field(default_factory=dict)
+
+    def add(self, section: str, line: str, reason: str) -> None:
+        self.sections.setdefault(section, []).append(f"{line}  # {reason}")
+
+    @property
+    def text(self) -> str:
+        """The whole file."""
+        parts = ["\n".join([f"[{name}]", *lines]) for name, lines in self.sections.items()]
+        return "\n".join([HEADING.format(name=self.name), "\n\n".join(parts), ""])
+
+
+def guess(path: Path, ask: Ask | None = None) -> AxisGuess:
+    """The AXIS.toml that a record suggests; ask: asks for numbers that the record does not show. Raises UsageError if
+    the record cannot be read, or has fewer than two columns of numbers."""
+    table = read_table(path)
+    columns = numeric(table)
+    found, dt = _time(table, columns, ask)
+    rest = {
+        name: values
+        for name, values in columns.items()
+        if role_of(name) not in ("time", "number", "acceleration", "other") and name != (found or [""])[0]
+    }
+    pair = pair_of(rest, dt)
+    if pair is None:
+        listed = ", ".join(table) or "none"
+        raise UsageError(
+            f"{path}: no two columns can be input and output of an axis, of these: {listed}; "
+            "rename them, for example to t, u and counts, or write [record] input and output into an AXIS.toml yourself"
+        )
+    result = AxisGuess(path.name)
+    _record(result, pair, found, dt)
+    _encoder(result, pair, columns[pair.output], dt, ask)
+    _model(result, pair, ask)
+    return result
+
+
+def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str] | None, dt: float) -> None:
+    result.add("record", f"input = {quote_name(pair.input)}", pair.reason)
+    result.add("record", f"output = {quote_name(pair.output)}", _why(pair))
+    result.add("record", f'output_kind = "{pair.kind}"', KINDS[pair.kind])
+    if found is None:
+        result.add("record", f"dt = {dt:g}", f"{TO_DO}no column has the time; the sample period in s")
+        return
+    name, unit, reason = found
+    result.add("record", f"time = {quote_name(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
+    if unit:
+        result.add("record", f'time_unit = "{unit}"', reason)
+
+
+KINDS = {
+    "counts": "nothing but whole numbers",
+    "position": "it has parts of a whole number",
+    "velocity": "the motion explains the input as a rate",
+}
+
+
+def _why(pair: Pair) -> str:
+    role = role_of(pair.output)
+    return f"its name says {role}" if role else "the input drives it"
+
+
+def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str] | None, float]:
+    """Name, unit and reason of the time column, and the sample period [s]."""
+    found = time_of(table, columns)
+    if found is None or _may_be_numbers(*found):
+        answer = ask("sample period in s", "0.001") if ask else ""
+        return None, _number(answer, USUAL)
+    name, values, written = found
+    mean, grid = even_grid(values)
+    step = mean if grid else float(np.median(np.diff(values)))
+    if written or named_unit(name):
+        return (name, "", ""), step * (1.0 if written else UNITS[named_unit(name) or "s"])
+    fitting = [unit for unit, length in UNITS.items() if SHORTEST <= step * length < LONGEST]
+    if "s" in fitting or not fitting:
+        return (name, "", ""), step
+    unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / USUAL)))
+    return (
+        name,
+        unit,
+        f"{TO_DO}it steps by {step:g}, in s no axis is sampled so; ticks of a clock are none of these units",
+    ), step * UNITS[unit]
+
+
+def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
+    """Does the column grow by 1 from row to row, as a sample number, without a name that says that it is a time?"""
+    return not written and named_unit(name) is None and bool(np.all(np.diff(values) == 1))
+
+
+def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
+    wrap = wrap_of(output.astype(np.int64)) if pair.kind == "counts" else None
+    if pair.kind == "counts":
+        answer = ask("travel per count, in m or rad (1: results in counts)", "1") if ask else ""
+        reason = "as answered" if answer else f"{TO_DO}travel per count in m or rad; with 1 a length is in counts"
+        result.add("encoder", f"resolution = {_number(answer, 1.0)!r}", reason)
+        if wrap is not None and wrap.bits is not None:
+            result.add("encoder", f"bits = {wrap.bits}", f"the counter wraps, the first time at row {wrap.row}")
+        elif wrap is not None:
+            size = _number(answer, 1.0) * wrap.span
+            result.add("encoder", f"range = {size!r}", f"it wraps, the first time at row {wrap.row}")
+        return
+    step, found = step_of(output)
+    reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
+    unit = column_unit(pair.output, OUTPUTS)
+    if unit is None:
+        reason = f'{TO_DO}taken to be in m or rad, else write "{step:.9g} mm" or "{step:.9g} deg"; {reason}'
+    if pair.kind == "velocity":
+        step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
+        unit = None if unit is None or unit.plain else Unit("rad" if "ang" in unit.of else "m", "travel", 0.0)
+    result.add("encoder", f"resolution = {_format_number(step, unit)}", reason)
+    wrap = wrap_of(np.floor(output / step + 0.5).astype(np.int64)) if found and pair.kind == "position" else None
+    if wrap is not None:
+        size = float(f"{wrap.span * step:.9g}")
+        result.add("encoder", f"range = {_format_number(size, unit)}", f"it wraps, the first time at row {wrap.row}")
+
+
+def _format_number(value: float, unit: Unit | None) -> str:
+    """A number in TOML, with its unit if that is not the SI unit."""
+    return repr(value) if unit is None or unit.plain else f'"{value:.12g} {unit.name}"'
+
+
+def _model(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
+    result.add("model", 'kind = "drive"', "mass and friction")
+    unit = column_unit(pair.input, INPUTS)
+    force = "N m" if (measured := column_unit(pair.output, OUTPUTS)) and "ang" in measured.of else "N"
+    if unit is not None and unit.of in ("force", "torque"):
+        own = -1.0 if pair.turned else 1.0
+        written = repr(own) if unit.plain else f'"{own:g} {SI[unit.of]}/{SI[unit.of]}"'
+        result.add("model", f"input_gain = {written}", f"the input is a {unit.of}{_sign(pair)}")
+        return
+    per = f"per {SI[unit.of]} of" if unit else "per unit of"
+    answer = ask(f"force or torque {per} the input, in N or N m (1: results per that)", "1") if ask else ""
+    value = _number(answer, 1.0)
+    reason = "as answered" if answer else f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
+    signed = -abs(value) if pair.turned else value
+    written = repr(signed) if unit is None or unit.plain else f'"{signed:.12g} {force}/{SI[unit.of]}"'
+    result.add("model", f"input_gain = {written}", reason + _sign(pair))
+
+
+def _sign(pair: Pair) -> str:
+    return "; negative, for it drives against the output" if pair.turned else ""
+
+
+def _number(answer: str, usual: float) -> float:
+    """The answer as a number, `usual` without one. Raises UsageError for zero, and for a text that is no number."""
+    if not answer.strip():
+        return usual
+    try:
+        value = float(answer.replace(",", "."))
+    except ValueError:
+        value = 0.0
+    if not (np.isfinite(value) and value != 0):
+        raise UsageError(f"{answer!r} is no number other than zero; write one like 0.25")
+    return value
+
+
+def quote_name(name: str) -> str:
+    """A name as a string of TOML."""
+    escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in name)
+    return f'"{escaped}"'

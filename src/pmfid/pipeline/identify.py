@@ -1,0 +1,128 @@
+"""Identification of a record by one method, or by every method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import cast
+
+from pmfid.config.axis import Axis
+from pmfid.diagnostics.matter import OF_LOG, weigh_findings
+from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
+from pmfid.estimators.registry import methods_for
+from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
+from pmfid.pipeline.drives import Drives
+from pmfid.pipeline.kinds import Kind, Progress, Records
+from pmfid.pipeline.processes import Processes
+from pmfid.pipeline.result import DriveResult, Result
+
+#: Flags of results that a mistake in the columns may explain, however long it takes to find.
+SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback", "not_followed", "unmodelled"}
+KINDS: dict[str, Kind[Records]] = {
+    # a kind gets what it has read itself, which is one of these
+    "drive": cast("Kind[Records]", Drives()),
+    "equation": cast("Kind[Records]", Drives()),
+    "transfer_function": cast("Kind[Records]", Processes()),
+}
+
+
+def kind_of(axis: Axis) -> Kind[Records]:
+    """The kind of plant that [model] describes."""
+    return KINDS[axis.model.kind]
+
+
+def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Result:
+    """Estimates the parameters from the records that `kind_of(axis).read` gives; `progress` is called while a recursive
+    method runs.
+
+    Raises UsageError for a configuration that does not fit the data, and NotIdentifiableError if the data cannot
+    identify every parameter. A mistake in the log that explains the error is named first.
+    """
+    kind, given = kind_of(axis), axis
+    axis = kind.prepare_axis(data, given)
+    kind.check(data, axis)
+    whole = kind.complete_record(data, axis)
+    if whole is not data:  # the complete record may suit another pole
+        data, axis = whole, kind.prepare_axis(whole, given)
+    try:
+        result = kind.estimate(data, axis, progress)
+    except NotIdentifiableError as error:
+        raise explain_error(error, kind.check_record(data, axis)) from None
+    suspicious = bool(SUSPICIOUS & set(result.status))
+    log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
+    return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
+
+
+def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
+    """The settings that were chosen by the record, for people."""
+    if given.estimator.cutoff == prepared.estimator.cutoff:
+        return ()
+    cutoff = f"cutoff = {prepared.estimator.pole:.6g}"
+    return (f"{cutoff} rad/s was chosen by this record; write it into [estimator] to keep it for others",)
+
+
+def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
+    """The same error, after the mistakes in the log that may have caused it."""
+    mistakes = "; ".join(texts(findings))
+    return NotIdentifiableError(f"{mistakes}; as the record is read now: {error}") if mistakes else error
+
+
+def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
+    """Possible mistakes in a log, most important first. For a machine's log without mistakes, the doubts of `identify`
+    in the model."""
+    kind = kind_of(axis)
+    log = kind.check_record(data, axis)
+    if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG:
+        return log
+    with suppress(NotIdentifiableError, UsageError):
+        result = cast(DriveResult, identify(data, axis))
+        doubts = (finding for finding in result.findings if finding.severity != "note")
+        return sort_findings((*weigh_findings(log, result.matter), *doubts))
+    return log
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Results by method, and the reason for each method without a result; name, samples: of the record or records."""
+
+    name: str
+    samples: int
+    results: Mapping[str, Result]
+    refused: dict[str, str]
+
+    def to_json(self) -> dict[str, object]:
+        """The object that `--json` prints."""
+        methods: dict[str, object] = {name: result.to_json() for name, result in self.results.items()}
+        methods |= {name: {"error": reason} for name, reason in self.refused.items()}
+        return {"record": self.name, "samples": self.samples, "methods": methods}
+
+
+def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparison:
+    """Runs every method with the settings of `axis` on the records that `kind_of(axis).read` gives.
+
+    `done` is called with the part that has run. Raises UsageError as `identify` does, and the first method's error if
+    no method succeeds.
+    """
+    kind, methods = kind_of(axis), methods_for(axis.model.make())
+    axis = kind.prepare_axis(data, axis)
+    results: dict[str, Result] = {}
+    refused: dict[str, PmfidError] = {}
+    kind.check(data, axis)
+    for count, method in enumerate(methods, 1):
+        try:
+            results[method] = kind.estimate(data, _with_method(axis, method))
+        except (NotIdentifiableError, UsageError) as error:
+            refused[method] = error
+        if done is not None:
+            done(count / len(methods))
+    unknown = {method: error for method, error in refused.items() if isinstance(error, NotIdentifiableError)}
+    found = kind.check_record(data, axis) if unknown else ()
+    errors = refused | {method: explain_error(error, found) for method, error in unknown.items()}
+    if not results:
+        raise next(iter(errors.values()))
+    return Comparison(*kind.name_and_samples(data), results, {method: str(error) for method, error in errors.items()})
+
+
+def _with_method(axis: Axis, method: str) -> Axis:
+    return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})

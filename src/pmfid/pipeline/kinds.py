@@ -1,0 +1,129 @@
+"""Kinds of plant: the interface of their records, estimates and checks."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import ClassVar, Generic, TypeVar
+
+from pmfid.config.axis import Axis, check_sampling
+from pmfid.diagnostics.free_run import FreeRun
+from pmfid.errors import UsageError
+from pmfid.estimators.auto import AUTO
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.output_error import OE
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.findings import Finding
+from pmfid.io.tables import Table
+from pmfid.linear.experiment import Experiment
+from pmfid.models.drive import Model
+from pmfid.pipeline.result import Result
+from pmfid.pipeline.stored import Stored
+from pmfid.records.record import Record
+from pmfid.types import Floats
+
+#: Called with the part of the work that is done, 0 to 1.
+Progress = Callable[[float], None]
+
+Data = TypeVar("Data")
+#: What some kind of plant reads.
+Records = Record | Sequence[Experiment]
+
+
+class Kind(ABC, Generic[Data]):
+    """A kind of plant: how its records are read, estimated and checked. `Data` is the type of its records: one record
+    of a machine, or the experiments of one transfer function."""
+
+    #: the method for "auto" on a drive, sample by sample
+    on_line: ClassVar[str]
+
+    @abstractmethod
+    def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
+        """The records at `paths`. Raises UsageError for files that are no such records, or for too many files."""
+
+    @abstractmethod
+    def read_table(self, table: Table, axis: Axis) -> Data:
+        """The records in a table of columns. Raises UsageError as `read` does."""
+
+    def prepare_axis(self, data: Data, axis: Axis) -> Axis:
+        """The configuration with settings chosen by the record; the same if it leaves none to the record."""
+        return axis
+
+    def complete_record(self, data: Data, axis: Axis) -> Data:
+        """The records with missing samples filled by the model of a complete configuration."""
+        return data
+
+    @abstractmethod
+    def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
+        """The result of the configured method. Raises UsageError for a method that cannot take the model or the data,
+        and NotIdentifiableError if the data cannot identify every parameter."""
+
+    @abstractmethod
+    def name_and_samples(self, data: Data) -> tuple[str, int]:
+        """The name of the records, and their number of samples."""
+
+    @abstractmethod
+    def free_runs(self, data: Data, axis: Axis, theta: Floats) -> list[FreeRun]:
+        """Simulations of the model with parameters theta (p,), in the order of `simulator`, and the measured outputs.
+        Raises UsageError if nothing can be simulated."""
+
+    @abstractmethod
+    def check_known(self, stored: Stored, data: Data, axis: Axis) -> None:
+        """Raises UsageError if the parameters of a file were estimated with other known values."""
+
+    def unit_of_output(self, axis: Axis) -> str:
+        """The unit of the output; empty if the user defines it."""
+        return ""
+
+    def check(self, data: Data, axis: Axis) -> None:
+        """Raises UsageError for a mistake that makes every estimate wrong."""
+
+    def check_on_line(self, axis: Axis) -> None:
+        """Raises UsageError for settings that a drive cannot follow sample by sample."""
+
+    def scan_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
+        """Possible mistakes in the log, by checks that cost next to nothing."""
+        return ()
+
+    def check_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
+        """Possible mistakes in the log, by all checks."""
+        return self.scan_record(data, axis)
+
+
+def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the parameters (p,) of a simulation of the model. Raises UsageError for an equation that
+    nothing simulates."""
+    equation = model.equation
+    if OE.refuses(equation):
+        reason = equation.without_simulation
+        raise UsageError(
+            f"a free run simulates the model, which cannot be for this equation: {reason}; write it without"
+        )
+    further = tuple(zip(*equation.further, strict=True)) or ((), ())
+    return equation.names + further[0], equation.units + further[1]
+
+
+def simulator(axis: Axis, dt: float, resolution: float) -> OE:
+    """The method that simulates the model of `axis`; dt [s], resolution [unit of the output]."""
+    check_sampling(axis, dt)
+    return OE(
+        axis.model.make(), axis.encoder.make_encoder(resolution), dt, axis.estimator.pole, order=axis.estimator.order
+    )
+
+
+def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
+    """The options of [estimator] that a method takes, by name."""
+    config = axis.estimator
+    options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
+    options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
+    if issubclass(cls, OE):
+        options |= {"window": config.window}
+    if issubclass(cls, RecursiveEstimator):
+        options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
+    return options
+
+
+def method_of(axis: Axis, automatic: str) -> str:
+    """The configured method, or the first method of "auto"."""
+    return automatic if axis.estimator.method == AUTO else axis.estimator.method

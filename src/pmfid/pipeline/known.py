@@ -1,0 +1,118 @@
+"""Prior information: [estimator] given and prior, and input_gain = "estimate", on the way to a result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import TypeVar
+
+from pmfid.config.axis import Axis
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.facts import INPUT_GAIN
+from pmfid.estimators.known import Known, Posterior, with_gain
+from pmfid.findings import Finding, make_notes
+from pmfid.models.equation import ESTIMATE
+from pmfid.pipeline.result import DriveResult
+from pmfid.pipeline.stored import Stored
+
+Found = TypeVar("Found")
+#: Status word if a known value and the record contradict each other.
+CONTRADICTED = "prior_contradicted"
+
+
+def finds_gain(axis: Axis) -> bool:
+    """Is the input gain a parameter to be estimated?"""
+    return axis.model.input_gain == ESTIMATE
+
+
+def set_gain(axis: Axis, gain: float) -> Axis:
+    """The same axis with another input gain."""
+    return axis.model_copy(update={"model": axis.model.model_copy(update={INPUT_GAIN: gain})})
+
+
+def set_any_gain(axis: Axis) -> Axis:
+    """The same axis with a number as input gain, for questions that do not depend on its value."""
+    return set_gain(axis, 1.0) if finds_gain(axis) else axis
+
+
+def set_stored_gain(axis: Axis, stored: Stored) -> Axis:
+    """The same axis with the input gain of a file's parameters, if it was estimated. Raises UsageError if the file has
+    none."""
+    if not finds_gain(axis):
+        return axis
+    if stored.input_gain is None:
+        raise UsageError(f"{stored.source}: it has no input_gain, and [model] gives none; write a number there")
+    return set_gain(axis, stored.input_gain)
+
+
+def try_both_signs(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
+    """The result of `identified` on an axis with a number as input gain. An unknown gain may have either sign; with the
+    wrong one no model follows the record. Raises as `identified` does."""
+    if not finds_gain(axis):
+        return identified(axis)
+    try:
+        return identified(set_gain(axis, 1.0))
+    except NotIdentifiableError as error:
+        with suppress(NotIdentifiableError):
+            return identified(set_gain(axis, -1.0))
+        raise error from None
+
+
+def known_of(axis: Axis, estimator: Estimator) -> Known | None:
+    """The prior information of [estimator] on the parameters of a method; None without any. Information on parameters
+    that the method does not have is left out. Raises UsageError if nothing remains that determines the gain."""
+    config, find = axis.estimator, finds_gain(axis)
+    names = (*estimator.names, *([INPUT_GAIN] if find else []))
+    given = {name: value for name, value in config.given.items() if name in names}
+    prior = {name: pair for name, pair in config.prior.items() if name in names}
+    return Known(estimator, given, prior, find) if given or prior or find else None
+
+
+def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Posterior) -> DriveResult:
+    """A result with prior information; estimate: the combination of both. Raises NotIdentifiableError for a gain below
+    its standard deviation."""
+    config, estimator = axis.estimator, result.estimator
+    unused = [name for name in (*config.given, *config.prior) if name not in known.names]
+    notes = [f"{estimator.method} has no {name}: prior information on it is not used" for name in unused]
+    if known.find_gain:
+        gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
+        if not std < abs(gain):
+            raise NotIdentifiableError(
+                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}: this record cannot "
+                f"identify it ({'; '.join(result.notes) or 'record a motion with reversals and varying speed'})"
+            )
+        estimator = with_gain(estimator, gain)
+    return replace(
+        result,
+        estimator=estimator,
+        theta=estimate.theta,
+        theta_std=estimate.theta_std,
+        model_spread=estimate.model_spread,
+        known=known,
+    ).with_findings(
+        *(Finding(CONTRADICTED, contradiction) for contradiction in estimate.notes),
+        *make_notes("known", [*notes, _describe_known(known)]),
+    )
+
+
+def check_numbers_known(axis: Axis, what: str) -> None:
+    """Raises UsageError without a number as input gain, and for prior information; `what` uses the one and cannot use
+    the other."""
+    if finds_gain(axis):
+        raise UsageError(
+            f'{what} needs a number for the gain of the input: run pmfid identify with input_gain = "estimate", and '
+            "write the input_gain that it finds into [model]"
+        )
+    if known := (*axis.estimator.given, *axis.estimator.prior):
+        raise UsageError(f"{what} takes nothing that is known beforehand: drop given and prior of {', '.join(known)}")
+
+
+def _describe_known(known: Known) -> str:
+    parts = [f"{name} = {value:.6g} is given" for name, value in known.given.items()]
+    parts += [f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items()]
+    if known.find_gain:
+        names = " or ".join((*known.given, *known.prior))
+        parts.append(f"input_gain follows from that, and a finding on an error of {names} is one on input_gain")
+    return "; ".join(parts)

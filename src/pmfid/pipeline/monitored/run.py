@@ -1,0 +1,197 @@
+"""A monitored run: samples in, estimates and events out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pmfid._estimate import Estimate
+from pmfid.errors import UsageError
+from pmfid.estimators.facts import INPUT_GAIN
+from pmfid.estimators.known import Seen
+from pmfid.monitor.events import Event, Outlier, Settled, StateChange
+from pmfid.monitor.monitor import Monitor
+from pmfid.pipeline.monitored.rows import Nowhere, RowSink
+from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
+from pmfid.types import Floats
+
+#: Most rows for the report; above it, every other row is dropped.
+MOST_ROWS = 8000
+#: Most notices of one kind of line, and of gaps; most events that are kept.
+MOST_NOTICES, KEPT = 10, 10_000
+
+#: A notice for JSON: texts, numbers, and tables of them, by key.
+Notice = dict[str, Any]
+Tell = Callable[[Notice], None]
+#: Time, u, counts, theta, std, innovation, status bits, state.
+Row = tuple[float, float, int, Floats, Floats, float, int, str]
+#: Called with each sample, its estimate and the monitor's state.
+Observer = Callable[[Sample, Estimate | Seen, str], None]
+
+
+@dataclass
+class RunHistory:
+    """The curves of the report, in bounded memory: time, u, counts, theta, std, innovation, status bits and state of
+    every `stride`th sample. Status bits and the largest innovation also include the samples between."""
+
+    stride: int = field(default=1, init=False)
+    rows: list[Row] = field(default_factory=list, init=False)
+    _taken: int = field(default=0, init=False)
+
+    def __call__(self, sample: Sample, estimate: Estimate | Seen, state: str) -> None:
+        """Adds a sample with its estimate and the monitor's state."""
+        if self._taken % self.stride == 0:
+            if len(self.rows) >= MOST_ROWS:
+                self.rows, self.stride = self.rows[::2], 2 * self.stride
+            theta, std = estimate.theta, estimate.theta_std
+            row = (sample.time, sample.u, sample.counts, theta, std, estimate.innovation, estimate.status, state)
+            self.rows.append(row)
+        else:
+            time, u, counts, theta, std, innovation, status, _ = self.rows[-1]
+            largest = max(innovation, estimate.innovation, key=abs)
+            self.rows[-1] = (time, u, counts, theta, std, largest, status | estimate.status, state)
+        self._taken += 1
+
+
+@dataclass
+class MonitoredRun:
+    """Totals of a run and its first KEPT events, as for JSON.
+
+    bad_lines: could not be used; repeated_lines: came twice or too late; comments: with repeated headers; gaps: in the
+    times; missing: samples in these gaps; clock_jumps: how often the clock was set; outliers: samples that no motion
+    explains; problem: error that ended the run early, or "".
+    """
+
+    samples: int = 0
+    bad_lines: int = 0
+    repeated_lines: int = 0
+    comments: int = 0
+    gaps: int = 0
+    missing: int = 0
+    clock_jumps: int = 0
+    outliers: int = 0
+    problem: str = ""
+    events: list[Notice] = field(default_factory=list)
+
+    @property
+    def alarms(self) -> list[Notice]:
+        return [event for event in self.events if event["event"] == "alarm"]
+
+    def totals(self) -> dict[str, int]:
+        """All counts, by name."""
+        names = ("samples", "bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps", "outliers")
+        return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
+
+
+def header(monitor: Monitor) -> list[str]:
+    """Columns of the estimates."""
+    names = monitor.names
+    return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
+
+
+def watch(
+    found: Iterable[Found], monitor: Monitor, sink: RowSink, tell: Tell, observers: Sequence[Observer] = ()
+) -> MonitoredRun:
+    """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples.
+
+    A UsageError in the samples ends the run without an exception, so that its results are still written.
+    """
+    run = MonitoredRun()
+    try:
+        for one in found:
+            if isinstance(one, Skipped):
+                _count_skipped(one, run, tell)
+            else:
+                _step(one, monitor, run, sink, tell, observers)
+    except UsageError as error:
+        run.problem = str(error)
+    return run
+
+
+def _step(
+    sample: Sample, monitor: Monitor, run: MonitoredRun, sink: RowSink, tell: Tell, observers: Sequence[Observer]
+) -> None:
+    events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
+    estimate, now = monitor.step(sample.u, sample.counts)
+    run.samples += 1
+    reported = monitor.apply_known(estimate)
+    if not isinstance(sink, Nowhere):
+        sink.write(_row(sample.time, reported, monitor.state))
+    for observe in observers:
+        observe(sample, reported, monitor.state)
+    for event in [*events, *now]:
+        if isinstance(event, Outlier):
+            run.outliers += 1
+            if run.outliers > MOST_NOTICES:
+                continue
+        shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
+        notice = event_object(event, monitor.names, shift)
+        if len(run.events) < KEPT:
+            run.events.append(notice)
+        tell(notice)
+
+
+def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
+    """Counts a line that is no sample, and reports the first ones."""
+    name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
+    setattr(run, name, getattr(run, name) + 1)
+    if line.kind != COMMENT and getattr(run, name) <= MOST_NOTICES:
+        tell({"event": line.kind, "time": line.time, "problem": line.problem})
+
+
+def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> list[Event]:
+    """Counts and reports a gap or a clock that was set, and passes it to the monitor."""
+    if sample.missing:
+        run.gaps += 1
+        run.missing += sample.missing
+        if run.gaps <= MOST_NOTICES:
+            tell({"event": "gap", "time": sample.time, "missing": sample.missing})
+        if sample.missing <= monitor.longest:
+            return monitor.fill_gap(sample.missing, sample.u, sample.counts)
+        return monitor.skip(sample.missing)
+    run.clock_jumps += 1
+    if run.clock_jumps <= MOST_NOTICES:
+        tell({"event": "clock", "time": sample.time, "jump": sample.jump})
+    return monitor.skip(1)
+
+
+def _row(time: float, estimate: Estimate | Seen, state: str) -> tuple[float | int | str, ...]:
+    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite while nothing is known
+    return (time, *theta, *std, estimate.innovation, estimate.status, state)
+
+
+def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> Notice:
+    """The object that `--json` prints; shift: of the times [s]."""
+    if isinstance(event, StateChange):
+        return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
+    if isinstance(event, Settled):
+        return {"event": "settled", "time": event.time + shift, "parameters": _format_settled(event, names)}
+    if isinstance(event, Outlier):
+        return {"event": "outlier", "time": event.time + shift, "signal": event.signal}
+    return {
+        "event": "alarm",
+        "time": event.time + shift,
+        "parameter": event.parameter,
+        "direction": "up" if event.change > 0 else "down",
+        "change": event.change,
+        "std": event.std,
+        "unit": event.unit,
+        "relative": event.relative,
+        "changed_at": event.changed_at + shift,
+        "statistic": event.statistic,
+        "threshold": event.threshold,
+        **({"others": ", ".join(event.others)} if event.others else {}),
+    }
+
+
+def _format_settled(event: Settled, names: tuple[str, ...]) -> dict[str, dict[str, float | None]]:
+    """Value, standard deviation and relative change by name. After an alarm of the input gain, the gain comes first,
+    and the other values use the present gain."""
+    gain = {} if event.gain is None else {INPUT_GAIN: event.gain}
+    factor = event.gain[0] / event.gain[2] if event.gain else 1.0
+    own = zip((factor * event.theta).tolist(), (factor * event.std).tolist(), event.before.tolist(), strict=True)
+    return {
+        name: {"value": value, "std": std, "change": value / before - 1 if before else None}
+        for name, (value, std, before) in (gain | dict(zip(names, own, strict=True))).items()
+    }

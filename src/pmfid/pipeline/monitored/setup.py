@@ -1,0 +1,288 @@
+"""A monitor from AXIS.toml; thresholds are kept in a cache."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmfid.config.axis import Axis
+from pmfid.errors import UsageError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import like
+from pmfid.estimators.facts import INPUT_GAIN
+from pmfid.estimators.instruments import initial_vector
+from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.known import Known
+from pmfid.estimators.recursive import RLS, RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS
+from pmfid.monitor.calibration import Calibration, NormalWork, Tail, block_keep, calibrate, simulated_hours
+from pmfid.monitor.detectors import make_detectors
+from pmfid.monitor.events import Watch
+from pmfid.monitor.monitor import Monitor
+from pmfid.monitor.scores import Scale
+from pmfid.pipeline.drives import make_estimator
+from pmfid.pipeline.identify import kind_of
+from pmfid.pipeline.known import finds_gain, known_of, set_gain, try_both_signs
+from pmfid.records.record import Record, read_record
+from pmfid.types import Floats
+
+#: Version of the calibration and of its file; to be raised with every change of either.
+VERSION = 6
+
+
+def cache_dir() -> Path:
+    """The folder of calibrations: PMFID_CACHE, or pmfid in the user's cache folder."""
+    if os.environ.get("PMFID_CACHE"):
+        return Path(os.environ["PMFID_CACHE"])
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return Path(home) / "pmfid" if home else Path.home() / ".cache" / "pmfid"
+
+
+def cached_calibration(
+    estimator: Estimator,
+    theta: Floats,
+    u: Floats,
+    counts: np.ndarray | None,
+    hours: float,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Calibration, Path, bool]:
+    """The calibration, its file, and whether the file existed. A cache that cannot be written is ignored."""
+    detectors = make_detectors(block_keep(estimator))  # the file keeps their thresholds
+    digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None} {detectors!r}".encode())
+    for part in (theta, u, np.zeros(0) if counts is None else counts):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    path = cache_dir() / f"calibration-{digest.hexdigest()[:32]}.json"
+    known = _read(path)
+    if known is not None:
+        return known, path, True
+    made = calibrate(estimator, theta, u, counts, hours=hours, progress=progress)
+    _write(path, made)
+    return made, path, False
+
+
+def _write(path: Path, calibration: Calibration) -> None:
+    text = json.dumps(asdict(calibration), default=lambda array: array.tolist())
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
+        part.replace(path)  # another run may write the same one
+    except OSError:
+        return
+
+
+def _digest(text: str) -> str:
+    return sha256(text.encode()).hexdigest()
+
+
+def _read(path: Path) -> Calibration | None:
+    try:
+        digest, _, text = path.read_text(encoding="utf-8").partition("\n")
+        if digest != _digest(text):
+            return None  # damaged: numbers may have changed and still be numbers
+        raw: dict[str, Any] = json.loads(text)  # another structure ends in one of the errors below
+        return Calibration(
+            np.array(raw["theta"]),
+            _scale(raw["scale"]),
+            tuple(tuple(row) for row in raw["chi_square"]),
+            {name: _tail(tail) for name, tail in raw["tails"].items()},
+            np.array(raw["noise"]),
+            raw["hours"],
+            raw["record_hours"],
+            None if raw["work"] is None else _work(raw["work"]),
+        )
+    except (OSError, ValueError, TypeError, KeyError):
+        return None  # no file, or not of this version: the calibration is computed again
+
+
+def _scale(raw: dict[str, Any]) -> Scale:
+    return Scale(**{name: np.array(value) for name, value in raw.items()})
+
+
+def _tail(raw: dict[str, Any]) -> Tail:
+    parts = tuple((level, slope, rate) for level, slope, rate in raw["parts"])
+    return Tail(**(raw | {"maxima": tuple(raw["maxima"]), "parts": parts}))
+
+
+def _work(raw: dict[str, Any]) -> NormalWork:
+    return NormalWork(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), np.array(raw["limit"]))
+
+
+#: Memory if [estimator] forgetting is 1, which would never follow a change [s].
+DEFAULT_MEMORY = 2.0
+#: Ratio of the standard deviations of normal work and simulation above which the encoder is not the main noise.
+NOISY = 1.3
+#: Factor within which a reference record should determine the mean time between false alarms.
+SURE = 2.0
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A monitor at its start; nominal: (p,); calibration, and its file `path`; cached: was it in the cache? notes: for
+    people."""
+
+    monitor: Monitor
+    nominal: Floats
+    calibration: Calibration
+    path: Path
+    cached: bool
+    notes: tuple[str, ...]
+
+    @property
+    def reported(self) -> Floats:
+        """(q,): nominal, and the input gain if it is estimated."""
+        further = len(self.monitor.names) - len(self.monitor.estimator.names)
+        return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * further])
+
+
+def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None) -> Setup:
+    """The monitor of AXIS.toml; folder: of AXIS.toml; record: to be watched, None: a pipe.
+
+    Without a reference the record's own input calibrates, with the encoder as the only noise. Raises UsageError without
+    both, or without nominal values, and NotIdentifiableError if the reference cannot identify them.
+    """
+    config, notes = axis.monitor, []
+    check_monitored(axis)
+    normal = None if config.reference is None else read_record(folder / config.reference, axis)
+    source = normal or record
+    if source is None or (normal is None and config.nominal is None):
+        raise UsageError(
+            "[monitor] reference is missing: name a record of normal work, 10 minutes or more, "
+            'for example reference = "normal.csv"' + ("" if record is None else ", or give the nominal values")
+        )
+    if record is not None and normal is not None and abs(record.dt / normal.dt - 1) > 1e-3:
+        raise UsageError(
+            f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
+        )
+    on_line = kind_of(axis).prepare_axis(source, _configure_recursive(axis, source.dt))
+    estimator = _estimator(_set_normal_gain(on_line, source), source, wraps=record is None)
+    known = known_of(axis, estimator)
+    nominal = _nominal(estimator, config.nominal, source, known)
+    if isinstance(estimator, RIV):
+        estimator = replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
+    if normal is None:
+        notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
+    counts = None if normal is None else source.counts
+    hours = simulated_hours(config.mtbf_hours)
+    calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, hours, progress)
+    notes += calibration_notes(calibration, config.detector, config.mtbf_hours)
+    watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
+    return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
+
+
+def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float) -> list[str]:
+    """Notes on the thresholds if normal work is noisier than its simulation."""
+    hours, notes = calibration.record_hours, []
+    if np.max(calibration.noise) > NOISY or hours:
+        notes.append(
+            f"normal work is {np.max(calibration.noise):.2g} times as noisy as the encoder explains: "
+            + ("the thresholds come from" if hours else "the scale is that of")
+            + " the reference record itself"
+        )
+    doubt = calibration.tails[detector].doubt(mtbf_hours)
+    if doubt > math.log(SURE):
+        notes.append(
+            f"from the {hours:.2g} h of the reference record the time between false alarms is known to a factor of "
+            f"{math.exp(doubt):.2g} only, to one of {SURE:g} it would be from about "
+            f"{hours * (doubt / math.log(SURE)) ** 2:.2g} h of it; record more normal work, or lower mtbf_hours"
+        )
+    return notes
+
+
+def check_monitored(axis: Axis) -> None:
+    """Raises UsageError for a model that the monitor cannot watch; for use before a record is read."""
+    reason = axis.model.make().equation.without_simulation
+    if reason:
+        raise UsageError(
+            f"the monitor is for a machine with friction that it can simulate, and of this equation {reason}; to "
+            "follow its parameters use pmfid identify with forgetting < 1 and bcrls, or rsrivc for a transfer function"
+        )
+
+
+def _configure_recursive(axis: Axis, dt: float) -> Axis:
+    """The axis with a recursive method, `riv` for auto, and with a memory."""
+    method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
+    forgetting = axis.estimator.forgetting
+    if forgetting == 1:
+        forgetting = max(0.5, 1 - dt / DEFAULT_MEMORY)
+    changed = axis.estimator.model_copy(update={"method": method, "forgetting": forgetting})
+    return axis.model_copy(update={"estimator": changed})
+
+
+def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
+    """The configured recursive method; wraps: do the counter's bits matter, as in a pipe?"""
+    method = axis.estimator.method
+    if not issubclass(ESTIMATORS[method], RecursiveEstimator) or issubclass(ESTIMATORS[method], RLS):
+        usable = [
+            name for name, cls in ESTIMATORS.items() if issubclass(cls, RecursiveEstimator) and not issubclass(cls, RLS)
+        ]
+        raise UsageError(f"[estimator] method = {method!r} does not run sample by sample without bias: use {usable}")
+    estimator = make_estimator(axis, source)
+    if not isinstance(estimator, RecursiveEstimator):
+        raise UsageError(f"{method} is an off-line method")
+    if wraps and axis.encoder.bits is not None and axis.record.output_kind == "counts":
+        return replace(estimator, encoder=replace(estimator.encoder, bits=axis.encoder.bits))
+    return estimator
+
+
+def _set_normal_gain(axis: Axis, source: Record) -> Axis:
+    """The axis with the input gain of normal work, if it is estimated: from [monitor] nominal or the reference. Raises
+    UsageError if nominal has no input gain."""
+    if not finds_gain(axis):
+        return axis
+    given = axis.monitor.nominal
+    if given is not None and INPUT_GAIN not in given:
+        raise UsageError(f"[monitor] nominal must name {INPUT_GAIN}, too, if [model] leaves it to be estimated")
+    if given is not None:
+        return set_gain(axis, given[INPUT_GAIN])
+
+    def find_gain(own: Axis) -> Axis:
+        estimator = _estimator(own, source, wraps=False)
+        known = known_of(axis, estimator)
+        fit = like(IV, estimator, prefilter_zeros=None).fit(source.u, source.counts)
+        return own if known is None else set_gain(own, known.of(fit)[INPUT_GAIN])
+
+    return try_both_signs(axis, find_gain)
+
+
+def _nominal(
+    estimator: RecursiveEstimator, given: dict[str, float] | None, source: Record, known: Known | None
+) -> Floats:
+    """The normal parameters (p,): as given, or identified from the reference."""
+    front = like(IV, estimator, prefilter_zeros=None)
+    names = front.names
+    if given is None:
+        fit = front.fit(source.u, source.counts)
+        return np.asarray(fit.theta if known is None else known.of(fit).theta[: len(names)])
+    try:
+        return initial_vector({name: value for name, value in given.items() if name in names or known is None}, names)
+    except UsageError:
+        raise UsageError(f"[monitor] nominal must name {list(names)}, got {list(given)}") from None
+
+
+def start_object(setup: Setup) -> dict[str, object]:
+    """The settings of a watched axis, for `--json`."""
+    monitor = setup.monitor
+    return {
+        "event": "start",
+        "method": monitor.estimator.method,
+        "nominal": dict(zip(monitor.names, setup.reported.tolist(), strict=True)),
+        "units": dict(zip(monitor.names, monitor.units, strict=True)),
+        "detector": monitor.watch.detector,
+        "mtbf_hours": monitor.watch.mtbf_hours,
+        "tolerance": monitor.watch.tolerance,
+        "threshold": monitor.threshold,
+        "hours": setup.calibration.hours,
+        "record_hours": setup.calibration.record_hours,
+        "calibration": str(setup.path),
+        "cached": setup.cached,
+        "notes": list(setup.notes),
+    }

@@ -1,0 +1,199 @@
+"""Samples from lines of CSV in a pipe, or from a record, with an orderly stop at signals."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import BinaryIO, NoReturn
+
+from pmfid.config.axis import Axis
+from pmfid.errors import UsageError
+from pmfid.io.csv_text import is_data
+from pmfid.pipeline.monitored.lines import LineParser, is_comment
+from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Metronome, Sample, Skipped, Timeline
+from pmfid.records.record import Record
+
+#: Most bytes of a line; a longer one counts as several bad lines.
+LONGEST_LINE = 65536
+#: Lines at the beginning and at the end that must contain samples; least samples among the first ones.
+FIRST_LINES, LEAST_SAMPLES = 100, 10
+#: Most repetitions of every line by a logger.
+MOST_REPEATED = 3
+
+
+class _InterruptedError(Exception):
+    """A signal came while nothing was being processed."""
+
+
+@contextmanager
+def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
+    """SIGINT, SIGTERM and, if wanted and known to the system, SIGHUP go to a handler inside the block."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hangup and hasattr(signal, "SIGHUP"):
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, handle) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@dataclass
+class Stop:
+    """Ends a run at SIGINT, SIGTERM and SIGHUP: after the present sample, or at once if it waits for the next one.
+
+    A SIGHUP that is ignored, as under nohup, stays ignored."""
+
+    requested: bool = field(default=False, init=False)
+    _waiting: bool = field(default=False, init=False)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.requested = True
+        if self._waiting:
+            raise _InterruptedError
+
+    @contextmanager
+    def handling(self) -> Iterator[Stop]:
+        """This object handles signals inside the block."""
+        hangup = getattr(signal, "SIGHUP", None)
+        ignored = hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN
+        with catch_signals(self._handle, hangup=not ignored):
+            yield self
+
+    def read(self, stream: BinaryIO) -> bytes:
+        """The next line, b"" at the end or when a signal comes."""
+        try:
+            self._waiting = True
+            line = b"" if self.requested else stream.readline(LONGEST_LINE)
+            self._waiting = False
+        except _InterruptedError:
+            return b""
+        finally:
+            self._waiting = False
+        return line
+
+
+def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
+    """The samples of a record, from time 0."""
+    for k in range(record.u.size):
+        if stop.requested:
+            return
+        yield Sample(k * record.dt, float(record.u[k]), int(record.counts[k]))
+
+
+def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Found]:
+    """The samples of the lines after the header, each as soon as possible, and the lines that are no samples.
+
+    dt: sample period [s]. Raises UsageError for a header without the columns of [record], for no line at all, for lines
+    with another period than dt, and if the first lines, or most of all lines, cannot be used.
+    """
+    parse = _read_header(stream, axis, stop)
+    if parse is None:
+        return
+    timeline = Timeline(dt) if axis.record.time else Metronome(dt)
+    tally = _Tally()
+    while line := stop.read(stream):
+        if not line.strip():
+            continue
+        parsed = parse(line)
+        found = [Skipped(0.0, COMMENT, "")] if parsed is None else timeline.take(parsed)
+        tally.count(found)
+        yield from found
+    yield from timeline.end()
+    tally.check()
+
+
+def _read_header(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
+    """The parser with the header; None if a signal comes before it."""
+    beginning = Beginning(axis)
+    while line := stop.read(stream):
+        parser = beginning.take(line)
+        if parser is not None:
+            return parser
+    if stop.requested:
+        return None
+    raise beginning.problem
+
+
+@dataclass
+class Beginning:
+    """Searches the header: the first line that has the columns. Earlier lines, such as the name of the logger, are
+    skipped; data end the search. problem: why no line so far is the header."""
+
+    axis: Axis
+    problem: UsageError = field(
+        default_factory=lambda: UsageError(
+            "standard input is empty: write the header with the names of the columns first"
+        ),
+        init=False,
+    )
+    _lines: int = field(default=0, init=False)
+
+    def take(self, line: bytes) -> LineParser | None:
+        """The parser for the next lines, if this line is the header. Raises UsageError once no header can come."""
+        if is_comment(line):
+            return None
+        self._lines += 1
+        data = is_data(line.decode("utf-8", "replace"))
+        try:
+            return LineParser(line, self.axis)
+        except UsageError as error:
+            self.problem = self.problem if data and self._lines > 1 else error
+        if data or self._lines >= FIRST_LINES:
+            raise self.problem
+        return None
+
+
+@dataclass
+class _Tally:
+    """Counts samples, bad lines, repeated lines, and lines since the last sample, and refuses a run with too few."""
+
+    samples: int = 0
+    bad: int = 0
+    repeated: int = 0
+    tail: int = 0
+    problem: str = ""
+
+    @property
+    def lines(self) -> int:
+        return self.samples + self.bad + self.repeated
+
+    def count(self, found: Sequence[Found]) -> None:
+        """Raises UsageError if the first lines are bad."""
+        before = self.lines
+        for one in found:
+            if isinstance(one, Sample):
+                self._sample(one)
+            elif one.kind != COMMENT:
+                self._count_skipped(one)
+        if before < FIRST_LINES <= self.lines and self.samples < LEAST_SAMPLES:
+            self._refuse(self.lines - self.samples, self.lines)
+
+    def _sample(self, sample: Sample) -> None:
+        if math.isfinite(sample.u):
+            self.samples += 1
+            self.tail, self.problem = 0, ""
+
+    def _count_skipped(self, line: Skipped) -> None:
+        self.bad += line.kind == BAD
+        self.repeated += line.kind == REPEATED
+        self.tail += 1
+        self.problem = self.problem or line.problem
+
+    def check(self) -> None:
+        """Raises UsageError if the last lines are bad, if more lines are bad than good, or if nearly all are
+        repeated."""
+        if self.tail >= FIRST_LINES:
+            self._refuse(self.tail, self.tail)
+        if max(self.bad, self.repeated // MOST_REPEATED) > self.samples:
+            self._refuse(self.bad + self.repeated, self.lines)
+
+    def _refuse(self, unusable: int, lines: int) -> NoReturn:
+        which = f"{unusable} of {lines} lines" if lines > unusable else f"the last {lines} lines"
+        problem = f", the first of them: {self.problem}" if self.problem else ""
+        raise UsageError(f"{which} cannot be used{problem}; correct what the logger writes")

@@ -1,0 +1,326 @@
+"""From lines to samples on a regular grid."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
+
+import numpy as np
+
+from pmfid.errors import UsageError
+
+#: Steps from line to line in a group; least relative difference of their mean from the period that counts.
+STEPS, COARSE = 25, 0.05
+#: Successive wrong groups that end the run, before and after a right one: a late logger writes many lines at once.
+FIRST, LATER = 1, 3
+#: Longest step to a doubled line, which is no step [sample periods].
+DOUBLED = 0.02
+#: Least part of regular steps in a group with a period; largest distance of a regular step from their mean.
+REGULAR, CLOSE = 0.8, 0.25
+#: Samples after which the mean period is checked; its largest relative error.
+LONG, FINE = 500, 0.005
+
+#: A state, as an object for JSON.
+Saved = dict[str, Any]
+
+
+@dataclass
+class Period:
+    """Checks the period of stamps; dt: expected [s]. Every method raises UsageError once the period is another one."""
+
+    dt: float
+    _steps: list[float] = field(default_factory=list, init=False)
+    _last: float = field(default=math.nan, init=False)
+    _wrong: int = field(default=0, init=False)
+    _patience: int = field(default=FIRST, init=False)
+    _start: float = field(default=math.nan, init=False)
+    _count: int = field(default=0, init=False)
+    _checked: bool = field(default=False, init=False)
+
+    def save_state(self) -> Saved:
+        """The state, for JSON with NaN."""
+        return {
+            "steps": list(self._steps),
+            "last": self._last,
+            "wrong": self._wrong,
+            "patience": self._patience,
+            "start": self._start,
+            "count": self._count,
+            "checked": self._checked,
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
+        self._steps, self._last = [float(step) for step in saved["steps"]], float(saved["last"])
+        self._wrong, self._patience = int(saved["wrong"]), int(saved["patience"])
+        self._start, self._count, self._checked = float(saved["start"]), int(saved["count"]), bool(saved["checked"])
+
+    def line(self, time: float) -> None:
+        """Adds the stamp [s] of any line."""
+        step, self._last = (time - self._last) / self.dt, time
+        if abs(step) > DOUBLED:
+            self._steps.append(step)
+        if len(self._steps) == STEPS:
+            steps, self._steps = np.array(self._steps), []
+            self._judge(steps)
+
+    def sample(self, time: float) -> None:
+        """Adds the stamp [s] of a line that is a sample."""
+        if math.isnan(self._start):
+            self._start, self._count = time, 0
+            return
+        self._count += 1
+        if self._count >= LONG and not self._checked:
+            self._checked = True
+            mean = (time - self._start) / (self._count * self.dt)
+            if abs(mean - 1) > FINE:
+                self._refuse(mean)
+
+    def slots(self, samples: int) -> None:
+        """Adds samples without a line."""
+        self._count += samples
+
+    def restart(self) -> None:
+        """Forgets the stamps so far, because the clock was set."""
+        self._start, self._checked, self._patience = math.nan, False, FIRST
+
+    def _judge(self, steps: np.ndarray) -> None:
+        median = float(np.median(steps))
+        near = steps[np.abs(steps - median) <= 0.5 * abs(median)]
+        mean = float(near.mean())
+        regular = mean > 0 and np.mean(np.abs(steps - mean) <= CLOSE * mean) >= REGULAR
+        if not (regular and abs(mean - 1) > COARSE):
+            self._wrong, self._patience = 0, LATER if regular else self._patience
+            return
+        self._wrong += 1
+        if self._wrong >= self._patience:
+            self._refuse(mean)
+
+    def _refuse(self, mean: float) -> NoReturn:
+        raise UsageError(
+            f"the lines come every {mean * self.dt:.6g} s, the reference has {self.dt:.6g} s: log with that period, "
+            "take a reference with this one, or correct the time column, which must be in s"
+        )
+
+
+#: Largest deviation of the stamp of an expected sample [sample periods]: late stamps are commoner than lost ones.
+NEAR = 0.75
+#: Share of a stamp's deviation that the grid takes over.
+FOLLOW = 0.1
+#: Successive lines that show missing samples, and a clock that was set back: a logger that repeats its last lines looks
+#: like the latter.
+AHEAD, LATE = 2, 5
+#: Shortest and longest step from a held line to the next one [sample periods]; lines between may be lost.
+SOONEST, LATEST = 0.25, 10.0
+#: Longest gap [s]; a longer one counts as a clock that was set.
+LONGEST_GAP = 3600.0
+#: Samples that a late line is compared with: an equal one is a repetition and no late sample.
+REMEMBERED = 32
+#: Successive lines without a fitting time that end the run.
+MOST_STRAYS = 1000
+
+BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
+
+
+@dataclass(frozen=True)
+class Line:
+    """The values of a line. time [s], NaN without one; u, NaN if it cannot be used; problem: why not, or ""."""
+
+    time: float
+    u: float
+    counts: int
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """time [s]; u, NaN if the sample is lost; counts, the last ones if it is lost; missing: samples that are missing
+    before it; jump: change of the clock before it [s]."""
+
+    time: float
+    u: float
+    counts: int
+    missing: int = 0
+    jump: float = 0.0
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A line that is no sample. time: of the next expected sample [s]; kind: BAD, REPEATED or COMMENT."""
+
+    time: float
+    kind: str
+    problem: str
+
+
+Found = Sample | Skipped
+
+
+@dataclass
+class Metronome:
+    """Lines without a time: each is the next sample. dt: sample period [s]."""
+
+    dt: float
+    _next: float = field(default=0.0, init=False)
+    _counts: int = field(default=0, init=False)
+
+    def save_state(self) -> Saved:
+        """The state, for JSON."""
+        return {"next": self._next, "counts": self._counts}
+
+    def restore(self, saved: Saved) -> None:
+        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
+        self._next, self._counts = float(saved["next"]), int(saved["counts"])
+
+    def take(self, line: Line) -> list[Found]:
+        """The sample of a line; a line that cannot be used takes its time, too."""
+        time, self._next = self._next, self._next + self.dt
+        if line.problem:
+            return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
+        self._counts = line.counts
+        return [Sample(time, line.u, line.counts)]
+
+    def end(self) -> list[Found]:
+        """Nothing is held."""
+        return []
+
+
+@dataclass
+class Timeline:
+    """Lines with a time. dt: sample period [s].
+
+    `take` raises UsageError if the lines have another period, or if MOST_STRAYS in a row fit nowhere.
+    """
+
+    dt: float
+    _expected: float = field(default=math.nan, init=False)
+    _held: list[Line] = field(default_factory=list, init=False)
+    _unused: int = field(default=0, init=False)
+    _strays: int = field(default=0, init=False)
+    _counts: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._period = Period(self.dt)
+        self._recent: deque[Line] = deque(maxlen=REMEMBERED)
+
+    def save_state(self) -> Saved:
+        """The state, for JSON with NaN."""
+        lines = {"held": self._held, "recent": self._recent}
+        return {
+            "expected": self._expected,
+            "unused": self._unused,
+            "strays": self._strays,
+            "counts": self._counts,
+            "period": self._period.save_state(),
+            **{name: [[x.time, x.u, x.counts, x.problem] for x in some] for name, some in lines.items()},
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
+        self._expected, self._unused = float(saved["expected"]), int(saved["unused"])
+        self._strays, self._counts = int(saved["strays"]), int(saved["counts"])
+        self._held = [Line(*entry) for entry in saved["held"]]
+        self._recent = deque((Line(*entry) for entry in saved["recent"]), REMEMBERED)
+        self._period.restore(saved["period"])
+
+    def take(self, line: Line) -> list[Found]:
+        """The samples and skipped lines that are known after a line, in the order of time."""
+        if math.isnan(line.time):
+            return [self._skip(line.problem)]
+        self._period.line(line.time)
+        if math.isnan(self._expected):
+            self._expected = line.time
+        place = self._place(line.time)
+        if place is not None:
+            return self._regular(line, place)
+        if line.problem:
+            return [self._skip(line.problem)]
+        return self._irregular(line)
+
+    def end(self) -> list[Found]:
+        """The lines that were held to the end."""
+        return self._drop_held()
+
+    def _offset(self, time: float) -> float:
+        return (time - self._expected) / self.dt
+
+    def _place(self, time: float) -> int | None:
+        """The place of a line, in samples after the expected one; unusable lines may have the places before it."""
+        offset = self._offset(time)
+        place = min(max(0, round(offset)), self._unused + len(self._held))
+        return place if abs(offset - place) < NEAR else None
+
+    def _regular(self, line: Line, place: int) -> list[Found]:
+        found: list[Found] = [Sample(self._expected + k * self.dt, math.nan, self._counts) for k in range(place)]
+        self._expected += place * self.dt
+        self._period.slots(place)
+        held, self._held = self._held, []
+        # lines with an old time and new values are samples of a clock that was set back by a few periods
+        late = sum(other.time < self._expected - NEAR * self.dt and other not in self._recent for other in held)
+        found += self._accept(line, late)
+        for other in held:  # two lines that changed places
+            fits = abs(self._offset(other.time)) < 0.5
+            found += self._accept(other) if fits else [self._stray(other)]
+        self._unused = 0
+        return found
+
+    def _accept(self, line: Line, missing: int = 0, jump: float = 0.0) -> list[Found]:
+        """The line is the expected sample."""
+        grid = self._expected + FOLLOW * (line.time - self._expected)
+        self._expected, self._strays = grid + self.dt, 0
+        self._period.sample(line.time)
+        if line.problem:
+            lost = Sample(line.time, math.nan, self._counts, missing, jump)
+            return [Skipped(line.time, BAD, line.problem), lost]
+        self._counts = line.counts
+        self._recent.append(line)
+        return [Sample(line.time, line.u, line.counts, missing, jump)]
+
+    def _irregular(self, line: Line) -> list[Found]:
+        """Holds a line, until it is known whether the next ones follow it."""
+        follows = bool(self._held) and SOONEST < (line.time - self._held[-1].time) / self.dt < LATEST
+        found = [] if follows else self._drop_held()
+        self._held.append(line)
+        self._strays += 1
+        if self._strays >= MOST_STRAYS:
+            raise UsageError(
+                f"{MOST_STRAYS} lines in a row have a time that fits nowhere, the last {line.time:.9g} s: correct the "
+                f"time column, which must step by {self.dt:.6g} s, or leave it out and give [record] dt"
+            )
+        needed = AHEAD if self._held[0].time > self._expected else LATE
+        return found + self._restart_grid() if len(self._held) >= needed else found
+
+    def _restart_grid(self) -> list[Found]:
+        """The held lines are a new grid."""
+        (first, *others), self._held, self._unused = self._held, [], 0
+        jump = first.time - self._expected
+        gap = 0 < jump <= LONGEST_GAP
+        missing = max(1, round(jump / self.dt)) if gap else 0
+        self._expected = first.time
+        if gap:
+            self._period.slots(missing)
+        else:
+            self._period.restart()
+        found = self._accept(first, missing, 0.0 if gap else jump)
+        for line in others:
+            lost = max(0, round(self._offset(line.time)))
+            self._expected += lost * self.dt
+            self._period.slots(lost)
+            found += self._accept(line, lost)
+        return found
+
+    def _drop_held(self) -> list[Found]:
+        held, self._held = self._held, []
+        self._unused += len(held)
+        return [self._stray(line) for line in held]
+
+    def _stray(self, line: Line) -> Skipped:
+        expected = self._expected
+        kind, problem = (BAD, "later") if line.time > expected else (REPEATED, "earlier")
+        return Skipped(expected, kind, f"its time {line.time:.9g} s is {problem} than the expected {expected:.9g} s")
+
+    def _skip(self, problem: str) -> Skipped:
+        self._unused += 1
+        return Skipped(0.0 if math.isnan(self._expected) else self._expected, BAD, problem)

@@ -1,0 +1,191 @@
+"""Transfer functions: from records to a result, and the search for a structure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from pmfid.config.axis import Axis, check_sampling
+from pmfid.config.record import NO_ENCODER
+from pmfid.diagnostics.free_run import FreeRun, process_run
+from pmfid.diagnostics.processes import IGNORED, assess, check_known, doubts, findings_on, flags_on, search_notes
+from pmfid.encoder import Encoder, fine_counts
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.configuration import construct_estimator
+from pmfid.estimators.cutoff import choose_prefilter_zeros
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.registry import ESTIMATORS, methods_for
+from pmfid.estimators.srivc import SAME_PERIOD, ProcessSolver, make_problem, process_of, with_dead_time
+from pmfid.findings import make_notes, sort_findings
+from pmfid.io.tables import Table
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.order import DELAYS, ORDERS, UNSTABLE, OrderCandidate, Search, accepted_first, search_structure
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
+from pmfid.pipeline.result import ProcessResult, delay_of, expects_unstable
+from pmfid.pipeline.stored import Stored
+from pmfid.records.record import experiment_of, read_experiment
+from pmfid.status import Status, status_findings
+from pmfid.types import Floats
+
+AUTOMATIC = "srivc"
+#: Methods that take several records, gaps, missing samples and uneven spacing.
+FREE = ", ".join(name for name, cls in ESTIMATORS.items() if issubclass(cls, ProcessSolver))
+
+
+class Processes(Kind[Sequence[Experiment]]):
+    """Transfer functions: one estimate from one or more records."""
+
+    on_line: ClassVar[str] = "rsrivc"
+
+    def check_on_line(self, axis: Axis) -> None:
+        if axis.record.hold != "zoh":
+            raise UsageError(
+                f'{axis.estimator.method} takes a held input, [record] hold = "zoh", got {axis.record.hold!r}: sample '
+                "by sample the next value of a line is not known"
+            )
+
+    def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> list[Experiment]:
+        if quantize is not None:
+            raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
+        return [read_experiment(path, axis) for path in paths]
+
+    def read_table(self, table: Table, axis: Axis) -> Sequence[Experiment]:
+        return [experiment_of(table, axis)]
+
+    def name_and_samples(self, data: Sequence[Experiment]) -> tuple[str, int]:
+        return ", ".join(experiment.name for experiment in data), sum(part.u.size for part in data)
+
+    def free_runs(self, data: Sequence[Experiment], axis: Axis, theta: Floats) -> list[FreeRun]:
+        resolution = axis.encoder.resolution
+        encoder = None if resolution == NO_ENCODER else resolution / np.sqrt(12.0)
+        return [process_run(simulator(axis, part.period, resolution), theta, part, encoder) for part in data]
+
+    def check_known(self, stored: Stored, data: Sequence[Experiment], axis: Axis) -> None:
+        model = axis.model.make()
+        if isinstance(model, TransferFunction) and not isinstance(model.dead_time, str):
+            stored.check_known("dead_time", model.delay * data[0].period + model.dead_time)
+
+    def estimate(self, data: Sequence[Experiment], axis: Axis, progress: Progress | None = None) -> ProcessResult:
+        estimator = make_process_estimator(data, axis)
+        method = estimator.method
+        if isinstance(estimator, ProcessSolver):
+            fit = estimator.fit_experiments(data)
+            theta, cov, bits = fit.theta, fit.theta_cov, fit.status
+        else:
+            theta, cov, bits = _from_counts(estimator, data)
+        problem = make_problem(with_dead_time(estimator, theta), data)
+        scaled = theta[: problem.structure.size] / problem.structure.scale(problem.rate)
+        checks = assess(problem, scaled, delay_of(estimator))
+        process = process_of(estimator, theta, cov)
+        check_known(estimator, theta, cov, checks)
+        std, unstable = np.sqrt(np.diagonal(cov)), expects_unstable(estimator)
+        referenced = problem.referenced and isinstance(estimator, ProcessSolver)
+        flags = flags_on(checks, process, referenced, unstable)
+        found = [*findings_on(data, checks, process, flags, unstable), *doubts(estimator, theta, std, checks)]
+        found += make_notes("reference", [IGNORED.format(method=method)] * (problem.referenced and not referenced))
+        findings = sort_findings((*status_findings(bits), *found))
+        return ProcessResult(estimator, theta, std, findings, tuple(data), process, checks)
+
+
+def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:
+    """The estimator that a configuration asks for, at the period of the first record."""
+    model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
+    check_sampling(axis, dt)
+    if any(abs(experiment.period / dt - 1) > SAME_PERIOD for experiment in experiments):
+        raise UsageError("the records differ in their sample period; decimate them to one, or identify them one by one")
+    method = method_of(axis, AUTOMATIC)
+    if method not in methods_for(model):
+        raise UsageError(f"{method} is not for a transfer function; use one of {', '.join(methods_for(model))}")
+    cls = ESTIMATORS[method]
+    options = settings(axis, cls)
+    if method in ("known-step", "rknown-step"):
+        if axis.encoder.resolution == NO_ENCODER:
+            raise UsageError(f"{method} needs the step of the encoder or converter; give [encoder] resolution")
+        options["noise_std"] = axis.encoder.resolution / np.sqrt(12.0)
+    own = {"model": model, "encoder": Encoder(axis.encoder.resolution), "dt": dt, "cutoff": config.pole}
+    estimator = construct_estimator(cls, own | options)
+    if cls.instrumental and config.prefilter_zeros is None:
+        encoder, counts = fine_counts(_plain(experiments, method).y)
+        zeros = choose_prefilter_zeros(replace(estimator, encoder=encoder), experiments[0].u, counts)
+        return replace(estimator, prefilter_zeros=zeros)
+    return estimator
+
+
+def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
+    """The single record. Raises UsageError unless it is evenly spaced and complete."""
+    first = experiments[0]
+    stretches = first.stretches()
+    whole = len(stretches) == 1 and stretches[0].grid.uniform and stretches[0].rows.size == first.u.size
+    if len(experiments) > 1 or not whole or not np.all(np.isfinite(first.u)) or first.hold != "zoh":
+        raise UsageError(
+            f"{method} takes one evenly spaced record without gaps or missing samples and with a held input; use {FREE}"
+        )
+    return first
+
+
+def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tuple[np.ndarray, np.ndarray, int]:
+    """theta, covariance and status of a method on the kernel's columns."""
+    record = _plain(experiments, estimator.method)
+    if isinstance(estimator, BatchEstimator):
+        fit = estimator.fit_output(record.u, record.y)
+        return fit.theta, fit.theta_cov, fit.status
+    if not isinstance(estimator, RecursiveEstimator):
+        raise UsageError(f"{estimator.method} is not for a transfer function")
+    encoder, counts = fine_counts(record.y)
+    track = replace(estimator, encoder=encoder).run(record.u, counts)
+    last = int(track.status[-1])
+    if last & Status.STARTING:
+        raise NotIdentifiableError("the record ends before there is an estimate; record longer, or raise the cutoff")
+    occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.RESET)
+    return track.theta[-1], np.diag(track.theta_std[-1] ** 2), occurred | (last & ~int(Status.SETTLING))
+
+
+def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None) -> Search:
+    """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
+    cutoff, offset = axis.estimator.pole, axis.model.offset
+    check_sampling(axis, experiments[0].period)
+    found = search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
+    return accepted_first(found, lambda candidate: refusal(experiments, axis, candidate))
+
+
+def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandidate) -> str:
+    """The reason against a structure: no estimate, or none to recommend; "" without a reason."""
+    places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
+    model = axis.model.model_copy(update={"kind": "transfer_function", **places})
+    try:
+        result = Processes().estimate(experiments, axis.model_copy(update={"model": model}))
+    except NotIdentifiableError as error:
+        return str(error)
+    return UNSTABLE if "unstable" in result.status else ""
+
+
+def search_json(search: Search) -> dict[str, object]:
+    """The object that `pmfid order --json` prints."""
+    rows = [
+        {
+            "n": row.n,
+            "m": row.m,
+            "delay": row.delay,
+            "criterion": row.bic - search.best.bic,
+            "fit": row.fit,
+            "condition": row.condition,
+            "settled": row.settled,
+            "white": row.white,
+            "refused": row.refused or None,
+        }
+        for row in search.candidates
+    ]
+    best = rows[0]
+    return {
+        "best": {key: best[key] for key in ("n", "m", "delay")},
+        "candidates": rows,
+        "skipped": search.skipped,
+        "notes": search_notes(search),
+    }

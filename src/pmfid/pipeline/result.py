@@ -1,0 +1,363 @@
+"""The result of an identification: parameters, intervals, findings."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol, Self
+
+import numpy as np
+
+from pmfid.diagnostics.matter import NORMAL_95, Matter, weigh_findings
+from pmfid.diagnostics.processes import Assessment
+from pmfid.errors import place_of
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.known import Known, choose_naming
+from pmfid.estimators.results import Fit, Track
+from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.linear.experiment import Experiment
+from pmfid.linear.process import Process
+from pmfid.models.transfer_function import TransferFunction
+from pmfid.presentation import Parameters, Presentable, Summary, plain_dict
+from pmfid.records.record import Record
+from pmfid.types import Floats
+
+UNKNOWN = "–"
+#: Columns with spaces, which may take several lines.
+FOLDED = ("model spread", "95 %")
+
+
+class Parametric(Protocol):
+    """The p parameters of a `Result`: theta, theta_std, model_spread (p,), interval_95 (p, 2); beforehand: by name,
+    which prior information there is."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+    @property
+    def theta(self) -> Floats: ...
+    @property
+    def theta_std(self) -> Floats: ...
+    @property
+    def model_spread(self) -> Floats | None: ...
+    @property
+    def interval_95(self) -> Floats | None: ...
+    @property
+    def beforehand(self) -> Mapping[str, str]: ...
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
+
+
+def parameter_header(result: Parametric) -> tuple[str, ...]:
+    """The names of the columns of `parameter_rows`."""
+    beyond = () if result.model_spread is None else FOLDED
+    return ("parameter", "value", "std", *beyond, "unit")
+
+
+def parameter_rows(result: Parametric) -> list[list[str]]:
+    """One row of text for each parameter; of a machine also the model spread and the interval that includes it."""
+    names, units = result.names, result.units
+    found = zip(names, result.theta, result.theta_std, _list_beyond_noise(result), units, strict=True)
+    return [
+        [_format_name(result, name), f"{value:.6g}", f"{std:.2g}", *beyond, unit]
+        for name, value, std, beyond, unit in found
+    ]
+
+
+def findings_lines(result: Parametric) -> list[str]:
+    """The findings, most important first, a paragraph each."""
+    return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
+
+
+def _format_name(result: Parametric, name: str) -> str:
+    known = result.beforehand.get(name)
+    return name if known is None else f"{name} ({known})"
+
+
+def format_interval(low: float, high: float) -> str:
+    """An interval with the digits that its width needs, five at least."""
+    width, size = high - low, max(abs(low), abs(high))
+    digits = 5 if not width > 0 else max(5, min(15, 2 + math.ceil(math.log10(size / width))))
+    return f"{low:.{digits}g} to {high:.{digits}g}"
+
+
+def _list_beyond_noise(result: Parametric) -> list[list[str]]:
+    if result.model_spread is None or result.interval_95 is None:
+        return [[]] * len(result.names)
+    return [
+        [f"{spread:.2g}", format_interval(low, high)] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
+        for spread, (low, high) in zip(result.model_spread, result.interval_95, strict=True)
+    ]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Presentable):
+    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: on the parameters
+    and the record, most important first. `result["mass"]` is one parameter.
+
+    theta_std covers errors that vary from record to record. model_spread (p,), of machines: root mean square change of
+    the parameters by unmodelled effects; NaN: not known, as for an equation that nothing simulates.
+    """
+
+    estimator: Estimator
+    theta: Floats
+    theta_std: Floats
+    findings: tuple[Finding, ...]
+    model_spread: Floats | None = field(default=None, kw_only=True)
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """The words of the findings that are more than notes."""
+        return codes(self.findings)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings as sentences for people."""
+        return texts(self.findings)
+
+    def with_findings(self, *further: Finding) -> Self:
+        """The same result with further findings."""
+        return replace(self, findings=sort_findings((*further, *self.findings)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters (p,): those of the estimator, and an estimated input gain."""
+        return self.estimator.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.estimator.units
+
+    @property
+    def beforehand(self) -> dict[str, str]:
+        """By parameter, its prior information: "given" or "prior"."""
+        return {}
+
+    @property
+    def interval_95(self) -> Floats | None:
+        """(p, 2): intervals that hold the parameters in 95 % of the records, with the model spread. NaN: not known;
+        None: there is no model spread. The interval of a positive mass or friction does not extend below zero."""
+        if self.model_spread is None:
+            return None
+        half = NORMAL_95 * np.hypot(self.theta_std, self.model_spread)
+        positive = np.zeros(self.theta.size, dtype=bool)
+        positive[: len(self.estimator.equation.names)] = self.estimator.equation.positive
+        low = self.theta - half
+        return np.column_stack([np.where(positive & (self.theta > 0) & (low < 0), 0.0, low), self.theta + half])
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """The name of the record, or the names of all records."""
+
+    @property
+    @abstractmethod
+    def samples(self) -> int:
+        """Number of samples of the output."""
+
+    @abstractmethod
+    def particulars(self) -> dict[str, object]:
+        """The entries of `to_json` that only this kind of result has."""
+
+    def __getitem__(self, name: str) -> float:
+        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        return float(self.theta[place_of(name, self.names)])
+
+    def __str__(self) -> str:
+        """A line for each parameter, then the status and the findings."""
+        lines = [self.title, *(f"  {line}" for line in self._lines)]
+        lines += [f"  95 % with unmodelled effects: {line}" for line in self._list_beyond_noise()]
+        return "\n".join([*lines, *self._remarks])
+
+    @property
+    def title(self) -> str:
+        return f"{self.name}: {self.estimator.method}, {self.samples} samples"
+
+    @property
+    def _lines(self) -> list[str]:
+        """One line for each parameter."""
+        known = {name: f" ({kind})" for name, kind in self.beforehand.items()}
+        lines = Parameters(self.names, self.units, self.theta, self.theta_std).lines
+        return [line + known.get(name, "") for name, line in zip(self.names, lines, strict=True)]
+
+    @property
+    def _remarks(self) -> list[str]:
+        """The status, and a line for each finding."""
+        status = [f"status: {', '.join(self.status)}"] if self.status else []
+        return [*status, *(finding.line for finding in self.findings)]
+
+    def summary(self) -> Summary:
+        return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter; of a machine with model_spread, and low and high of the interval of 95 %."""
+        own = Parameters(self.names, self.units, self.theta, self.theta_std).columns
+        if self.model_spread is None or self.interval_95 is None:
+            return own
+        low, high = self.interval_95.T
+        return own | {"model_spread": self.model_spread, "low": low, "high": high}
+
+    def to_dict(self) -> dict[str, object]:
+        """The object that `--json` prints, as plain values."""
+        return plain_dict(self.to_json())
+
+    def _list_beyond_noise(self) -> list[str]:
+        """One line for each parameter with a known model spread."""
+        if self.model_spread is None or self.interval_95 is None:
+            return []
+        rows = zip(self.names, self.model_spread, self.interval_95, strict=True)
+        return [
+            f"{name} {low:.6g} to {high:.6g} (model spread {spread:.2g})"
+            for name, spread, (low, high) in rows
+            if np.isfinite(spread)
+        ]
+
+    def _describe_beyond_noise(self) -> dict[str, dict[str, object]]:
+        """By parameter, its entries of `to_json` on the model spread; null: not known."""
+        names = self.names
+        if self.model_spread is None or self.interval_95 is None:
+            return {name: {} for name in names}
+        return {
+            name: {
+                "model_spread": float(spread) if np.isfinite(spread) else None,
+                "interval_95": interval.tolist() if np.all(np.isfinite(interval)) else None,
+            }
+            for name, spread, interval in zip(names, self.model_spread, self.interval_95, strict=True)
+        }
+
+    def to_json(self) -> dict[str, object]:
+        """The object that `--json` prints."""
+        estimator = self.estimator
+        rows = zip(self.names, self.units, self.theta, self.theta_std, strict=True)
+        further = self._describe_beyond_noise()
+        return {
+            "model": estimator.model.kind,
+            "method": estimator.method,
+            "samples": self.samples,
+            "dt": estimator.dt,
+            "cutoff": estimator.cutoff,
+            "parameters": {
+                name: {"value": float(value), "std": float(std), "unit": unit, **further[name]}
+                for name, unit, value, std in rows
+            },
+            **self.particulars(),
+            "status": list(self.status),
+            "notes": list(self.notes),
+            "findings": [finding.to_json() for finding in self.findings],
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DriveResult(Result):
+    """The result of a machine with friction. relative_error: of the filtered equation at theta; fit or track: details
+    of an off-line or a recursive method, without prior information; known: prior information; matter: how far
+    unmodelled effects may move the parameters, which decides the status."""
+
+    record: Record
+    relative_error: float
+    matter: Matter
+    fit: Fit | None = None
+    track: Track | None = None
+    known: Known | None = None
+
+    def with_findings(self, *further: Finding) -> Self:
+        return super().with_findings(*weigh_findings(further, self.matter))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return choose_naming(self.estimator, self.known).names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return choose_naming(self.estimator, self.known).units
+
+    @property
+    def beforehand(self) -> dict[str, str]:
+        if self.known is None:
+            return {}
+        return dict.fromkeys(self.known.given, "given") | dict.fromkeys(self.known.prior, "prior")
+
+    @property
+    def name(self) -> str:
+        return self.record.name
+
+    @property
+    def samples(self) -> int:
+        return int(self.record.u.size)
+
+    def particulars(self) -> dict[str, object]:
+        beforehand: dict[str, object] = {}
+        if self.known is not None:
+            priors = {name: list(pair) for name, pair in self.known.prior.items()}
+            beforehand = {"given": dict(self.known.given), "prior": priors}
+        return {
+            "equation": self.estimator.equation.text,
+            "input_gain": self.estimator.equation.input_gain,
+            "fit": {"relative_error": self.relative_error},
+            "prefilter_zeros": list(self.estimator.zeros),
+            **beforehand,
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ProcessResult(Result):
+    """The result of a transfer function, which `process` is; assessment: fit and residual tests over all records."""
+
+    experiments: tuple[Experiment, ...]
+    process: Process
+    assessment: Assessment
+
+    @property
+    def name(self) -> str:
+        return ", ".join(experiment.name for experiment in self.experiments)
+
+    @property
+    def samples(self) -> int:
+        return sum(part.size for part in self.assessment.samples)
+
+    @property
+    def title(self) -> str:
+        return f"{super().title}, {self.fit_text}"
+
+    @property
+    def delay(self) -> int:
+        return delay_of(self.estimator)
+
+    @property
+    def fit(self) -> float | None:
+        """The fit of the assessment [%]; None for an unexpectedly unstable process, whose simulation means nothing."""
+        expected = expects_unstable(self.estimator)
+        return None if np.any(self.process.poles.real > 0) and not expected else self.assessment.fit
+
+    @property
+    def fit_text(self) -> str:
+        return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
+
+    def particulars(self) -> dict[str, object]:
+        """Poles and zeros as [real, imaginary], fit in percent."""
+        process, checks = self.process, self.assessment
+        return {
+            "records": [experiment.name for experiment in self.experiments],
+            "delay": self.delay,
+            "dead_time": process.delay,
+            **dict(zip(self.estimator.names, self.theta.tolist(), strict=True)),
+            "poles": [[pole.real, pole.imag] for pole in process.poles.tolist()],
+            "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
+            "gain": process.gain if np.isfinite(process.gain) else None,
+            "time_constants": [tau if np.isfinite(tau) else None for tau in process.time_constants.tolist()],
+            "fit": self.fit,
+            "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
+        }
+
+
+def delay_of(estimator: Estimator) -> int:
+    """The known dead time of a transfer function [samples]."""
+    return estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
+
+
+def expects_unstable(estimator: Estimator) -> bool:
+    """Does the model allow poles in the right half-plane?"""
+    return isinstance(estimator.model, TransferFunction) and estimator.model.unstable

@@ -1,0 +1,129 @@
+"""RESULT.json: the parameters that an identification has written, validated on load.
+
+The model must be the one that AXIS.toml describes, and every value must be a number."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pmfid.errors import UsageError, printable
+from pmfid.types import Floats
+
+__all__ = ["Stored", "read_stored"]
+
+#: Largest file that is read [bytes]: a result has some kilobytes.
+LARGEST = 10_000_000
+REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
+SAME_AXIS = "give the AXIS.toml that it was identified with"
+#: Most letters of a text from the file in a message.
+LONGEST = 150
+#: Relative difference below which a number from a file and a configured one are the same.
+SAME = 1e-6
+#: Prefixes of names that are no parameters of the motion: unknowns of a pre-filter, and an estimated input gain, which
+#: has a check of its own.
+NOT_OF_MOTION = ("prefilter_", "input_gain")
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
+
+
+class _Parameter(_Section):
+    value: float
+    std: float | None = None
+    unit: str | None = None
+
+
+class _File(_Section):
+    model: str
+    parameters: dict[str, _Parameter] = Field(min_length=1)
+    method: str = "given"
+    input_gain: float | None = None
+    dead_time: float | None = None
+    equation: str | None = None
+
+
+@dataclass(frozen=True)
+class Stored:
+    """Parameters and units of a file; kind: of the model; method: of the estimate; input_gain, dead_time [s], equation:
+    known at the time of the estimate, None if the file does not have them; source: name of the file."""
+
+    kind: str
+    method: str
+    values: Mapping[str, float]
+    units: Mapping[str, str]
+    input_gain: float | None
+    dead_time: float | None
+    equation: str | None
+    source: str
+
+    def theta(self, kind: str, names: Sequence[str], units: Sequence[str]) -> Floats:
+        """(p,) the parameters in the order of a model's names. Raises UsageError for the parameters of another
+        model."""
+        if self.kind != kind:
+            self._refuse(f'it is of kind = "{self.kind}", and [model] of kind = "{kind}"; {SAME_AXIS}')
+        own = [name for name in self.values if name in names or not name.startswith(NOT_OF_MOTION)]
+        missing = [name for name in names if name not in own]
+        foreign = [name for name in own if name not in names]
+        if missing or foreign:
+            differences = [f"has no {', '.join(missing)}"] * bool(missing)
+            differences += [f"has {', '.join(foreign)}"] * bool(foreign)
+            self._refuse(f"it {' and '.join(differences)}, and [model] has {', '.join(names)}; {SAME_AXIS}")
+        for name, unit in zip(names, units, strict=True):
+            if self.units.get(name, unit) != unit:
+                self._refuse(f"{name} is in {self.units[name]!r} there and in {unit!r} in [model]; {SAME_AXIS}")
+        return np.array([self.values[name] for name in names])
+
+    def check_known(self, what: str, value: float) -> None:
+        """Raises UsageError if `what`, "input_gain" or "dead_time", had another value at the time of the estimate."""
+        then = self.input_gain if what == "input_gain" else self.dead_time
+        if then is not None and not abs(then - value) <= SAME * max(abs(then), abs(value)):
+            self._refuse(f"it was identified with {what} = {then:.9g}, and [model] has {value:.9g}; {SAME_AXIS}")
+
+    def check_equation(self, text: str) -> None:
+        """Raises UsageError for the parameters of another equation: the names do not show a known dead time, the speed
+        of a friction or the pitch of a force."""
+        if self.equation is not None and self.equation != text:
+            stored = printable(" ".join(self.equation.split()))[:LONGEST]
+            self._refuse(f"it was identified with {stored}, and [model] says {text}; {SAME_AXIS}")
+
+    def _refuse(self, text: str) -> NoReturn:
+        raise UsageError(f"{self.source}: {text}")
+
+
+def read_stored(path: Path) -> Stored:
+    """The parameters in the file at `path`. Raises UsageError with the first problem of a file that is no result."""
+    try:
+        if path.stat().st_size > LARGEST:
+            raise UsageError(f"{path}: more than {LARGEST} bytes are no result; {REMEDY}")
+        raw = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_number)
+        found = _File.model_validate(raw)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot read the result: {error.strerror}; {REMEDY}") from None
+    except ValidationError as error:
+        raise UsageError(f"{path}: {_first(error)}; {REMEDY}") from None
+    except (ValueError, RecursionError, OverflowError) as error:
+        raise UsageError(f"{path}: not a result in JSON: {' '.join(str(error).split())}; {REMEDY}") from None
+    values = {name: entry.value for name, entry in found.parameters.items()}
+    units = {name: entry.unit for name, entry in found.parameters.items() if entry.unit is not None}
+    known = found.input_gain, found.dead_time, found.equation
+    return Stored(found.model, found.method, values, units, *known, str(path))
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no number")
+
+
+def _first(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    place = ".".join(str(part) for part in problem["loc"]) or "the file"
+    if problem["type"] == "missing":
+        return f"{place} is missing"
+    return f"{place}: {problem['msg'].replace('Input should', 'it should')}"

@@ -1,0 +1,460 @@
+"""The search for the terms of a drive's equation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+
+from pmfid.config.axis import Axis, check_sampling
+from pmfid.diagnostics.balance import Balance, make_balance
+from pmfid.diagnostics.matter import weigh_findings
+from pmfid.diagnostics.term_fits import Bench, choose_cutoff, shortest_part
+from pmfid.diagnostics.term_trials import Trial, known_shapes
+from pmfid.diagnostics.terms import FittedCandidate, Terms, changed_fields, search
+from pmfid.diagnostics.verdict import verdict
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import MISSED, PARTS, PeriodicForce, setting, weigh
+from pmfid.estimators.batch import check_identifiable
+from pmfid.estimators.configuration import change_arguments, like
+from pmfid.estimators.ls import LS
+from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.results import Fit
+from pmfid.findings import Finding, codes, texts
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
+from pmfid.pipeline.drives import Drives, all_known, match_kind
+from pmfid.pipeline.identify import explain_error, identify
+from pmfid.pipeline.kinds import Progress
+from pmfid.pipeline.known import check_numbers_known
+from pmfid.pipeline.result import DriveResult
+from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
+from pmfid.records.joining import unbroken
+from pmfid.records.outliers import repair_as_configured
+from pmfid.records.record import Record
+
+#: Part of the motion that counts as slow.
+SLOW = 1 / 3
+
+
+@dataclass(frozen=True, eq=False)
+class NestedModel:
+    """One of the compared models.
+
+    added: keys of [model] and values that differ from the first model; fit: None without standard errors; error: of
+    free runs over samples that the fit did not use [unit of y], infinite without such runs; unexplained: parts of
+    friction and load that the model leaves, over the whole motion and its slow part, NaN if not known.
+    """
+
+    added: dict[str, object]
+    trial: Trial
+    fit: Fit | None
+    error: float
+    balance: Balance | None
+    unexplained: tuple[float, float]
+
+    @property
+    def label(self) -> str:
+        return f"with {format_terms(self.added)}" if self.added else "to begin with"
+
+
+def compare_nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, float]]) -> tuple[NestedModel, ...]:
+    balances = [_balance(bench, trial) for trial, _ in pairs]
+    shares = [_measure_unexplained(balance, balances[-1], pairs[-1][0]) for balance in balances]
+    return tuple(
+        NestedModel(changed_fields(first, trial.model), trial, fit_trial(trial), error, balance, share)
+        for (trial, error), balance, share in zip(pairs, balances, shares, strict=True)
+    )
+
+
+def fit_trial(trial: Trial) -> Fit | None:
+    """The fit of a trial with standard errors; None if it has none."""
+    try:
+        return trial.method.fit_of(trial.best)
+    except NotIdentifiableError:
+        return None
+
+
+def _balance(bench: Bench, trial: Trial) -> Balance | None:
+    try:
+        return make_balance(trial.method, bench.u, bench.counts, trial.theta)
+    except NotIdentifiableError:
+        return None
+
+
+def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
+    """Parts of the resistance to the motion that a model leaves: root mean squares over the motion of the chosen model,
+    and over the slow part of it. The parts are the difference to the chosen model, and the resistance that the chosen
+    model leaves beyond chance by the force balance."""
+    if balance is None or last is None or last.friction is None:
+        return math.nan, math.nan
+    left = last.friction.left
+    beyond = float(np.mean(np.maximum(left.mean**2 - left.error**2, 0.0)))
+    x, v = chosen.difference.motion(chosen.best.q)
+    place, velocity = (x - chosen.difference.slack)[v != 0], v[v != 0]
+    whole = last.resistance(place, velocity)
+    apart = balance.resistance(place, velocity) - whole
+    slow = np.abs(velocity) <= np.quantile(np.abs(velocity), SLOW)
+    every, low = (
+        np.sqrt((np.mean(apart[part] ** 2) + beyond) / np.mean(whole[part] ** 2)) for part in (v[v != 0] != 0, slow)
+    )
+    return float(every), float(low)
+
+
+def format_terms(added: Mapping[str, object]) -> str:
+    """Terms of [model], for people."""
+    named = {key: value for key, value in added.items() if value is not False}
+    return ", ".join(
+        f"{value} {key}" if isinstance(value, str) and value != ESTIMATE else key for key, value in named.items()
+    )
+
+
+def finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedTerm:
+    """A term that was fitted. setting: its lines of [model]; values: name, value, standard error (NaN: not known) and
+    unit of each parameter that the term brings; kept: is it in the chosen model? with_it, without: errors of free runs
+    over samples that the fits did not use [unit of y], not finite without such runs; verdict."""
+
+    setting: str
+    values: tuple[tuple[str, float, float, str], ...]
+    kept: bool
+    with_it: float
+    without: float
+    verdict: str
+
+    def to_json(self) -> dict[str, object]:
+        values = {name: {"value": value, "std": finite(bar), "unit": unit} for name, value, bar, unit in self.values}
+        held_out = {"held_out_with": finite(self.with_it), "held_out_without": finite(self.without)}
+        return {"set": self.setting, "values": values, "kept": self.kept, **held_out, "verdict": self.verdict}
+
+
+def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[WeighedTerm]:
+    """Each term of the chosen model, with the standard errors of `fit`; then the terms that were fitted and not
+    kept."""
+    first, last = found.trials[0].model, dict[str, FittedCandidate]()
+    for step in found.without:
+        yield _weigh_step(step, first, found.chosen, fit)
+    for step in (step for tried in found.steps for step in tried):
+        if step.trial is not None and not step.kept and not step.candidate.change.items() <= found.added.items():
+            last[_setting(step)] = step
+    for step in last.values():
+        if step.trial is not None:
+            yield _weigh_step(step, first, step.trial, fit_trial(step.trial))
+
+
+def _setting(step: FittedCandidate) -> str:
+    return ", ".join(setting(*pair) for pair in step.candidate.change.items())
+
+
+def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | None) -> WeighedTerm:
+    """The weighed term of a step; first: the first model; trial: one with the term."""
+    equation = trial.model.equation
+    rest = change_arguments(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation
+    names, units = (*equation.names, *dict(equation.further)), (*equation.units, *dict(equation.further).values())
+    std = np.full(len(names), np.nan) if fit is None else fit.theta_std
+    rows = zip(names, trial.theta.tolist(), std.tolist(), units, strict=True)
+    values = tuple(row for row in rows if row[0] not in {*rest.names, *dict(rest.further)})
+    return WeighedTerm(_setting(step), values, step.kept, step.error, step.without, step.verdict)
+
+
+#: What the flags of `pmfid identify` do not say.
+AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
+#: Flags of `pmfid identify` whose advice on [model] the search replaces.
+UNMODELLED, LATE = "unmodelled", "dead_time"
+UNEXPLAINED = "something is left that no term of the list explains on data that it was not fitted to"
+#: What is found of the chosen model, and whether it matters.
+Said = tuple[tuple[Finding, ...], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """A term that the chosen model has not, and the size from which on this record would show it."""
+
+    says: str
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TermSearch(Presentable):
+    """What a search has found. name, samples, resolution [unit of y]: of the record; models: from that to begin with to
+    the chosen one; weighed: every term that was fitted, with its size; hidden: terms that are not in it; status, notes:
+    as of a result."""
+
+    name: str
+    samples: int
+    resolution: float
+    terms: Terms
+    models: tuple[NestedModel, ...]
+    weighed: tuple[WeighedTerm, ...]
+    hidden: tuple[Hidden, ...]
+    status: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def chosen(self) -> NestedModel:
+        return self.models[-1]
+
+    @property
+    def model(self) -> Drive:
+        """The chosen model."""
+        return self.chosen.trial.model
+
+    @property
+    def added(self) -> dict[str, object]:
+        """The keys of [model] that the search sets, and their values."""
+        return self.terms.added
+
+    @cached_property
+    def lines(self) -> tuple[str, ...]:
+        """[model] for AXIS.toml."""
+        values = [(field.name, getattr(self.model, field.name), field.default) for field in fields(Drive)]
+        return ("[model]", 'kind = "drive"', *(setting(key, value) for key, value, usual in values if value != usual))
+
+    @property
+    def sentence(self) -> str:
+        """What a person needs."""
+        first = f"{_share(self.models[0])} of friction and load unexplained"
+        if not self.added:
+            return f"No term beyond those of [model] is found; they leave {first}."
+        return f"The terms to begin with leave {first}; with {format_terms(self.added)} {_share(self.chosen)}."
+
+    def to_json(self) -> dict[str, object]:
+        """The object that `--json` prints."""
+        return {
+            "record": self.name,
+            "samples": self.samples,
+            "model": list(self.lines),
+            "added": self.added,
+            "sentence": self.sentence,
+            "models": [_model_json(model, self.resolution) for model in self.models],
+            "terms": [one.to_json() for one in self.weighed],
+            "steps": [[_step_json(step) for step in tried] for tried in self.terms.steps],
+            "hidden": [{"term": one.says, "seen_from": one.size, "unit": one.unit} for one in self.hidden],
+            "status": list(self.status),
+            "notes": list(self.notes),
+        }
+
+    def summary(self) -> Summary:
+        header = ("model", "parameters", "log-likelihood", "unexplained")
+        rows = [
+            (model.label, str(model.trial.theta.size), f"{model.trial.log_likelihood:.6g}", _share(model))
+            for model in self.models
+        ]
+        lines = [f"{label}: log-likelihood {likelihood}" for label, _, likelihood, _ in rows]
+        title = f"{self.name}, {self.samples} samples. {self.sentence}"
+        return Summary(title, header, rows, lines, remarks_of(self.status, self.notes))
+
+    def columns(self) -> dict[str, object]:
+        """A row for each parameter of each of the models."""
+        rows = [
+            (model.label, name, *estimate.values())
+            for model in self.models
+            for name, estimate in _parameters_json(model).items()
+        ]
+        return dict(zip(("model", "parameter", "value", "std"), map(list, zip(*rows, strict=True)), strict=True))
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
+
+
+def _share(model: NestedModel) -> str:
+    whole, slow = model.unexplained
+    known = f"{100 * whole:.2g} % ({100 * slow:.2g} % at low speed)"
+    return known if math.isfinite(whole) else "an unknown part"
+
+
+def _model_json(model: NestedModel, resolution: float) -> dict[str, object]:
+    return {
+        "added": model.added,
+        "log_likelihood": model.trial.log_likelihood,
+        "held_out": finite(model.error),
+        "held_out_counts": finite(model.error / resolution),
+        "unexplained": finite(model.unexplained[0]),
+        "unexplained_slow": finite(model.unexplained[1]),
+        "parameters": _parameters_json(model),
+    }
+
+
+def _parameters_json(model: NestedModel) -> dict[str, dict[str, float | None]]:
+    equation = model.trial.model.equation
+    names = [*equation.names, *(name for name, _ in equation.further)]
+    std = [None] * len(names) if model.fit is None else model.fit.theta_std.tolist()
+    rows = zip(names, model.trial.theta.tolist(), std, strict=True)
+    return {name: {"value": value, "std": error} for name, value, error in rows}
+
+
+def _step_json(step: FittedCandidate) -> dict[str, object]:
+    return {
+        "set": dict(step.candidate.change),
+        "term": step.candidate.says,
+        "score": step.candidate.z,
+        "gain": step.gain,
+        "needed": finite(step.needed),
+        "held_out": finite(step.error),
+        "verdict": step.verdict,
+    }
+
+
+def search_drive(
+    data: Record,
+    axis: Axis,
+    places: Sequence[PeriodicForce] = (),
+    scan: bool = True,
+    other: Record | None = None,
+    done: Progress | None = None,
+) -> TermSearch:
+    """The terms of a drive that a record asks for, beyond those of [model].
+
+    places: forces periodic in the position; scan: look for the pitch of a cogging force; other: a second record of the
+    same machine, which the models are to predict in place of parts of the first. Raises UsageError if the plant is no
+    drive and NotIdentifiableError if the record is too short, or cannot identify the initial model.
+    """
+    data, other = unbroken(data), None if other is None else unbroken(other)
+    axis = match_kind(data, axis)
+    model = axis.model.make()
+    if not isinstance(model, Drive):
+        raise UsageError(
+            f'the terms of a drive are searched; kind = "{axis.model.kind}" has none: set kind = "drive", or use pmfid '
+            "order for the structure of a transfer function"
+        )
+    check_numbers_known(axis, "pmfid terms")
+    axis = _fast_enough(data, axis)
+    Drives().check(data, axis)
+    check_sampling(axis, data.dt)
+    known = repair_as_configured(data, axis)
+    method = _method(model, data, axis)
+    _check(method, known.record)
+    second = repair_as_configured(other, axis).record if other is not None else None
+    pair = None if second is None else (second.u, second.counts)
+    bench = Bench(method, known.record.u, known.record.counts, pair)
+    try:
+        found = search(bench, model, places, scan, done)
+    except NotIdentifiableError as error:
+        raise explain_error(error, Drives().check_record(data, axis)) from None
+    notes = tuple(filter(None, (*data.notes, known.sentence)))
+    own = None if found.added else _judge_initial_model(data, axis)
+    return _assemble_search(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
+
+
+def _judge_initial_model(data: Record, axis: Axis) -> Said | None:
+    """The verdict of `pmfid identify` on the initial model, which the search leaves unchanged."""
+    with suppress(NotIdentifiableError):
+        result = identify(data, axis)
+        if isinstance(result, DriveResult):
+            doubts = tuple(finding for finding in result.findings if finding.severity != "note")
+            return doubts, result.matter.beyond
+    return None
+
+
+def round_up(number: float) -> float:
+    """To three digits, never down."""
+    digit = 10.0 ** (math.floor(math.log10(number)) - 2)
+    return math.ceil(number / digit) * digit
+
+
+def _fast_enough(data: Record, axis: Axis) -> Axis:
+    """With a cutoff: if none is given, one after whose filters a part of the record can be predicted."""
+    found, least = Drives().prepare_axis(data, axis), choose_cutoff(data.u.size // PARTS, data.dt)
+    if axis.estimator.cutoff is not None or least is None or found.estimator.pole >= least:
+        return found
+    return found.model_copy(update={"estimator": found.estimator.model_copy(update={"cutoff": least})})
+
+
+def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
+    return IntervalML(
+        model, axis.encoder.make_encoder(data.resolution), data.dt, axis.estimator.pole, order=axis.estimator.order
+    )
+
+
+def _check(method: IntervalML, record: Record) -> None:
+    """Raises NotIdentifiableError for a record too short or too poor for a search."""
+    n, dt = record.u.size, record.dt
+    needed = PARTS * shortest_part(method)
+    if n < needed:
+        cutoff = choose_cutoff(n // PARTS, dt)
+        shorter = f", or use a cutoff of at least {round_up(cutoff):g} rad/s" if cutoff else ""
+        raise NotIdentifiableError(
+            f"{n} samples are too few to tell terms apart on parts of them: record at least {needed} "
+            f"({needed * dt:.3g} s){shorter}"
+        )
+    seen = like(LS, method, model=method.model.simple)
+    check_identifiable(seen.columns(record.u, record.counts), seen.names, seen.least_part)
+
+
+def _assemble_search(
+    data: Record,
+    bench: Bench,
+    found: Terms,
+    record_notes: tuple[str, ...],
+    status: tuple[str, ...],
+    tolerance: float,
+    own_said: Said | None,
+) -> TermSearch:
+    pairs = zip(found.trials, found.errors, strict=True)
+    models = compare_nested(bench, found.trials[0].model, list(pairs))
+    judged, beyond = own_said or _judge_chosen_model(bench, models[-1], tolerance)
+    unresolved = beyond and (not found.adequacy.adequate or bool(found.refused))
+    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * unresolved
+    notes = tuple(dict.fromkeys((*record_notes, *_sentences(found), *texts(judged))))
+    names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
+    hidden = tuple(_list_hidden(found, found.trials[0].model.equation.motion.force))
+    terms = tuple(weighed_terms(found, models[-1].fit))
+    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, terms, hidden, names, notes)
+
+
+def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:
+    """As on an estimate."""
+    trial = chosen.trial
+    if chosen.fit is None:
+        return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),), True
+    record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
+    asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
+    said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
+    # what to set in [model] the search itself has fitted, and kept or refused
+    own = [
+        replace(one, sentence=UNEXPLAINED) if one.code == UNMODELLED else one for one in said.judged if one.code != LATE
+    ]
+    return weigh_findings(own, said.matter), said.matter.beyond
+
+
+def _sentences(found: Terms) -> Iterator[str]:
+    for kept, other in found.either:
+        own, its = (" and ".join(setting(*pair) for pair in one.candidate.change.items()) for one in (kept, other))
+        yield f"either {own} or {its}: this record does not tell which; a motion at other speeds and strokes would"
+    for step in found.refused:
+        own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
+        yield f"not {own}, though the score asks for it: {step.verdict}"
+    if not found.adequacy.adequate:
+        yield UNEXPLAINED
+
+
+def _list_hidden(found: Terms, force: str) -> Iterator[Hidden]:
+    """Terms that the chosen model does not have; of several forms of a term the one that shows last."""
+    adequacy, sizes = found.adequacy, dict[str, tuple[float, str]]()
+    for candidate, std in zip(adequacy.forces, adequacy.size_std, strict=True):
+        if candidate.changes and candidate.name != "cogging":
+            unit = "s" if candidate.name == "dead_time" else force
+            sizes[candidate.says] = (max(MISSED * float(std), sizes.get(candidate.says, (0.0, ""))[0]), unit)
+    yield from (Hidden(says, size, unit) for says, (size, unit) in sizes.items())
+
+
+def list_periodic_forces(
+    turn: float | None, pitch: Sequence[float], friction_period: float | None
+) -> tuple[PeriodicForce, ...]:
+    """Forces periodic in the position, from the user's periods. Raises UsageError for a period that is not positive."""
+    given = [("gravity", turn), *(("cogging", value) for value in pitch), ("friction_period", friction_period)]
+    known = [(key, value) for key, value in given if value is not None]
+    for key, value in known:
+        if not 0 < value < math.inf:
+            raise UsageError(f"the period of {key} must be a length above 0 in the unit of y, got {value:g}")
+    return tuple(PeriodicForce(key, float(value)) for key, value in known)

@@ -1,0 +1,164 @@
+"""Free runs with a result over other records: one way for every kind of plant, from files and from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.config.axis import Axis
+from pmfid.diagnostics.free_run import FreeRun, Horizon
+from pmfid.errors import UsageError
+from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.pipeline.identify import check, kind_of
+from pmfid.pipeline.kinds import Records, parameters_of
+from pmfid.pipeline.known import set_stored_gain
+from pmfid.pipeline.stored import Stored
+from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
+from pmfid.types import Floats
+
+__all__ = ["Validation", "read_records", "validate_parameters", "validate_stored"]
+
+#: A free run explains the counts if its error is below this multiple of the encoder's error.
+WITHIN = 1.5
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Presentable):
+    """Free runs over one record or more. kind, method: of the model and of its estimate; names, units, theta: (p,) of
+    its parameters; unit: of the output, empty without one; findings: doubts in the model by each record, as from
+    `identify`."""
+
+    kind: str
+    method: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: Floats
+    unit: str
+    runs: tuple[FreeRun, ...]
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """The words of the findings that are more than notes."""
+        return codes(self.findings)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The notes on the free runs and the findings, for people."""
+        own = (note for run in self.runs for note in (*run.notes, *_remarks(run)))
+        return tuple(dict.fromkeys((*own, *texts(self.findings))))
+
+    def to_json(self) -> dict[str, object]:
+        """The object that `--json` prints."""
+        rows = zip(self.names, self.units, self.theta.tolist(), strict=True)
+        return {
+            "model": self.kind,
+            "method": self.method,
+            "parameters": {name: {"value": value, "unit": unit} for name, unit, value in rows},
+            "unit": self.unit,
+            "records": [_as_json(run) for run in self.runs],
+            "status": list(self.status),
+            "notes": list(self.notes),
+        }
+
+    def summary(self) -> Summary:
+        header = ("record", "samples", "error", "fit [%]", "stands still", "unit")
+        return Summary(
+            f"{self.method} against {len(self.runs)} record{'s' * (len(self.runs) != 1)}, simulated from the input",
+            header,
+            [(run.name, str(run.t.size), *_numbers(run), self.unit) for run in self.runs],
+            [self._line(run) for run in self.runs],
+            remarks_of(self.status, self.notes),
+        )
+
+    def _line(self, run: FreeRun) -> str:
+        error, fit, still = _numbers(run)
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{run.name}: error {error}{unit}, fit {fit} %; standing still {still}{unit}; {run.t.size} samples"
+
+    def columns(self) -> dict[str, object]:
+        """A row for each record."""
+        rows = [_as_json(run) for run in self.runs]
+        return {key: [row[key] for row in rows] for key in _as_json(self.runs[0]) if key != "horizons"}
+
+    def to_dict(self) -> dict[str, object]:
+        """What `--json` prints."""
+        return plain_dict(self.to_json())
+
+
+def _numbers(run: FreeRun) -> tuple[str, str, str]:
+    """Root mean square error, fit, and the error of an axis that stands still."""
+    fit = "unknown" if run.fit is None else f"{run.fit:.4g}"
+    return f"{run.rmse:.3g}", fit, f"{run.standstill:.3g}"
+
+
+def _as_json(run: FreeRun) -> dict[str, object]:
+    return {
+        "record": run.name,
+        "samples": int(run.t.size),
+        "start_read": run.read,
+        "rmse": run.rmse,
+        "largest": run.largest,
+        "fit": run.fit,
+        "relative_error": run.relative,
+        "encoder": run.encoder,
+        "mean": run.mean,
+        "standstill": run.standstill,
+        "horizons": [_horizon(horizon) for horizon in run.horizons],
+    }
+
+
+def _horizon(horizon: Horizon) -> dict[str, object]:
+    return {
+        "seconds": horizon.seconds,
+        "runs": horizon.runs,
+        "rmse": horizon.rmse,
+        "standstill": horizon.standstill,
+    }
+
+
+def _remarks(run: FreeRun) -> list[str]:
+    remarks = []
+    if run.encoder is not None and run.rmse <= WITHIN * run.encoder:
+        remarks.append(f"{run.name}: the free run explains every count, the error is that of the encoder")
+    if run.rmse >= min(run.mean, run.standstill):
+        better = [f for f in run.horizons if f.rmse < 0.5 * f.standstill]
+        over = f"; over {better[-1].seconds:g} s it does" if better else ""
+        remarks.append(
+            f"{run.name}: the free run predicts no better than an axis that stands still or a constant{over}"
+        )
+    return remarks
+
+
+def read_records(paths: Sequence[Path], axis: Axis) -> list[Records]:
+    """The records at `paths`, each for itself. Raises UsageError as `identify` does."""
+    return [kind_of(axis).read([path], axis) for path in paths]
+
+
+def validate_stored(stored: Stored, data: Sequence[Records], axis: Axis) -> Validation:
+    """Free runs with the parameters of a file over the records that `read_records` gives. Raises UsageError if the
+    parameters are not of the model of `axis`, or if nothing can be simulated with them."""
+    kind, axis = kind_of(axis), set_stored_gain(axis, stored)
+    theta = stored.theta(axis.model.kind, *parameters_of(axis.model.make()))
+    for record in data:
+        kind.check_known(stored, record, axis)
+    return validate_parameters(stored.method, theta, data, axis)
+
+
+def validate_parameters(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -> Validation:
+    """Free runs with parameters theta (p,) of the model of `axis`, found by `method`, over records. Raises as
+    `validate_stored`."""
+    kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
+    if not data:
+        raise UsageError("there is no record to validate on; give one")
+    asked, axis = axis, kind.prepare_axis(data[0], axis)
+    if not np.all(np.isfinite(theta)):
+        raise UsageError("a parameter is not finite: identify it again")
+    for record in data:
+        kind.check(record, axis)
+    runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))
+    findings = sort_findings(finding for record in data for finding in check(record, asked))
+    return Validation(axis.model.kind, method, names, units, theta, kind.unit_of_output(axis), runs, findings)

@@ -1,0 +1,374 @@
+"""Time stamps: the clock of a record, and where lines are missing."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.errors import UsageError
+from pmfid.types import Flags, Floats
+
+if TYPE_CHECKING:
+    from pmfid.config.record import RecordConfig
+
+__all__ = ["UNITS", "named_unit", "sample_period", "time_factor"]
+
+#: Unit of time -> its length [s].
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+#: Unit -> what may end a column's name, after a separator.
+_NAMES = {
+    "s": r"s|secs?|seconds?",
+    "ms": r"ms|msecs?|millis|milliseconds?",
+    "us": r"[uµμ]s|[uµμ]secs?|micros|microseconds?",
+    "ns": r"ns|nsecs?|nanos|nanoseconds?",
+}
+#: Sample periods of machine axes [s], the first included, the last excluded: drives log every 10 us to 100 ms.
+_SHORTEST, _LONGEST = 0.999e-5, 0.1
+#: Seconds since 1970 at the beginning of 2000 and of 2100.
+EPOCHS = (946_684_800.0, 4_102_444_800.0)
+#: Steps may differ from their median by this part without a note.
+EVEN = 0.1
+#: Steps that differ by less than this part are an even grid without a further test.
+PLAIN = 1e-6
+#: A step is a multiple of another one within this part.
+WHOLE = 0.01
+#: Largest deviation of a stamp from an even grid by chance [sample periods].
+FURTHEST = 0.9
+#: Stamps that are averaged to detect a missing sample; largest mean by chance, in standard deviations.
+GROUP, MOST_BY_CHANCE = 50, 5.0
+#: A period and a time column agree within this part.
+_SAME = 0.01
+
+
+def time_factor(config: RecordConfig) -> float:
+    """Seconds per unit of the time column."""
+    return UNITS[config.time_unit or named_unit(config.time or "") or "s"]
+
+
+def named_unit(name: str) -> str | None:
+    """The unit of time in a column's name, as in "t_ms", "Time [ms]" or "time/us"; None if there is none."""
+    text = name.strip().lower()
+    for unit, pattern in _NAMES.items():
+        if re.search(rf"(?:^|[\s_.,:/(\[-])(?:{pattern})[)\]]?$", text):
+            return unit
+    return None
+
+
+def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
+    """The sample period [s] of an axis' record with the time column (n,), and notes for people.
+
+    Raises UsageError if there is no period, if the steps are uneven, if [record] dt differs, and if no axis has such a
+    period and the configuration does not confirm it.
+    """
+    if time is None:
+        if config.dt is None:
+            raise UsageError("[record] neither time nor dt is there; give one of them")
+        return config.dt, ()
+    median, jitter = _steps_of(time)
+    mean, grid = even_grid(time)
+    if not grid:
+        _check_steps(time, np.diff(time), median)
+        mean = float((time[-1] - time[0]) / (len(time) - 1))
+    if config.dt is not None and _counts_samples(time, config):
+        return config.dt, (f"the time column {config.time!r} counts samples of {config.dt:g} s",)
+    epoch = _epoch(float(time[0]), mean, config)
+    factor = UNITS[epoch] if epoch else time_factor(config)
+    _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
+    notes = [f"time steps vary by up to {jitter:.1%} of their median"] if jitter > 1e-3 else []
+    if grid and jitter > EVEN:
+        notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, which is taken")
+    if factor != 1:
+        unit = next(unit for unit, length in UNITS.items() if length == factor)
+        notes.append(f"the time column {config.time!r} is taken as {unit}: the sample period is {mean * factor:g} s")
+    return mean * factor, tuple(notes)
+
+
+def _steps_of(time: Floats) -> tuple[float, float]:
+    """The median of the steps of stamps (n,), and the largest deviation from the median, as a part of it."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    return median, _furthest(steps, median) / median if median else 0.0
+
+
+def even_grid(time: Floats) -> tuple[float, bool]:
+    """The period of the line through the stamps (n,), in their unit, and whether the stamps scatter by chance around an
+    even grid with one sample for each of its points.
+
+    The grid is even under three conditions. No stamp is off by nearly a period, as a duplicate is. The steps scatter
+    more than the stamps, which errors that add up never do. No group of stamps is off by a quarter of a period, as
+    after a missing sample.
+    """
+    n = time.size
+    if n < GROUP or not np.all(np.isfinite(time)):
+        return 0.0, False
+    k, since = np.arange(n, dtype=np.float64), time - time[0]
+    k -= (n - 1) / 2
+    period = float(np.dot(k, since) * 12 / (n * (n * n - 1.0)))
+    if not period > 0:
+        return 0.0, False
+    if _furthest(np.diff(time), period) < PLAIN * period:
+        return period, True
+    if _misses_lines(time):
+        return period, False
+    since -= np.mean(since)
+    since /= period
+    late = np.subtract(since, k, out=k)
+    del since
+    together = np.convolve(late, np.full(GROUP, 1 / GROUP), mode="valid")
+    furthest, of_group = (_furthest(values, 0.0) for values in (late, together))
+    chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(GROUP)
+    even = furthest < FURTHEST and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
+    return float(period), bool(even)
+
+
+def _misses_lines(time: Floats) -> bool:
+    """Whether steps of stamps (n,) are one or several median steps, and the median is no decimal unit to which stamps
+    are rounded: then lines are missing, even if every tenth is, and the rest looks like a clock of its own."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    if not median > 0 or abs(np.log10(median) - np.rint(np.log10(median))) < PLAIN:
+        return False
+    steps /= median
+    whole = np.rint(steps)
+    return bool(np.all(whole >= 1) and np.any(whole > 1) and np.max(np.abs(steps - whole)) < WHOLE)
+
+
+def _furthest(values: Floats, middle: float) -> float:
+    """The largest distance of the values (n,) from a middle; without a copy, because a long record is large."""
+    return max(float(np.max(values)) - middle, middle - float(np.min(values)))
+
+
+def _counts_samples(time: Floats, config: RecordConfig) -> bool:
+    """Does the time column number the samples?"""
+    unit = config.time_unit or named_unit(config.time or "")
+    return unit is None and bool(time[0] == np.rint(time[0]) and np.all(np.diff(time) == 1.0))
+
+
+def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
+    """The unit in which the first stamp is a date of this century and the step a period of an axis; None without such a
+    unit, or if the unit is known."""
+    if config.time_unit or config.dt is not None or named_unit(config.time or ""):
+        return None
+    dated = [unit for unit, length in UNITS.items() if EPOCHS[0] <= first * length < EPOCHS[1]]
+    return next((unit for unit in dated if _SHORTEST <= step * UNITS[unit] < _LONGEST), None)
+
+
+def _check_unit(
+    step: float, factor: float, config: RecordConfig, epoch: str | None = None, counted: bool = False
+) -> None:
+    """`step` is the mean step of the time column in its own unit; counted: it may count the samples."""
+    if config.dt is not None:
+        if abs(step * factor - config.dt) <= _SAME * config.dt:
+            return
+        fitting = [unit for unit, length in UNITS.items() if abs(step * length - config.dt) <= _SAME * config.dt]
+        remedy = f'give time_unit = "{fitting[0]}"' if fitting else "correct dt, or convert the time column to s"
+        raise UsageError(
+            f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {step:g}; {remedy}"
+        )
+    if epoch or config.time_unit is not None or _SHORTEST <= step * factor < _LONGEST:
+        return
+    if counted:
+        raise UsageError(
+            f"the time column {config.time!r} steps by 1: if it counts the samples, give [record] dt in s, the sample "
+            'period; if it is a time, give [record] time_unit = "ms" (0.001 s), or "s"'
+        )
+    taken = next(unit for unit, length in UNITS.items() if length == factor)
+    others = [unit for unit, length in UNITS.items() if _SHORTEST <= step * length < _LONGEST]
+    ways = " or ".join(f'"{unit}" ({step * UNITS[unit]:g} s)' for unit in others)
+    raise UsageError(
+        f"the time column {config.time!r} steps by {step:g}, a sample period of {step * factor:g} s for an axis if "
+        f"that is in {taken}; give [record] time_unit = {ways + ', or ' if ways else ''}"
+        f'"{taken}" if that is right'
+    )
+
+
+def _check_steps(time: Floats, steps: Floats, median: float) -> None:
+    back = np.flatnonzero(steps <= 0)
+    if len(back):
+        k = back[0]
+        raise UsageError(
+            f"time does not increase strictly: row {k + 2} ({time[k + 1]:.9g}) follows {time[k]:.9g}; "
+            + (
+                "it is a duplicate: drop one of the two rows, or write time with more digits"
+                if steps[k] == 0
+                else _back(k, median)
+            )
+        )
+    gaps = np.flatnonzero(steps > 1.5 * median)
+    if len(gaps):
+        k = gaps[0]
+        raise UsageError(
+            f"time has {len(gaps)} gap{'s' * (len(gaps) > 1)}, steps beyond 1.5 medians of {median:g} s; "
+            f"first after row {k + 1}, t = {time[k]:.9g}; cut the record at the gap"
+        )
+    worst = float(np.max(np.abs(steps - median)) / median)
+    if worst > EVEN:
+        raise UsageError(
+            f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
+            f"resample the record to a fixed rate"
+        )
+
+
+def _back(k: int, median: float) -> str:
+    """The remedy for a time that goes back after step k: usually the logger restarted, rarely rows are mixed."""
+    if median <= 0:
+        return "most rows go back: sort them by time"
+    return (
+        f"if the logger started again there, keep the rows up to {k + 1} or those from {k + 2} on; if rows are mixed, "
+        "sort them"
+    )
+
+
+Number = TypeVar("Number", bound=np.generic)
+#: Longest step without a missing sample, in medians.
+MISSING = 1.5
+#: Largest distance of a step from a whole number of periods on an even grid [periods].
+NEAR = 0.3
+#: Longest step that determines the period [periods]: a pause need not be a whole number.
+SHORT = 5
+#: Relative accuracy of the period.
+SETTLED = 1e-9
+#: Largest standard deviation of stamps around a grid [periods]; random stamps have 0.29.
+SCATTER = 0.2
+#: A row within EARLY periods after another one is odd if no larger part of the rows than RARE is.
+EARLY, RARE = 0.3, 0.001
+#: Most iterations between grid and places.
+TURNS = 5
+#: Least part of the steps of a grid that are single periods.
+SINGLE = 0.3
+#: Longest gap on the grid [samples]. Longer gaps are shortened: the motion restarts after a gap of any length.
+LONGEST = 1000
+
+
+@dataclass(frozen=True)
+class PlacedRows:
+    """The used rows (m,) of a record, the places (m,) of these samples on a grid of period dt [s], and notes for
+    people."""
+
+    rows: NDArray[np.intp]
+    places: NDArray[np.intp]
+    dt: float
+    notes: tuple[str, ...]
+
+    @property
+    def whole(self) -> bool:
+        """Does every place have its sample?"""
+        return bool(self.places.size == self.places[-1] + 1)
+
+
+def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig) -> PlacedRows:
+    """The rows `kept` (N,) on a grid, by time (N,) in the unit of its column or at a constant period. repeated (N,):
+    rows with the values of the previous row. Raises UsageError for a time without an even grid."""
+    if time is None:
+        rows = np.flatnonzero(kept)
+        return PlacedRows(rows, _shorten_gaps(rows), *sample_period(None, config))
+    rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
+    rows, early = _drop_early(time, rows)
+    stamps, places = _take_rows(time, rows), None
+    if not (_steady(stamps) or even_grid(stamps)[1]):
+        found = _places(stamps)
+        if found is not None:
+            places, period = found
+            stamps = stamps[0] + period * np.arange(places[-1] + 1)
+    dt, notes = sample_period(stamps, config)  # which refuses what is on no grid
+    counts = kept[rows]
+    places = np.flatnonzero(counts) if places is None else places[counts]
+    return PlacedRows(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
+
+
+def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:
+    """The values (N,) at rising rows (n,); no copy if these are all rows."""
+    return values if rows.size == values.size else values[rows]
+
+
+def left_out(
+    time: Floats | None, samples: int, config: RecordConfig, mask: Floats | None
+) -> tuple[Flags, tuple[str, ...]]:
+    """(N,): the rows that [record] mask and exclude leave out, and notes for people; mask (N,): that column."""
+    out, notes = np.zeros(samples, bool), []
+    if mask is not None:
+        out |= ~(mask == 0)
+        notes.append(f"{np.count_nonzero(out)} rows are left out by the mask {config.mask!r}")
+    if config.exclude:
+        t = np.arange(samples) * (config.dt or 0.0) if time is None else time * time_factor(config)
+        inside = np.zeros(samples, bool)
+        for first, last in config.exclude:
+            inside |= (t >= first) & (t <= last)
+        notes.append(f"{np.count_nonzero(inside)} rows are left out by exclude")
+        out |= inside
+    return out, tuple(notes)
+
+
+def _steady(time: Floats) -> bool:
+    """Does the time (n,) rise without a step in which samples are missing?"""
+    steps = np.diff(time)
+    return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= MISSING * np.median(steps))
+
+
+def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """The rows without repetitions of the previous row with the same time."""
+    again = np.r_[False, np.diff(_take_rows(time, rows)) == 0] & _take_rows(repeated, rows)
+    count = int(np.count_nonzero(again))
+    if not count:
+        return rows, ()
+    note = "rows repeat the row before, time and all: they are" if count > 1 else "row repeats the row before: it is"
+    return rows[~again], (f"{count} {note} left out",)
+
+
+def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """The rows without the few that closely follow another one, as at the start of a logger: no grid has a place for
+    them."""
+    steps = np.diff(_take_rows(time, rows))
+    early = np.r_[False, (steps > 0) & (steps < EARLY * np.median(steps))] if steps.size else np.zeros(rows.size, bool)
+    count = int(np.count_nonzero(early))
+    if not 0 < count <= max(1, RARE * rows.size):
+        return rows, ()
+    note = "rows come" if count > 1 else "row comes"
+    return rows[~early], (f"{count} {note} less than {EARLY:g} of a period after another: left out",)
+
+
+def _places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
+    """Places (n,) of rising stamps (n,) on an even grid, from 0 on, and its period; None without a grid.
+
+    Each step is nearly a whole number of periods. If the stamps scatter more, a line through all stamps gives the grid.
+    """
+    steps = np.diff(time)
+    if not (steps.size and np.min(steps) > 0):
+        return None
+    period = float(np.median(steps))
+    period = float(np.mean(steps[np.abs(steps - period) <= (MISSING - 1) * period]))
+    for _ in range(TURNS):
+        numbers = np.maximum(1, np.rint(steps / period)).astype(np.intp)
+        short = numbers <= SHORT
+        before, period = period, float(np.sum(steps[short]) / np.sum(numbers[short]))
+        if abs(period - before) <= SETTLED * period:
+            break
+    places = np.r_[0, np.cumsum(numbers)]
+    if np.mean(numbers == 1) < SINGLE:
+        return None
+    if np.max(np.abs(steps / period - numbers)[short]) <= NEAR:
+        return places, period
+    return _place_by_line(time, places)
+
+
+def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
+    """Places and period for stamps that scatter by chance, from places (n,) that are nearly right."""
+    for _ in range(TURNS):
+        period, start = np.polyfit(places, time - time[0], 1)
+        at = (time - time[0] - start) / period
+        found = np.rint(at).astype(np.intp)
+        if np.array_equal(found, places):
+            break
+        places = found
+    rises = bool(np.min(np.diff(found)) > 0)
+    return (found - found[0], float(period)) if rises and np.std(at - found) < SCATTER else None
+
+
+def _shorten_gaps(places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Places with gaps of at most LONGEST samples."""
+    steps = np.diff(places, prepend=places[:1])
+    return np.cumsum(np.minimum(steps, LONGEST + 1, out=steps), out=steps)

@@ -1,0 +1,243 @@
+"""Lost samples that the motion fills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.bridges import Body
+from pmfid.estimators.iv import IV
+from pmfid.estimators.motion import rms
+from pmfid.models.equation import MASS
+from pmfid.records.gaps import ALWAYS, Gap, best_of, fill_gaps, gaps_of, is_held
+from pmfid.types import Counts, Flags, Floats
+
+#: Variance of a count [counts^2].
+COUNT = 1 / 12
+#: Information on position and velocity before the record [1/counts^2, s^2/counts^2]: practically none.
+NOTHING = 1e-12
+#: Right-hand sides that are solved at once.
+CHUNK = 256
+
+
+@dataclass(frozen=True)
+class Steps:
+    """start: deviation of the velocity at the first sample [counts/s]; size, variance: (g,) of the velocity's steps at
+    the events, 0 at the first; deviation: (n,) [counts]."""
+
+    start: float
+    size: Floats
+    variance: Floats
+    deviation: Floats
+
+
+def smooth_deviation(
+    deviation: Floats, there: Flags, events: NDArray[np.intp], steps: Floats, moves: Floats, decay: float, dt: float
+) -> Steps:
+    """The smoothed deviation (n,) [counts] and its steps, from the samples that are there. events: (g,) samples, the
+    first is 0; steps, moves: (g,) variances of the changes of velocity and position at the events; decay [1/s]."""
+    n, g = deviation.size, events.size
+    segment = np.repeat(np.arange(g), np.diff(np.r_[events, n]))
+    response = _travel(np.asarray((np.arange(n) - events[segment]) * dt, np.float64), decay)
+    weight = there / COUNT
+    one, first, second, right, right_first = (
+        np.add.reduceat(weight * part, events)
+        for part in (np.ones(n), response, response**2, deviation, response * deviation)
+    )
+    lasting = np.diff(events) * dt
+    along, kept, free, still = _travel(lasting, decay), np.exp(-decay * lasting), 1 / steps[1:], 1 / moves[1:]
+    band = np.zeros((4, 2 * g))  # of the lower triangle; position and velocity in turn
+    band[0, 0::2] = one + np.r_[still, NOTHING] + np.r_[NOTHING, still]
+    band[0, 1::2] = second + np.r_[still * along**2 + free * kept**2, NOTHING] + np.r_[NOTHING, free]
+    band[1, 0::2] = first + np.r_[still * along, 0.0]
+    band[1, 1:-1:2] = -still * along
+    band[2, 0:-2:2], band[2, 1:-2:2] = -still, -free * kept
+    factor = cholesky_banded(band, lower=True)
+    found = cho_solve_banded((factor, True), np.column_stack([right, right_first]).ravel())
+    position, velocity = found[0::2], found[1::2]
+    size = np.r_[0.0, velocity[1:] - kept * velocity[:-1]]
+    variance = np.r_[0.0, _variances(factor, kept)]
+    return Steps(float(velocity[0]), size, variance, position[segment] + response * velocity[segment])
+
+
+def _travel(time: Floats, decay: float) -> Floats:
+    """The change of the position within a time by a unit deviation of the velocity at its start."""
+    return np.asarray(-np.expm1(-decay * time) / decay if decay > 0 else time)
+
+
+def _variances(factor: Floats, kept: Floats) -> Floats:
+    """(g - 1,) posterior variances of the steps velocity - kept * velocity before."""
+    variances = np.empty(kept.size)
+    for first in range(0, kept.size, CHUNK):
+        own = np.arange(first, min(first + CHUNK, kept.size))
+        sides = np.zeros((factor.shape[1], own.size))
+        columns = np.arange(own.size)
+        sides[2 * own + 3, columns], sides[2 * own + 1, columns] = 1.0, -kept[own]
+        variances[own] = np.sum(sides * cho_solve_banded((factor, True), sides), axis=0)
+    return variances
+
+
+#: Most iterations of estimate and filling: the filled samples hardly change the estimate.
+TURNS = 3
+#: Relative change of the parameters below which the iteration ends.
+SETTLED = 1e-4
+#: Error of the velocity at an event by wrong parameters, as a part of the root mean square velocity: before and after
+#: the inputs are found.
+WRONG = (1e-2, 1e-3)
+#: The same of the position [counts].
+SHIFT = 0.1
+#: Interval of further events, in filter time constants and in samples: a deviation is as smooth as the motion.
+OFTEN, FEWEST = 2.0, 8
+#: Seed of the samples that `doubt` removes.
+AGAIN = 16
+#: Largest standard deviation of a known instant [samples].
+KNOWN = 0.25
+#: Largest distance of the deviation in a gap from the line between its neighbours [counts].
+WITHIN = 1.0
+
+
+class FilledMachine(Body):
+    """A model with its parameters, and the quantities of it that fill a gap."""
+
+    def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
+        """Position [counts] from 0 and velocity [counts/s], (n,), from a speed [counts/s] on."""
+        velocity = self.speeds(u, speed)[0]
+        return np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
+
+    @property
+    def often(self) -> int:
+        """Samples in which a wrong parameter changes the deviation of the velocity little."""
+        return max(FEWEST, round(OFTEN / (self.cutoff * self.dt)))
+
+    @property
+    def push(self) -> float:
+        """Change of the velocity by one sample of a unit input [counts/s]."""
+        return self.equation.input_gain * self.dt / self.values[MASS] / self.step
+
+
+def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
+    """Input and counts (n,) with missing samples filled by the motion. The present values are those of `fill_gaps`. An
+    input that is NaN stays NaN, and becomes NaN if the motion determines it better. None if the record identifies no
+    motion."""
+    line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
+    parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
+    try:
+        theta = method.settle_iteration(u, counts)[1]
+        for _ in range(TURNS):
+            machine = FilledMachine(method.equation, theta, method.dt, method.encoder.resolution, method.cutoff)
+            u, counts = line[0].copy(), line[1].copy()
+            for part in parts:
+                if not np.all(there[part]):
+                    u[part], counts[part] = _fill_part(machine, line[0][part], line[1][part], there[part], held)
+            before, theta = theta, method.settle_iteration(u, counts)[1]
+            if np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny)) < SETTLED:
+                break
+    except (NotIdentifiableError, np.linalg.LinAlgError):
+        return None
+    return u, counts
+
+
+def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
+    """(p,): relative errors of the parameters by missing samples; 1 if too few samples remain.
+
+    An equal part of the measured samples is removed and filled again. The change of the parameters estimates their
+    error by the samples that are really missing.
+    """
+    chance, part = np.random.default_rng(AGAIN), 1 - float(np.mean(there[np.isfinite(u)]))
+    fewer = there & (chance.random(u.size) >= part)
+    fewer[[0, -1]] = True
+    places = np.flatnonzero(fewer)
+    again = fill_gaps(u[places], counts[places], places)[:2]
+    line = np.where(np.isfinite(u), again[0], np.nan), again[1]
+    try:
+        theta, found = method.settle_iteration(u, counts)[1], fill_by_motion(method, *line, fewer) or line
+        moved = method.settle_iteration(*found)[1] - theta
+    except NotIdentifiableError:
+        return np.ones(len(method.names))
+    return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
+
+
+def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
+    """Input and counts of one part (n,) with measured ends, filled; held: is the input held between changes?"""
+    place, speed = counts - counts[0] + 0.5, 0.0
+    gap = _doubtful(u, there, held)
+    missed, none = _estimate_input_errors(gap, u, there, held), np.zeros(0, np.intp)
+    u = u.copy()
+    for wrong in WRONG:
+        position, velocity = machine.motion(u, speed)
+        found, events = _deviation(machine, gap, missed, place - position, velocity, there, wrong)
+        speed += found.start
+        at = np.searchsorted(events, gap.after)
+        if held:
+            _decide(machine, gap, u, found.size[at], found.variance[at])
+    by_motion = found.variance[at] < (machine.push * missed) ** 2 / 2  # the counts know it better than interpolation
+    if held:
+        gap, missed = Gap(none, none), missed[:0]
+    position, velocity = machine.motion(u, speed)
+    deviation = place - position
+    smooth = _deviation(machine, gap, missed, deviation, velocity, there, WRONG[-1])[0].deviation
+    rows = np.flatnonzero(there)
+    line = np.interp(np.arange(u.size), rows, deviation[rows])
+    filled = np.floor(position + np.clip(smooth, line - WITHIN, line + WITHIN)).astype(np.int64) + counts[0]
+    for k in none if held else np.flatnonzero(by_motion):
+        u[gap.before[k] + 1 : gap.after[k]] = np.nan
+    return u, np.where(there, counts, filled)
+
+
+def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
+    """The gaps in which the motion determines the input (n,): changes of a held input, and long gaps of any other."""
+    gap = gaps_of(there)
+    found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > ALWAYS)
+    return Gap(gap.before[found], gap.after[found])
+
+
+def _estimate_input_errors(gap: Gap, u: Floats, there: Flags, held: bool) -> Floats:
+    """(g,) standard deviations of the sum of the input (n,) over each gap."""
+    if held:
+        return np.asarray(np.abs(u[gap.after] - u[gap.before]) * gap.missing / np.sqrt(12))
+    if not gap.before.size:
+        return np.zeros(0)
+    places = np.flatnonzero(there)
+    local = best_of(u[places], places)
+    sizes = {length: local.estimate_error(u[places], places, length) for length in np.unique(gap.missing).tolist()}
+    return np.array([sizes[length] for length in gap.missing.tolist()])
+
+
+def _deviation(
+    machine: FilledMachine, gap: Gap, missed: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
+) -> tuple[Steps, NDArray[np.intp]]:
+    """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and its events.
+
+    Events are gaps, reversals and, for wrong parameters, one sample in every `machine.often`. missed: (g,) standard
+    deviation of the sum of the input over each gap; wrong: error of the model at each event, as a part of the velocity.
+    """
+    turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
+    often = np.arange(0, deviation.size, machine.often)
+    events = np.unique(np.concatenate([often, gap.after, turns]))
+    at = np.searchsorted(events, gap.after)
+    steps = np.full(events.size, max((wrong * rms(velocity)) ** 2, np.finfo(float).tiny))
+    moves = np.full(events.size, SHIFT**2)
+    steps[at] += (machine.push * missed) ** 2
+    moves[at] += steps[at] * (gap.missing * machine.dt) ** 2 / 4
+    return smooth_deviation(deviation, there, events, steps, moves, machine.decay, machine.dt), events
+
+
+def _decide(machine: FilledMachine, gap: Gap, u: Floats, steps: Floats, variance: Floats) -> None:
+    """Sets the input (n,) in gaps that hide a change. The steps (g,) of the velocity beyond those of the present input
+    determine the instant; an instant that is not known stays between two samples."""
+    before, change = u[gap.before], u[gap.after] - u[gap.before]
+    total = np.r_[0.0, np.cumsum(u)]
+    inside = total[gap.after] - total[gap.before + 1] + steps / machine.push
+    later = np.clip((inside - gap.missing * before) / change, 0.0, gap.missing)  # samples after the change
+    known = np.sqrt(variance) < KNOWN * np.abs(machine.push * change)
+    later = np.where(known, np.rint(later), later)
+    whole = np.floor(later).astype(np.intp)
+    for k in range(before.size):
+        first, last, split = gap.before[k] + 1, gap.after[k], gap.after[k] - whole[k]
+        u[first:split], u[split:last] = before[k], before[k] + change[k]
+        if split > first:
+            u[split - 1] += (later[k] - whole[k]) * change[k]

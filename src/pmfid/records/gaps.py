@@ -1,0 +1,182 @@
+"""Gaps in a record, and what stands in the place of lost samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.types import Counts, Flags, Floats
+
+#: Samples farther away than NEAR times `half` lie beyond another gap and have the weight FAR_WEIGHT.
+NEAR, FAR_WEIGHT = 3.0, 1e-6
+#: Most and fewest samples that are left out for the error; missing samples that are filled at once.
+MOST, FEWEST, CHUNK = 1000, 30, 20_000
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A polynomial of a degree, by least squares through `half` samples on either side."""
+
+    degree: int
+    half: int
+
+    def fill_grid(self, u: Floats, places: NDArray[np.intp]) -> Floats:
+        """The input (n,) at every place from 0 to the last, from u (m,) at rising places (m,)."""
+        whole = np.empty(int(places[-1]) + 1)
+        missing = np.setdiff1d(np.arange(whole.size), places)
+        whole[places] = u
+        for first in range(0, missing.size, CHUNK):
+            at = missing[first : first + CHUNK]
+            start = np.clip(np.searchsorted(places, at) - self.half, 0, places.size - 2 * self.half)
+            whole[at] = self._interpolate_at(u, places, start[:, None] + np.arange(2 * self.half), at)
+        return whole
+
+    def estimate_error(self, u: Floats, places: NDArray[np.intp], length: int) -> float:
+        """Root mean square error of the sum of `length` successive samples, on measured samples; infinite if there are
+        too few."""
+        first = np.arange(self.half, places.size - self.half - length + 1)
+        first = first[places[first + length - 1] - places[first] == length - 1]
+        if first.size < FEWEST:
+            return np.inf
+        first = first[:: -(-first.size // MOST)]
+        neighbours = np.r_[np.arange(-self.half, 0), np.arange(length, length + self.half)]
+        rows, missed = first[:, None] + neighbours, np.zeros(first.size)
+        for k in range(length):
+            missed += self._interpolate_at(u, places, rows, places[first + k]) - u[first + k]
+        return float(np.sqrt(np.mean(missed**2)))
+
+    def _interpolate_at(
+        self, u: Floats, places: NDArray[np.intp], rows: NDArray[np.intp], at: NDArray[np.intp]
+    ) -> Floats:
+        """Values (t,) at places (t,), by the samples in rows (t, 2 half)."""
+        apart = (places[rows] - at[:, None]).astype(np.float64)
+        weight = np.where(np.abs(apart) <= NEAR * self.half, 1.0, FAR_WEIGHT)
+        powers = (apart / np.max(np.abs(apart), axis=1, keepdims=True))[..., None] ** np.arange(self.degree + 1)
+        weighted = (weight[..., None] * powers).transpose(0, 2, 1)
+        level = np.mean(u[rows], axis=1)
+        right = weighted @ (u[rows] - level[:, None])[..., None]
+        return np.asarray(np.linalg.solve(weighted @ powers, right)[:, 0, 0] + level)
+
+
+#: Polynomials that are tried: a line, cubics through more and more samples, and a mean for an input of pure noise.
+TRIED = (
+    Polynomial(1, 1),
+    Polynomial(3, 2),
+    Polynomial(3, 3),
+    Polynomial(3, 4),
+    Polynomial(3, 6),
+    Polynomial(3, 8),
+    Polynomial(0, 8),
+)
+
+
+def best_of(u: Floats, places: NDArray[np.intp]) -> Polynomial:
+    """The polynomial with the smallest error on the samples u (m,) at rising places (m,); the line if there are too
+    few."""
+    return min(TRIED, key=lambda tried: tried.estimate_error(u, places, 1) if places.size > 2 * tried.half else np.inf)
+
+
+#: Least part of the samples in which a held input does not change.
+HELD = 0.5
+#: Quantile of the times for which a held input keeps its values; shorter gaps are filled.
+SHORTEST = 0.02
+#: Lengths of gaps [samples] that may be filled.
+LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 100)
+#: Largest error of the interpolated mean input over a gap, as a part of the root mean square input.
+FAITHFUL = 0.1
+#: If more than the part SCATTERED of the samples stays missing, gaps of up to ALWAYS samples are filled in any case:
+#: between scattered gaps no motion could restart.
+ALWAYS, SCATTERED = 8, 0.02
+#: Samples without input between two joined records.
+APART = 20
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Samples `before` + 1 to `after` - 1 are missing."""
+
+    before: NDArray[np.intp]
+    after: NDArray[np.intp]
+
+    @property
+    def missing(self) -> NDArray[np.intp]:
+        """Number of missing samples in each gap."""
+        return np.asarray(self.after - self.before - 1, np.intp)
+
+
+def gaps_of(there: Flags) -> Gap:
+    """The gaps between measured samples; there (n,)."""
+    places = np.flatnonzero(there)
+    first = np.flatnonzero(np.diff(places) > 1)
+    return Gap(places[first], places[first + 1])
+
+
+def is_held(u: Floats, there: Flags) -> bool:
+    """Does the input (n,) keep its values for several samples? An input that sometimes rests, and otherwise changes in
+    every sample, does not."""
+    pairs = there[1:] & there[:-1]
+    return bool(np.any(pairs) and np.mean((np.diff(u) == 0)[pairs]) > HELD and _longest_held(u, there) > 0)
+
+
+def fill_gaps(
+    u: Floats, counts: Counts, places: NDArray[np.intp], *, bridged: bool = True
+) -> tuple[Floats, Counts, Flags]:
+    """Input and counts (n,) on the whole grid, from samples (m,) at their places, and which samples were measured. The
+    input is NaN in gaps that are too long; the counts are on a straight line.
+
+    bridged: do the counts determine the travel in a gap? The counts of a velocity do not: all its gaps are too long."""
+    grid, there = np.arange(places[-1] + 1), np.zeros(places[-1] + 1, bool)
+    there[places] = True
+    whole = np.rint(np.interp(grid, places, (counts - counts[0]).astype(np.float64))).astype(np.int64) + counts[0]
+    whole[places] = counts
+    line, gap = np.interp(grid, places, u), gaps_of(there)
+    if is_held(line, there) or not gap.before.size:
+        longest = _longest_held(line, there)
+    else:
+        local = best_of(u, places)
+        line, longest = local.fill_grid(u, places), _longest_bridged(local, u, places, int(np.max(gap.missing)))
+    if np.mean(~there & ~np.isnan(line)) > SCATTERED:
+        longest = max(longest, min(ALWAYS, int(np.quantile(gap.missing, 0.99)) if gap.missing.size else 0))
+    longest = longest if bridged else 0
+    for first, last in zip(gap.before, gap.after, strict=True):
+        if last - first - 1 > longest:
+            line[first + 1 : last] = np.nan
+    return line, whole, there
+
+
+def describe_missing(u: Floats, there: Flags) -> str:
+    """The missing samples of a record, and how they are filled, for people."""
+    lost, gap = int(np.count_nonzero(~there)), gaps_of(there)
+    long = np.isnan(u[gap.before + 1])
+    part, plural = lost / there.size, "s" * (long.size > 1)
+    head = f"{lost} of {there.size} samples are missing ({part:.1%}), in {long.size} gap{plural}: "
+    if not np.any(long):
+        return head + "filled in, by the samples around them and the motion of the model"
+    after = "the motion restarts after each"
+    if np.all(long):
+        return head + f"left out, {after}"
+    return head + f"{np.count_nonzero(~long)} short ones are filled in, {np.count_nonzero(long)} left out: {after}"
+
+
+def _longest_held(u: Floats, there: Flags) -> int:
+    """Longest gap that hides at most one change of a held input (n,) [samples]."""
+    places = np.flatnonzero(there)
+    changes = places[1:][np.diff(u[places]) != 0]
+    if changes.size < 2:
+        return LENGTHS[-1]
+    return int(min(LENGTHS[-1], np.quantile(np.diff(changes), SHORTEST) - 1))
+
+
+def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp], most: int) -> int:
+    """Longest gap that interpolation fills faithfully [samples], by the samples u (m,) at their places (m,); at most
+    the longest gap of the record."""
+    size, longest = float(np.sqrt(np.mean(u**2))), 0
+    for length in LENGTHS:
+        if u.size < 10 * (length + 2) or local.estimate_error(u, places, length) > FAITHFUL * size * length:
+            break
+        longest = length
+        if length >= most:
+            break
+    return longest

@@ -1,0 +1,75 @@
+"""Several records as one, and the longest part without a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.records.gaps import APART
+from pmfid.records.record import Record
+from pmfid.types import Counts, Flags, Floats
+
+#: Largest relative difference of sample periods, which tolerances of clocks explain.
+SAME_PERIOD = 1e-3
+
+
+def join_records(records: Sequence[Record], place_matters: bool) -> Record:
+    """The records one after the other; the counts of each continue the previous ones, for a counter may start anywhere.
+
+    Raises UsageError for records of different sample periods, and for an axis with forces that depend on the position.
+    """
+    if len(records) == 1:
+        return records[0]
+    first = records[0]
+    if place_matters:
+        raise UsageError(
+            "several records make one estimate only if no force depends on the position: the start of each is not "
+            "known; identify them one by one"
+        )
+    for record in records[1:]:
+        if abs(record.dt / first.dt - 1) > SAME_PERIOD:
+            raise UsageError(
+                f"{record.name} has a sample period of {record.dt:g} s, {first.name} one of {first.dt:g} s: identify "
+                "them one by one"
+            )
+    parts = [_settle_part(first, 0, first=True)]
+    for record in records[1:]:
+        parts.append(_settle_part(record, int(parts[-1][1][-1]), first=False))
+    u, counts, there = (np.concatenate(signal) for signal in zip(*parts, strict=True))
+    joined = f"{len(records)} records make one estimate: the motion of each starts separately"
+    notes = (joined, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
+    name = ", ".join(record.name for record in records)
+    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name)
+
+
+def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
+    """Input, counts that begin at `start`, and which samples were measured; all but the first record follow a gap."""
+    there = np.ones(record.u.size, bool) if record.there is None else record.there
+    counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
+    if first:
+        return record.u, counts, there
+    gap = np.full(APART, np.nan), np.full(APART, start), np.zeros(APART, bool)
+    return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there]
+
+
+__all__ = ["unbroken"]
+
+
+def unbroken(record: Record) -> Record:
+    """The stretch of a record in which the input is known and the counts (n,) change most often, with a note; the
+    record itself if it has no gaps."""
+    known = np.isfinite(record.u)
+    edges = np.flatnonzero(np.diff(np.r_[0, known, 0]))
+    if np.all(known) or edges.size == 0:
+        return record
+    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    first, last = max(
+        pairs, key=lambda pair: (np.count_nonzero(np.diff(record.counts[slice(*pair)])), pair[1] - pair[0])
+    )
+    there = None if record.there is None else record.there[first:last]
+    note = f"only the part without gaps that moves most is used here: {last - first} of {record.u.size} samples"
+    notes = (*record.notes, note)
+    return replace(record, u=record.u[first:last], counts=record.counts[first:last], there=there, notes=notes)

@@ -1,0 +1,302 @@
+"""Counters that wrap, and wrong samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.config.axis import Axis
+from pmfid.estimators.plants import plant_of
+from pmfid.findings import Finding, codes, texts
+from pmfid.records.record import Record
+from pmfid.types import Counts, Floats
+
+__all__ = ["Wrap", "wrap_of"]
+
+#: Once the wrap is undone: largest change, as a part of the range; largest roughness, as a part of the former one.
+ROOM, SMOOTHER = 0.25, 0.1
+#: Jumps of one size differ by at most this part of it.
+ALIKE = 0.05
+#: Largest relative distance of a range from whole turns.
+WHOLE_TURNS = 0.005
+#: Largest width of a counter; least range of the counts, for over fewer any motion may look like a jump.
+MOST_BITS, LEAST = 32, 8
+
+
+@dataclass(frozen=True)
+class Wrap:
+    """span: range over which counts wrap; times: number of wraps; row: of the first wrap, counted from 1."""
+
+    span: int
+    times: int
+    row: int
+
+    @property
+    def bits(self) -> int | None:
+        """The width of a counter of that range, None if the range is no power of two."""
+        return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
+
+    def describe_mistake(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
+        """The mistake and its remedy, for an output column of that output_kind; unit: of the resolution."""
+        size = self.span if kind == "counts" else self.span * resolution
+        what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"
+        if kind == "counts" and self.bits is not None:
+            return what, f"give [encoder] bits = {self.bits}"
+        travel = self.span * resolution
+        turns = round(travel / (2 * math.pi))
+        whole = turns > 0 and abs(travel / (2 * math.pi * turns) - 1) < WHOLE_TURNS
+        return (
+            what,
+            f'give [encoder] range = "{turns} rev"' if whole else f'give [encoder] range = "{travel:.9g} {unit}"',
+        )
+
+
+def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
+    """The wrap of counts (n,): the largest changes are all nearly the range of the counts, and once undone they leave a
+    smooth motion; None without a wrap."""
+    change, extent = np.diff(counts), int(np.ptp(counts))
+    jumps = np.abs(change) > extent / 2
+    usual = int(np.max(np.abs(change[~jumps]), initial=0))
+    if extent < LEAST or not np.any(jumps) or usual == 0:  # without motion between the jumps, these are the motion
+        return None
+    for span in _spans(change, jumps, usual, extent):
+        undone = (change + span // 2) % span - span // 2
+        if not _smooth(change, undone, jumps, usual, span):
+            continue
+        found = Wrap(span, int(np.sum(undone != change)), int(np.argmax(undone != change)) + 2)
+        # one shift of a counter's zero has any size
+        return found if found.bits is not None or found.times > 1 else None
+    return None
+
+
+def _smooth(
+    change: NDArray[np.int64], undone: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, span: int
+) -> bool:
+    """Do the undone changes give a motion in which the former jumps are like the other changes?"""
+    rough, smooth = (float(np.sum(np.diff(series.astype(np.float64)) ** 2)) for series in (change, undone))
+    alike = np.max(np.abs(undone[jumps])) <= 2 * usual + 2
+    return bool(alike and np.max(np.abs(undone)) <= ROOM * span and smooth <= SMOOTHER * rough)
+
+
+def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, extent: int) -> list[int]:
+    """Ranges to try: the range of a counter, and the size of the jumps, for another period such as a turn."""
+    counter = 2 ** math.ceil(math.log2(extent + 1))
+    sizes = np.abs(change[jumps])
+    spans = [counter] if counter <= 2**MOST_BITS else []
+    typical = round(float(np.median(sizes)) + float(np.median(np.abs(change[~jumps]))))
+    return [*spans, max(typical, extent + 1)] if np.ptp(sizes) <= ALIKE * extent + 2 * usual else spans
+
+
+#: Changes of the counts in the window of the median that predicts one change. The median follows a velocity that steps,
+#: and five wrong changes in a row do not move it. Steps of the velocity are searched in the same window.
+AROUND = 11
+#: Allowed deviation from the median [counts], and as a multiple of the usual deviation plus the step of the velocity.
+COUNTS, TIMES = 10.0, 4.0
+#: Quantile of the deviations that counts as usual.
+USUAL = 0.95
+#: Most passes: wrong changes close together hide each other.
+PASSES = 4
+#: Largest part of wrong changes; above it, the errors are not single samples.
+MOST_CHANGES = 0.04
+#: Least ratio of a spike to the quantile 1 - MOST_INPUTS of the input; answer of the velocity, as a multiple of its
+#: usual change over ANSWER_SAMPLES samples, above which the input is no spike.
+SPIKE, ANSWER, ANSWER_SAMPLES = 50.0, 3.0, 10
+MOST_INPUTS = 0.01
+#: Windows that are sorted at once: the windows of a long record need eleven times its memory.
+CHUNK = 65_536
+#: Rows that a sentence names.
+NAMED = 4
+
+
+@dataclass(frozen=True)
+class RepairedRecord:
+    """A record without samples that no motion explains, and findings on these samples."""
+
+    record: Record
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """All findings as one sentence."""
+        return "; ".join(texts(self.findings))
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        return codes(self.findings)
+
+
+@dataclass(frozen=True)
+class _WrongRun:
+    """Changes first to last - 1 of the counts that are no motion; `moved`: shift of the zero [counts]."""
+
+    first: int
+    last: int
+    moved: int
+
+    def rows(self, samples: int) -> NDArray[np.intp]:
+        """Rows with wrong readings in a record of `samples` samples: between the changes, or from them to an end of the
+        record."""
+        return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
+
+
+def repair_record(record: Record) -> RepairedRecord:
+    """The record with wrong counts and spikes of the input interpolated, and shifts of a counter's zero undone. A
+    record with a counter that wraps, or with too many errors, stays as it is."""
+    runs, counts = _find_runs(record.counts)
+    moves = [run for run in runs if run.moved]
+    if moves and wrap_of(record.counts) is not None:  # a run without a shift comes back at once and is no wrap
+        runs, moves, counts = [], [], record.counts
+    rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
+    spikes = _spikes(record.u, counts)
+    left_out = [("count_jump", text) for text in (*_wrong(rows), *(_describe_shift(run) for run in moves[:NAMED]))]
+    left_out += [("invalid_input", text) for text in _spiky(spikes)]
+    if not left_out:
+        return RepairedRecord(record)
+    findings = tuple(Finding(code, text) for code, text in left_out)
+    return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
+
+
+def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
+    """The repaired record if the configuration has the guard on and the model is a body that can rest."""
+    rests = plant_of(axis.model.make().equation).rests
+    return repair_record(record) if axis.encoder.guard and rests else RepairedRecord(record)
+
+
+def _find_runs(counts: Counts) -> tuple[list[_WrongRun], Counts]:
+    """Runs of changes that are no motion, and the counts (n,) without them; no runs if some remain after all passes."""
+    found, left = list[_WrongRun](), counts
+    for _ in range(PASSES):
+        runs = _runs(left)
+        if not runs:
+            return found, left
+        found, left = found + runs, _repair_counts(left, runs)
+    return [], counts
+
+
+def _runs(counts: Counts) -> list[_WrongRun]:
+    """Runs of successive changes of the counts (n,) that are no motion."""
+    change = np.diff(counts).astype(np.float64)
+    usual, limit = _predict_changes(change)
+    wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
+    if not 0 < wild.size <= max(2, MOST_CHANGES * change.size):
+        return []
+    near = np.split(wild, np.flatnonzero(np.diff(wild) > AROUND // 2) + 1)
+    return [run for part in near for run in _split_runs(counts, part, usual, limit)]
+
+
+def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
+    """(n,): changes near either end of the record that lie on the line through the next two. There the mirrored window
+    does not show how a motion starts."""
+    half, found = min(AROUND // 2, change.size - 2), np.zeros(change.size, dtype=bool)
+    for own, near, next_one in ((slice(0, half), 1, 2), (slice(change.size - half, None), -1, -2)):
+        line = 2 * np.roll(change, -near) - np.roll(change, -next_one)
+        found[own] = np.abs(change - line)[own] <= limit[own]
+    return found
+
+
+def _split_runs(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats) -> list[_WrongRun]:
+    """The runs of changes `wild` (k,) close to each other: one run if the counts return after it."""
+    whole = _run(counts, int(wild[0]), int(wild[-1]) + 1, usual, limit)
+    if whole.moved == 0:
+        return [whole]
+    parts = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
+    return [_run(counts, int(part[0]), int(part[-1]) + 1, usual, limit) for part in parts]
+
+
+def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) -> _WrongRun:
+    if first == 0 or last == counts.size - 1:  # at an end of the record nothing shows a shift of the zero
+        return _WrongRun(first, last, 0)
+    neighbours = np.diff(counts)[[first - 1, last]]
+    moved = int(counts[last]) - int(counts[first]) - round((last - first) * float(np.mean(neighbours)))
+    if abs(moved) <= (last - first) * float(np.max(limit[first:last])):
+        moved = 0
+    return _WrongRun(first, last, moved)
+
+
+def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
+    """The predicted changes of the counts (n,), and the allowed deviations (n,)."""
+    windows = _stack_neighbours(change)
+    middle = np.concatenate([np.median(windows[k : k + CHUNK], axis=1) for k in range(0, len(windows), CHUNK)])
+    steps = np.max(_stack_neighbours(np.abs(np.diff(middle, append=middle[-1:]))), axis=1)
+    moving = middle != 0
+    usual = float(np.quantile(np.abs(change - middle)[moving], USUAL)) if np.any(moving) else 0.0
+    return middle, COUNTS + TIMES * (usual + steps)
+
+
+def _stack_neighbours(values: Floats) -> Floats:
+    """(n, AROUND): a window around each of the values (n,), mirrored at the ends."""
+    half = min(AROUND // 2, values.size - 1)
+    return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
+
+
+def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
+    """The counts (n,) with shifts of the zero undone and wrong readings interpolated; at the ends of the record they
+    are extrapolated from the nearest two."""
+    counts = counts.copy()
+    for run in runs:
+        counts[run.last :] -= run.moved
+        wrong = run.rows(counts.size)
+        if run.first == 0:
+            left, right = run.last, run.last + 1
+        elif run.last == counts.size - 1:
+            left, right = run.first - 1, run.first
+        else:
+            left, right = run.first, run.last
+        slope = (int(counts[right]) - int(counts[left])) / (right - left)
+        counts[wrong] = counts[left] + np.round(slope * (wrong - left)).astype(np.int64)
+    return counts
+
+
+def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
+    """Samples of the input (n,) that are spikes: the counts (n,) do not follow them."""
+    size = np.abs(np.nan_to_num(u))  # in a gap nobody knows it
+    large = np.flatnonzero(size > SPIKE * np.quantile(size, 1 - MOST_INPUTS, method="lower"))
+    if large.size == 0 or counts.size < 4 * ANSWER_SAMPLES:
+        return large[:0]
+    travelled = np.pad(counts.astype(np.float64), 2 * ANSWER_SAMPLES, mode="edge")
+    half = ANSWER_SAMPLES
+    answer = np.abs(travelled[2 * half :] - 2 * travelled[half:-half] + travelled[: -2 * half])[half:-half]
+    moving = answer[answer > 0]
+    usual = float(np.quantile(moving, USUAL)) if moving.size else 0.0
+    return large[answer[large] <= ANSWER * usual]
+
+
+def _bridge_input(u: Floats, places: NDArray[np.intp]) -> Floats:
+    """The input (n,) with the samples at places (k,) interpolated."""
+    good = np.setdiff1d(np.arange(u.size), places)
+    return np.interp(np.arange(u.size), good, u[good]) if places.size else u
+
+
+def _format_rows(rows: list[int]) -> str:
+    """The numbers of rows for people, counted from 1."""
+    shown = ", ".join(str(row + 1) for row in rows[:NAMED])
+    more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    return f"row{'s' * (len(rows) > 1)} {shown}{more}"
+
+
+def _wrong(rows: list[int]) -> tuple[str, ...]:
+    if not rows:
+        return ()
+    return (
+        f"the counts of {_format_rows(rows)} fit no motion, and the other counts continue without them: left out; "
+        "check the wiring, and if the axis did move so, give [encoder] guard = false",
+    )
+
+
+def _describe_shift(run: _WrongRun) -> str:
+    return (
+        f"the counts jump by {run.moved} at row {run.last + 1} and stay: taken for a shifted zero of the counter, and "
+        "undone; if the axis did move so, give [encoder] guard = false"
+    )
+
+
+def _spiky(places: NDArray[np.intp]) -> tuple[str, ...]:
+    if places.size == 0:
+        return ()
+    return (
+        f"the input of {_format_rows(places.tolist())} is far beyond all others, and the counts do not follow: left "
+        "out; if the drive did receive it, give [encoder] guard = false",
+    )

@@ -1,0 +1,353 @@
+"""A record: counts, input and time from the columns of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
+from pmfid.errors import UsageError
+from pmfid.io.csv_text import Stated
+from pmfid.io.reading import read_table
+from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
+from pmfid.linear.experiment import Experiment
+from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
+from pmfid.records.gaps import describe_missing, fill_gaps
+from pmfid.types import Counts, Flags, Floats
+
+if TYPE_CHECKING:
+    from pmfid.config.axis import Axis
+
+__all__ = ["measure_travel"]
+
+#: Largest distance of a velocity from a multiple of a step, as a part of the step.
+WHOLE = 1e-3
+
+
+def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats, str]:
+    """The position (n,), which starts at 0, of a velocity (n,) that is sampled every dt [s], and the method, for
+    people.
+
+    A drive that differentiates its counts logs multiples of resolution / dt, the mean over the interval that ends.
+    These add up to the counts again. Any other velocity is linear between samples.
+    """
+    steps = velocity * (dt / resolution)
+    if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < WHOLE):
+        return np.cumsum(np.rint(steps)) * resolution, "the velocity is the change of counts, which are added up"
+    line = np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2)
+    return line, "the velocity is integrated along lines between samples: an offset of it grows into the position"
+
+
+def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
+    """The travel of the output, unwrapped or integrated, and notes for people."""
+    if axis.record.output_kind == "velocity":
+        position, how = _position_of(y, dt, axis.encoder.resolution)
+        return position, (how,)
+    span = axis.encoder.range
+    if span is None:
+        return y, ()
+    if axis.encoder.bits is not None:
+        raise UsageError("[encoder] range and bits both say where the output wraps: drop one of them")
+    period = span if axis.record.output_kind == "position" else np.rint(span / axis.encoder.resolution)
+    unwrapped = np.unwrap(y, period=period)
+    times = int(np.count_nonzero(np.abs(np.diff(unwrapped) - np.diff(y)) > period / 2))
+    return unwrapped, (f"the output wrapped {times} time{'s' * (times != 1)} (undone)",) if times else ()
+
+
+# Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
+_MAX_COUNT = 2.0**53
+#: Rows that are tested for counts; whole numbers without exception, and more of them than this differ, are counts.
+DISTINCT, MOST_WHOLE = 10_000, 20
+
+
+def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
+    """Counts (n,) of the output column (n,) [unit of y, or counts] as `axis` describes it, and notes for people. Raises
+    UsageError for a column that is neither counts nor a position, and beyond 2**53 counts."""
+    bits = axis.encoder.bits
+    if axis.record.output_kind != "counts":
+        if axis.record.output_kind == "position":
+            _check_position(output, axis)
+        # A position that is a multiple of the resolution in decimal often falls just below it in binary, and
+        # a bare floor would lose a whole count: hence the tiny tolerance.
+        counts = floor_counts(output, axis.encoder.resolution, 1e-6)
+        return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
+    counts = _whole(output)
+    return (counts, ()) if bits is None else _unwrap(counts, bits)
+
+
+def _check_position(output: Floats, axis: Axis) -> None:
+    """Refuses whole numbers as a position with a resolution below 1: such a column holds counts."""
+    whole = np.array_equal(output, np.rint(output)) and np.unique(output[:DISTINCT]).size > MOST_WHOLE
+    if whole and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
+        raise UsageError(
+            f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
+            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '
+            "whole units"
+        )
+
+
+def _whole(output: Floats) -> Counts:
+    rounded = np.rint(output)
+    off = np.subtract(output, rounded)
+    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= _MAX_COUNT) | (output <= -_MAX_COUNT))
+    del off  # of a long record it is a good part of the memory
+    if len(bad):
+        raise UsageError(
+            f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
+            f'set output_kind = "position" if the column is a position, or export without a sign between thousands'
+        )
+    return rounded.astype(np.int64)
+
+
+def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
+    """Counts (n,) of a floor quantiser of a step, for positions y (n,), both in unit of y; tolerance: part of a step by
+    which a position below an edge still belongs to it. Raises UsageError beyond 2**53 counts."""
+    with np.errstate(over="ignore"):
+        counts = np.floor(y / step + tolerance)
+    bad = np.flatnonzero(np.abs(counts) >= _MAX_COUNT)
+    if len(bad):
+        raise UsageError(
+            f"the position {y[bad[0]]:.9g} in row {bad[0] + 1} is more than 2**53 counts of {step:g}; "
+            f"correct [encoder] resolution"
+        )
+    return counts.astype(np.int64)
+
+
+def unwrap_counts(output: Floats, bits: int | None) -> Floats:
+    """Counts (n,) as numbers, the wrap of a counter undone; missing ones stay missing."""
+    if bits is None:
+        return output
+    unwrapped, there = output.copy(), np.isfinite(output)
+    if np.any(there):
+        unwrapped[there] = _unwrap(_whole(np.where(there, output, 0.0))[there], bits)[0]
+    return unwrapped
+
+
+def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
+    """Undo the wrap of a counter of `bits` bits: every step is the shortest way round."""
+    span = 2**bits
+    raw = np.diff(counts)
+    steps = (raw + span // 2) % span - span // 2
+    wraps = int(np.count_nonzero(steps != raw))
+    notes = [f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []
+    largest = int(np.max(np.abs(steps))) / span
+    if largest > 0.25:
+        notes.append(f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous")
+    return np.concatenate((counts[:1], counts[0] + np.cumsum(steps))), tuple(notes)
+
+
+MIN_SAMPLES = 10
+
+
+@dataclass(frozen=True)
+class Record:
+    """One evenly sampled run of a drive.
+
+    u: input, (n,), already scaled, NaN in gaps in which it is not known; counts: encoder counts, (n,), unwrapped; dt:
+    sample period [s]; resolution: unit of y per count; notes: changes to the data, for people; name: name of the file;
+    rotary: is the output an angle? there: (n,) the samples that were measured, None: all; `gaps` fills the others;
+    doubt: (p,) relative error of parameters that filled samples may cause, None: no error.
+    """
+
+    u: Floats
+    counts: Counts
+    dt: float
+    resolution: float
+    notes: tuple[str, ...]
+    name: str
+    rotary: bool = False
+    there: Flags | None = None
+    doubt: Floats | None = None
+
+
+def read_experiment(path: Path, axis: Axis) -> Experiment:
+    """The record as it is, for a transfer function: any spacing, gaps, missing (empty) samples of the output.
+
+    Counts are converted to travel. Raises UsageError naming the file and the remedy.
+    """
+    try:
+        return experiment_of(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, path.name)
+    except UsageError as error:
+        raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
+    """The experiment in a table of columns that `axis.record` names."""
+    config, table, columns = _columns(axis.record, table)
+    keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
+    _check_lengths(columns, keys)
+    scale, _ = _input_scale(table, config.input_scale)
+    y, t = columns["output"], columns.get("time")
+    t = None if t is None else t * _stated_factor(config)
+    if config.output_kind == "counts":
+        resolution = axis.encoder.resolution
+        step = 1.0 if resolution == NO_ENCODER else resolution
+        y = _scale_column(unwrap_counts(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
+    return Experiment(
+        _scale_column(columns["input"], scale),
+        y,
+        dt=config.dt if t is None else None,
+        t=t,
+        hold=config.hold,
+        gap=config.gap,
+        reference=columns.get("reference"),
+        name=name,
+    )
+
+
+def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:
+    """Read the record that `axis.record` describes from a file of one of the `formats`.
+
+    With `quantize`, a step in unit of y, the position is quantised by a coarser encoder with that step
+    (floor quantiser, mean error -step/2). Raises UsageError naming the file, the column, the first bad row
+    and the remedy. A constant input or a record without motion is not an error.
+    """
+    resolution = axis.encoder.resolution
+    # written so that NaN fails too
+    if quantize is not None and not resolution * (1 - 1e-9) <= quantize < np.inf:
+        raise UsageError(
+            f"quantize = {quantize:g} must be positive, finite and not finer than [encoder] resolution = "
+            f"{resolution:g}; give a larger step"
+        )
+    try:
+        return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, quantize, path.name)
+    except UsageError as error:
+        # one line, whatever the names in a damaged file contain
+        raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
+    """The record in a table of columns that `axis.record` names. Raises UsageError as `read_record` does."""
+    return _build(table, axis, None, name)
+
+
+def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, dict[str, Floats]]:
+    """The named columns, on one clock, and the configuration with the full names of the file. If the time column has
+    dates or times of day, the configuration has its unit, too."""
+    names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
+    found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
+    if isinstance(table, ClockedSignals):
+        table = table.align(found["output"], tuple(found[key] for key in ("input", "reference") if key in found))
+    columns = {key: column(table, key, name) for key, name in found.items() if key != "time"}
+    changed: dict[str, str] = dict(found)
+    if "time" in found:
+        columns["time"], written = times(table, found["time"])
+        if written and config.time_unit not in (None, "s"):
+            raise UsageError(
+                f"[record] time_unit = {config.time_unit!r}: the time column has dates or times of day; drop time_unit"
+            )
+        changed |= {"time_unit": "s"} if written else {}
+    return config.model_copy(update=changed), table, columns
+
+
+def _stated_factor(config: RecordConfig) -> float:
+    """Seconds per unit of the time column of a transfer function. The process may be slow or fast, so a unit in the
+    column's name is only a hint that the configuration must give one."""
+    unit = named_unit(config.time or "")
+    if config.time_unit is None and unit not in (None, "s"):
+        raise UsageError(
+            f'[record] time = {config.time!r}: the name says {unit}; give [record] time_unit = "{unit}", or "s"'
+        )
+    return time_factor(config)
+
+
+def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
+    config, table, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
+    keys = {"input": config.input, "output": config.output, "time": config.time}
+    _check_lengths(columns, keys)
+    for key, values in columns.items():
+        _check_not_empty(f"{key} column {keys[key]!r}", values)
+    scale, scale_notes = _input_scale(table, config.input_scale)
+    units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
+    rows, row_notes = _rows(table, config, columns)
+    if rows.rows.size < len(columns["input"]):  # else a copy of each for nothing
+        columns = {key: values[rows.rows] for key, values in columns.items()}
+    columns.pop("time", None)
+    y = _scale_column(columns["output"], units.y, "the unit of the output")
+    travel, motion_notes = _measure_travel(y, rows, axis)
+    counts, count_notes = counts_of(travel, axis)
+    resolution = axis.encoder.resolution
+    if quantize is not None:
+        # y is computed from the counts only without a position, so that no position is floored twice
+        y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
+        counts, resolution = floor_counts(y, quantize, 1e-9), quantize
+        count_notes += (f"position quantised again with a step of {quantize:g}",)
+    if config.output_kind == "counts" and resolution == 1:
+        count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
+    notes = notes_of(table) + units.notes + scale_notes + row_notes + motion_notes + count_notes
+    u = _scale_column(columns["input"], scale * units.u)
+    if rows.whole:
+        return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary")
+    u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
+    return Record(
+        u, counts, rows.dt, resolution, (*notes, describe_missing(u, there)), name, units.kind == "rotary", there
+    )
+
+
+def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
+    """The travel (m,) of the used rows; a velocity is interpolated over missing rows."""
+    if axis.record.output_kind != "velocity":
+        return measure_travel(y, rows.dt, axis)
+    whole, notes = measure_travel(np.interp(np.arange(rows.places[-1] + 1), rows.places, y), rows.dt, axis)
+    return whole[rows.places], notes
+
+
+def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> tuple[PlacedRows, tuple[str, ...]]:
+    """The used rows, their places on the grid, and notes for people."""
+    time, samples = columns.get("time"), columns["input"].size
+    mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
+    out, notes = left_out(time, samples, config, mask)
+    u, y = columns["input"], columns["output"]
+    repeated = np.r_[False, (u[1:] == u[:-1]) & (y[1:] == y[:-1])]
+    rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config)
+    if rows.rows.size < MIN_SAMPLES:
+        raise UsageError(
+            f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "
+            f"{MIN_SAMPLES} are needed; leave out less, or record longer"
+        )
+    return rows, (*notes, *rows.notes)
+
+
+def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
+    lengths = {keys[key]: len(values) for key, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise UsageError(f"the columns differ in length: {lengths}; save them over the same samples")
+    n = len(columns["input"])
+    if n < MIN_SAMPLES:
+        raise UsageError(f"the record has {n} sample{'s' * (n != 1)}, at least {MIN_SAMPLES} are needed; record longer")
+
+
+def _check_not_empty(label: str, values: Floats) -> None:
+    if not np.any(np.isfinite(values)):
+        raise UsageError(f"{label} is empty: missing, NaN or infinite in every row; name another column, or record it")
+
+
+def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ...]]:
+    if not isinstance(scale, str):
+        return scale, ()
+    value = lookup(table, "input_scale", scale)
+    if not isinstance(value, np.ndarray):
+        raise UsageError(f"[record] input_scale = {scale!r} is a column and no scalar variable; give a number")
+    array = from_array(f"[record] input_scale = {scale!r}", value)
+    if array.size != 1 or not np.isfinite(array).all() or array.item() == 0:
+        raise UsageError(
+            f"[record] input_scale = {scale!r} is not a finite scalar other than zero (shape {array.shape}); "
+            f"name a scalar variable, or give a number"
+        )
+    return array.item(), (f"input scaled by {scale} = {array.item():g}",)
+
+
+def _scale_column(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:
+    if scale == 1:  # no copy of a long record
+        return column
+    with np.errstate(over="ignore"):  # looked at
+        scaled = scale * column
+    if np.any(np.isinf(scaled) & np.isfinite(column)):
+        raise UsageError(
+            f"{key} = {scale:g} takes the column beyond the range of numbers; it is a factor for every value of it"
+        )
+    return scaled

@@ -1,1 +1,0 @@
-"""Linear processes: exact responses between samples, off-line, for any hold, spacing and gap."""
