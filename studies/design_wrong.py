@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pmfid.design.problem import Design, Problem
-from pmfid.design.sequential import sequential, simulated_experiment
+from pmfid.design.rounds import sequential, simulated_experiment
 from pmfid.design.simulated import simulate, simulated_information
 from pmfid.design.solver import solve
 from pmfid.report.figures import COLOURS, MAGENTA, WIDTH, figure_style

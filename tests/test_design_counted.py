@@ -14,7 +14,7 @@ from pmfid.design.calibration import DesignedRun, calibrate
 from pmfid.design.encoder_error import encoder_covariance, expected_covariance, inside, log_of_room, start_free, walk
 from pmfid.design.fisher import Criterion, affine
 from pmfid.design.polytope import polytope
-from pmfid.design.sequential import Commissioning, redesign, sequential, simulated_experiment
+from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.simulated import drive_of, simulate
 from pmfid.design.solver import evaluate, violations
 from pmfid.design.standard import standard_inputs

@@ -11,7 +11,7 @@ from pmfid.design.calibration import DesignedRun, calibrate, correlation_time
 from pmfid.design.encoder_error import start_free
 from pmfid.design.fisher import affine
 from pmfid.design.problem import InfeasibleError
-from pmfid.design.sequential import redesign, sequential, simulated_experiment
+from pmfid.design.rounds import redesign, sequential, simulated_experiment
 from pmfid.design.simulated import simulate
 from pmfid.design.standard import standard_inputs
 from pmfid.errors import NotIdentifiableError, UsageError

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import pmfid
 from pmfid.design.bounds import upper_bound
-from pmfid.design.campaign import campaign
+from pmfid.design.campaigns import campaign
 from pmfid.design.fisher import information, motion
 from pmfid.design.oracle import Oracle, SolverError
 from pmfid.design.problem import InfeasibleError, Limits, Problem

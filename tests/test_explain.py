@@ -91,7 +91,7 @@ def test_every_word_of_a_status_is_explained() -> None:
     assert {str(bit.name).lower() for bit in Status} | set(FLAGS) <= known
     folder = Path(pmfid.__file__).parent
     found = {code for path in folder.rglob("*.py") for code in codes_in(path)}
-    for node in ast.walk(ast.parse((folder / "judge" / "verdict.py").read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse((folder / "diagnostics" / "processes.py").read_text(encoding="utf-8"))):
         if isinstance(node, ast.Dict):
             found |= {str(key.value) for key in node.keys if isinstance(key, ast.Constant)}
     assert len(found) > 20

@@ -218,7 +218,7 @@ def test_stamps_on_no_grid_are_refused(tmp_path: Path) -> None:
 def test_a_pause_need_not_be_whole() -> None:
     time = np.r_[np.arange(50), 50 + 130.4 + np.arange(50)] * DT
     config = axis().record
-    found = place_rows(time, np.ones(100, bool), np.zeros(100, bool), config)
+    found = place_rows(time, np.ones(100, bool), np.zeros(100, bool), config, np.zeros(100))
     assert found.dt == pytest.approx(DT, rel=1e-9)
     assert np.diff(found.places)[49] == 131
 
@@ -270,7 +270,7 @@ def test_a_row_right_behind_another_costs_no_record() -> None:
             "model": {"input_gain": 1.0},
         }
     ).record
-    rows = place_rows(time, np.ones(301, bool), np.zeros(301, bool), config)
+    rows = place_rows(time, np.ones(301, bool), np.zeros(301, bool), config, np.zeros(301))
     assert rows.dt == pytest.approx(DT, rel=1e-3)
     assert rows.rows.size == 300
     assert "1 row comes less than 0.3 of a period after another: left out" in rows.notes

@@ -13,8 +13,9 @@ from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.pipeline.identify import identify
 from pmfid.pipeline.monitored.stream import Stop, line_samples
-from pmfid.records.clock import even_grid, named_unit
+from pmfid.records.clock import PlacedRows, named_unit, place_rows
 from pmfid.records.record import read_experiment, read_record
+from pmfid.types import Floats
 from tests.conftest import cart_run
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -134,9 +135,34 @@ def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
     assert read_experiment(record, load_axis(path)).period == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize("dt", [0.001, 0.002, 0.01])
 @pytest.mark.parametrize("every", [5, 10, 12])
-def test_lines_that_are_missing_in_turn_are_no_clock_of_their_own(every: int) -> None:
-    """Every tenth line of 2 ms looked like an even grid of 2.22 ms: a mass of 8.5 kg was 9.4 kg."""
+def test_lines_that_are_missing_in_turn_are_no_clock_of_their_own(every: int, dt: float) -> None:
+    """Every tenth line of 10 ms looked like an even grid of 11.1 ms: a mass of 1.07 kg was 1.32 kg."""
     k = np.arange(3000)
-    assert not even_grid(0.002 * k[k % every != every - 1])[1]
-    assert even_grid(0.002 * k + np.random.default_rng(1).uniform(-3e-4, 3e-4, k.size))[1]
+    there = k % every != every - 1
+    found = place(dt * k[there], np.cumsum(np.sin(0.01 * k))[there])
+    assert found.dt == pytest.approx(dt)
+    np.testing.assert_array_equal(found.places, k[there])
+
+
+@pytest.mark.parametrize("period", [0.00111, 0.0108, 0.01095])
+def test_rounded_stamps_of_an_even_clock_stay_even(period: float) -> None:
+    """Stamps in whole milliseconds, or in steps of 10 ms, of a clock whose period is no whole number of them."""
+    k = np.arange(3000)
+    unit = 0.001 if period < 0.002 else 0.01
+    found = place(np.rint(period * k / unit) * unit, np.cumsum(np.sin(0.01 * k)))
+    assert found.dt == pytest.approx(period, rel=1e-4)
+    np.testing.assert_array_equal(found.places, k)
+
+
+def place(time: Floats, output: Floats) -> PlacedRows:
+    config = Axis.model_validate(
+        {
+            "record": {"input": "u", "output": "y", "time": "t", "time_unit": "s"},
+            "encoder": {"resolution": 1e-3},
+            "model": {"input_gain": 1.0},
+        }
+    ).record
+    every = np.ones(time.size, bool)
+    return place_rows(time, every, ~every, config, output)

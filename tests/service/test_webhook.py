@@ -211,7 +211,7 @@ def test_a_section_that_cannot_be_is_told(keys: dict[str, object], problem: str)
 def test_all_events_of_the_service_are_known() -> None:
     source = Path(pmfid.service.__file__).parent
     texts = [path.read_text(encoding="utf-8") for path in source.rglob("*.py")]
-    texts.append((source.parent / "session" / "monitored" / "run.py").read_text(encoding="utf-8"))
+    texts.append((source.parent / "pipeline" / "monitored" / "run.py").read_text(encoding="utf-8"))
     told = {event for text in texts for event in re.findall(r'"event": "([a-z ]+)"', text)}
     assert len(told) > 10
     assert told - set(EVENTS) == set()

@@ -13,7 +13,7 @@ from pmfid.cli.terminal import JSON, print_json, progress
 from pmfid.errors import PmfidError, UsageError
 
 if TYPE_CHECKING:
-    from pmfid.design.campaign import Campaign
+    from pmfid.design.campaigns import Campaign
     from pmfid.pipeline.designs import Spec
 
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pmfid.design.appraisal import Appraisal
-    from pmfid.design.campaign import Campaign
-    from pmfid.design.sequential import Commissioning
+    from pmfid.design.campaigns import Campaign
+    from pmfid.design.rounds import Commissioning
 
 
 def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path | None) -> None:

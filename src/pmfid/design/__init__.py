@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from pmfid.design.appraisal import appraise as appraise
     from pmfid.design.calibration import DesignedRun as DesignedRun
     from pmfid.design.calibration import calibrate as calibrate
-    from pmfid.design.campaign import campaign as campaign
+    from pmfid.design.campaigns import campaign as campaign
     from pmfid.design.fisher import information as information
     from pmfid.design.fisher import sensitivities as sensitivities
     from pmfid.design.problem import Design as Design
     from pmfid.design.problem import InfeasibleError as InfeasibleError
     from pmfid.design.problem import Limits as Limits
     from pmfid.design.problem import Problem as Problem
-    from pmfid.design.sequential import sequential as sequential
-    from pmfid.design.sequential import simulated_experiment as simulated_experiment
+    from pmfid.design.rounds import sequential as sequential
+    from pmfid.design.rounds import simulated_experiment as simulated_experiment
     from pmfid.design.solver import evaluate as evaluate
     from pmfid.design.solver import price_of_robustness as price_of_robustness
     from pmfid.design.solver import solve as solve
@@ -38,13 +38,13 @@ _PUBLIC = {
     "Problem": "problem",
     "appraise": "appraisal",
     "calibrate": "calibration",
-    "campaign": "campaign",
+    "campaign": "campaigns",
     "evaluate": "solver",
     "information": "fisher",
     "price_of_robustness": "solver",
     "sensitivities": "fisher",
-    "sequential": "sequential",
-    "simulated_experiment": "sequential",
+    "sequential": "rounds",
+    "simulated_experiment": "rounds",
     "solve": "solver",
     "standard_inputs": "standard",
 }

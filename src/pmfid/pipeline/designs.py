@@ -16,9 +16,9 @@ from pmfid.config.record import EncoderConfig, RecordConfig
 from pmfid.config.toml_file import FileSection, load_sections
 from pmfid.design.appraisal import Appraisal, appraise
 from pmfid.design.calibration import DesignedRun
-from pmfid.design.campaign import Campaign, campaign
+from pmfid.design.campaigns import Campaign, campaign
 from pmfid.design.problem import Design, Limits, Problem
-from pmfid.design.sequential import Commissioning, redesign, sequential, simulated_experiment
+from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.solver import solve
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive

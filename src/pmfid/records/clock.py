@@ -112,8 +112,6 @@ def even_grid(time: Floats) -> tuple[float, bool]:
         return 0.0, False
     if _furthest(np.diff(time), period) < PLAIN * period:
         return period, True
-    if _misses_lines(time):
-        return period, False
     since -= np.mean(since)
     since /= period
     late = np.subtract(since, k, out=k)
@@ -123,18 +121,6 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(GROUP)
     even = furthest < FURTHEST and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
     return float(period), bool(even)
-
-
-def _misses_lines(time: Floats) -> bool:
-    """Whether steps of stamps (n,) are one or several median steps, and the median is no decimal unit to which stamps
-    are rounded: then lines are missing, even if every tenth is, and the rest looks like a clock of its own."""
-    steps = np.diff(time)
-    median = float(np.median(steps))
-    if not median > 0 or abs(np.log10(median) - np.rint(np.log10(median))) < PLAIN:
-        return False
-    steps /= median
-    whole = np.rint(steps)
-    return bool(np.all(whole >= 1) and np.any(whole > 1) and np.max(np.abs(steps - whole)) < WHOLE)
 
 
 def _furthest(values: Floats, middle: float) -> float:
@@ -260,17 +246,23 @@ class PlacedRows:
         return bool(self.places.size == self.places[-1] + 1)
 
 
-def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig) -> PlacedRows:
+def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig, output: Floats) -> PlacedRows:
     """The rows `kept` (N,) on a grid, by time (N,) in the unit of its column or at a constant period. repeated (N,):
-    rows with the values of the previous row. Raises UsageError for a time without an even grid."""
+    rows with the values of the previous row; output (N,): it tells missing lines from rounded stamps. Raises UsageError
+    for a time without an even grid."""
     if time is None:
         rows = np.flatnonzero(kept)
         return PlacedRows(rows, _shorten_gaps(rows), *sample_period(None, config))
     rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
     rows, early = _drop_early(time, rows)
     stamps, places = _take_rows(time, rows), None
-    if not (_steady(stamps) or even_grid(stamps)[1]):
-        found = _places(stamps)
+    if not _steady(stamps):
+        missing = misses_lines(stamps, _take_rows(output, rows))
+        found = None
+        if missing is False:
+            stamps = _even_stamps(stamps)
+        elif missing or not even_grid(stamps)[1]:
+            found = _places(stamps)
         if found is not None:
             places, period = found
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
@@ -307,6 +299,39 @@ def _steady(time: Floats) -> bool:
     """Does the time (n,) rise without a step in which samples are missing?"""
     steps = np.diff(time)
     return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= MISSING * np.median(steps))
+
+
+def misses_lines(time: Floats, output: Floats) -> bool | None:
+    """Whether lines are missing (True) or stamps are rounded (False), where steps of stamps (n,) are whole multiples of
+    the median step. None if there are no such steps, or if the output (n,) shows no difference.
+
+    Over a step of k periods the output changes by k times its usual change if lines are missing, by its usual change if
+    stamps are rounded. The usual change is the mean of those in the two neighbouring steps.
+    """
+    steps = np.diff(time)
+    median = float(np.median(steps)) if steps.size else 0.0
+    if not median > 0:
+        return None
+    steps /= median
+    times = np.rint(steps)
+    if np.max(np.abs(steps - times)) > WHOLE or np.min(times) < 1:
+        return None
+    long = np.flatnonzero(times[1:-1] > 1) + 1
+    long = long[(times[long - 1] == 1) & (times[long + 1] == 1)]
+    changes = np.diff(output)
+    usual, change = (changes[long - 1] + changes[long + 1]) / 2, changes[long]
+    known = np.isfinite(usual) & np.isfinite(change)
+    usual, change, times = usual[known], change[known], times[long][known]
+    if_missing, if_rounded = float(np.sum(np.abs(change - times * usual))), float(np.sum(np.abs(change - usual)))
+    return None if if_missing == if_rounded else if_missing < if_rounded
+
+
+def _even_stamps(time: Floats) -> Floats:
+    """Stamps (n,) on the line through them, if none is off by nearly a period; else the stamps as they are."""
+    k = np.arange(time.size, dtype=np.float64)
+    period, start = np.polyfit(k, time - time[0], 1)
+    line = time[0] + start + period * k
+    return line if period > 0 and _furthest(np.abs(time - line), 0.0) < FURTHEST * period else time
 
 
 def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:

@@ -303,7 +303,7 @@ def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> 
     out, notes = left_out(time, samples, config, mask)
     u, y = columns["input"], columns["output"]
     repeated = np.r_[False, (u[1:] == u[:-1]) & (y[1:] == y[:-1])]
-    rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config)
+    rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config, y)
     if rows.rows.size < MIN_SAMPLES:
         raise UsageError(
             f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "

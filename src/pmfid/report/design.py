@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pmfid.design.appraisal import Appraisal, accumulate_value
-from pmfid.design.campaign import Campaign
+from pmfid.design.campaigns import Campaign
 from pmfid.design.encoder_error import is_counted
 from pmfid.design.fisher import CRITERIA
 from pmfid.design.problem import Design, Problem
-from pmfid.design.sequential import Commissioning
+from pmfid.design.rounds import Commissioning
 from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, Style, figure_style
 from pmfid.report.html import Section, svg, write_json, write_report
 from pmfid.types import Floats
