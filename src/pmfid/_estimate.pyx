@@ -27,12 +27,30 @@ cdef _fill(double *target, source):
 
 
 cdef class Estimate:
-    """What one sample left: a snapshot that later steps do not change.
+    """What one sample left: a snapshot that later steps do not change; it can be copied and pickled.
 
-    theta: (p,) parameters, also by name, estimate["mass"]; theta_cov: (p, p) covariance = innovation variance times P;
-    theta_std: (p,) its diagonal's root; names: of the parameters; innovation: a priori error [unit of the target];
-    innovation_variance; status: `Status` bits; status_names: the same in words. Made by `step`; it can be copied and
-    pickled.
+    Attributes
+    ----------
+    names : tuple of str
+        Of the p parameters.
+    theta : ndarray (p,)
+        Parameters; `estimate["mass"]` is one of them.
+    theta_cov : ndarray (p, p)
+        Covariance: innovation variance times P.
+    theta_std : ndarray (p,)
+        Standard deviations.
+    innovation : float
+        A priori error [unit of the target].
+    innovation_variance : float
+    status : int
+        `Status` bits; `status_names` are the same in words.
+
+    Examples
+    --------
+    >>> from pmfid import RLS, Drive, Encoder
+    >>> estimate = RLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0).step(0.5, 0)
+    >>> estimate.names, estimate.status_names
+    (('mass', 'viscous_friction', 'coulomb_friction'), ('starting', 'settling', 'standstill'))
     """
 
     def __init__(self):

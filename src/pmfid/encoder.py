@@ -21,12 +21,30 @@ TRACKING_INDEX = 10.0
 class Encoder:
     """An incremental encoder.
 
-    resolution: unit of position per count, > 0. bits: width of the counter, 1 to 32; it wraps at 2**bits.
-    standstill_time: without a count for so long the axis is taken to be at rest [s], > 0.
-    max_speed: a larger change in one sample is a jump: flagged, not believed [unit/s], None: no check.
-    guard: samples that no motion explains (a counter set to another value, a wrong reading, a spike of the input) are
-    flagged and left out, also without max_speed; False lets every sample in, for axes on which the guard is wrong.
-    Raises UsageError for a value outside these bounds.
+    Parameters
+    ----------
+    resolution : float
+        Unit of position per count, > 0.
+    bits : int
+        Width of the counter, 1 to 32; the counter wraps at 2**bits.
+    standstill_time : float
+        Time without a count after which the axis is taken to be at rest [s], > 0.
+    max_speed : float, optional
+        A larger change in one sample is a jump [unit/s]: flagged, not believed.
+    guard : bool
+        Samples that no motion explains (a counter set to another value, a wrong reading, a spike of the input) are
+        flagged and left out, also without max_speed. False lets every sample in.
+
+    Raises
+    ------
+    UsageError
+        A value is outside these bounds.
+
+    Examples
+    --------
+    >>> from pmfid import Encoder
+    >>> Encoder(0.5).position([0, 1, 3])
+    array([0.25, 0.75, 1.75])
     """
 
     resolution: float
@@ -81,7 +99,25 @@ class Encoder:
 
 
 def quantize(y: ArrayLike, resolution: float) -> NDArray[np.int64]:
-    """Counts of an encoder at position y: floor(y / resolution) (paper eq. 3). y: (n,); returns (n,)."""
+    """Return the counts of an encoder, floor(y / resolution) (paper eq. 3).
+
+    Parameters
+    ----------
+    y : array_like (n,)
+        Position.
+    resolution : float
+        Unit of y per count.
+
+    Returns
+    -------
+    ndarray of int64 (n,)
+
+    Examples
+    --------
+    >>> from pmfid import quantize
+    >>> quantize([0.0, 0.9, -0.1], 0.5)
+    array([ 0,  1, -1])
+    """
     _positive("resolution", resolution, "unit of position per count")
     return np.floor(np.asarray(y, float) / resolution).astype(np.int64)
 

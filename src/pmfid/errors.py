@@ -23,18 +23,42 @@ INTERRUPTED = 130
 
 
 class PmfidError(Exception):
-    """Base of all errors that pmfid raises on purpose; its text is the whole message for the user."""
+    """Base of all errors that pmfid raises on purpose; its text is the whole message for the user.
+
+    Examples
+    --------
+    >>> from pmfid import PmfidError, UsageError
+    >>> issubclass(UsageError, PmfidError), PmfidError.exit_code
+    (True, 2)
+    """
 
     #: Of the command that ends with it.
     exit_code: ClassVar[int] = 2
 
 
 class UsageError(PmfidError):
-    """Bad configuration, or input that cannot be read or used (exit code 2)."""
+    """Bad configuration, or input that cannot be read or used (exit code 2).
+
+    Examples
+    --------
+    >>> from pmfid import Encoder, UsageError
+    >>> try:
+    ...     Encoder(0.0)
+    ... except UsageError as error:
+    ...     print(error)
+    resolution must be positive and finite, got 0.0: unit of position per count, as on the data sheet
+    """
 
 
 class NotIdentifiableError(PmfidError):
-    """The data are in order, but cannot identify the parameters (exit code 3)."""
+    """The data are in order, but cannot identify the parameters (exit code 3).
+
+    Examples
+    --------
+    >>> from pmfid import NotIdentifiableError
+    >>> NotIdentifiableError.exit_code
+    3
+    """
 
     exit_code: ClassVar[int] = 3
 

@@ -20,8 +20,24 @@ SEVERITIES: tuple[Severity, ...] = ("wrong", "doubt", "note")
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that was found. code: its name in the status, such as "feedback"; sentence: what is the case and what
-    comes of it; remedy: what to do about it, literally, empty where the sentence says so or nothing is to be done."""
+    """Something that was found in a record or a result.
+
+    Attributes
+    ----------
+    code : str
+        Its name in the status, such as "feedback".
+    sentence : str
+        What is the case, and what comes of it.
+    remedy : str
+        What to do, literally; empty if the sentence says so or nothing is to be done.
+    severity : str
+
+    Examples
+    --------
+    >>> from pmfid import Finding
+    >>> Finding("rest", "the axis never moves", "give more input").text
+    'the axis never moves: give more input'
+    """
 
     code: str
     sentence: str

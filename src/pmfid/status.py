@@ -11,7 +11,15 @@ _BITS = constants_of(None)
 
 
 class Status(IntFlag):
-    """Bits of `Estimate.status` and `Track.status`; their values are defined in csrc/pmf.h."""
+    """Bits of `Estimate.status` and `Track.status`; their values are defined in csrc/pmf.h.
+
+    Examples
+    --------
+    >>> from pmfid import Status
+    >>> status = Status.STARTING | Status.SETTLING
+    >>> int(status), Status.COUNT_JUMP in status
+    (3, False)
+    """
 
     STARTING = _BITS["PMF_STARTING"]
     SETTLING = _BITS["PMF_SETTLING"]

@@ -25,11 +25,33 @@ def runner_of(estimator: RecursiveEstimator | Runner[RecursiveEstimator]) -> Run
 class Fleet:
     """Many axes with the configuration of one recursive estimator, each with a state of its own.
 
-    Every axis gets the bits that the estimator alone would give; they are computed side by side, in vectors and on all
-    processors. All start from the present state of `estimator`, or of a `Runner`, which itself does not change. A copy,
-    by `copy`, `pickle` or a process pool, goes on with the same bits. axes: number, >= 1; workers: threads, >= 1; None:
-    as many as there are processors. Raises UsageError for other numbers, for an estimator that is not recursive, and
-    for more axes than the memory holds.
+    Every axis gets the bits that the estimator alone would give. Axes are computed side by side, in vectors and on all
+    processors. A copy (`copy`, `pickle`, a process pool) goes on with the same bits.
+
+    Parameters
+    ----------
+    estimator : recursive estimator or Runner
+        All axes start from its present state, which does not change.
+    axes : int
+        Number of axes, >= 1.
+    workers : int, optional
+        Number of threads, >= 1. By default as many as there are processors.
+
+    Raises
+    ------
+    UsageError
+        Another number, an estimator that is not recursive, or more axes than the memory holds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import BCRLS, Drive, Encoder, Fleet, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = np.array([prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(seed)) for seed in (1, 2)])
+    >>> counts = np.array([quantize(simulate_drive(CART, one, CART_DT).x, CART_RESOLUTION) for one in u])
+    >>> fleet = Fleet(BCRLS(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0), axes=2)
+    >>> fleet.run(u, counts)["mass"][:, -1].round(2)
+    array([1.07, 1.07])
     """
 
     def __init__(

@@ -30,16 +30,40 @@ SHARP = 0.005
 
 @dataclass(frozen=True)
 class IV(Instruments):
-    """Iterated instrumental variables, off-line (Young and Jakeman 1979; the friction in the model is ours).
+    """Iterated instrumental variables, off-line.
 
-    The plant is simulated from the input alone with the present estimate, stiction included; the simulated motion
-    gives the instruments, and the direction and moving fractions of every interval. theta = (sum zeta phi^T)^-1
-    sum zeta z, until it no longer changes. initial: parameters by name to start from; None: bias-compensated least
-    squares. A transfer function is simulated as such, with unknown initial conditions; its filter stays that of the
-    cutoff (`SRIVC` lets it follow the estimate).
+    The plant is simulated from the input alone with the present estimate, stiction included. The simulated motion gives
+    the instruments, and the direction and moving fractions of every interval.
 
-    How late the input acts is taken from the motion that fits best (`interval`), where that explains every count, and
-    knows it better: its instrument is the change of the input, which under control is that of the encoder's error.
+    Parameters
+    ----------
+    model : Drive, EquationModel or TransferFunction
+    encoder : Encoder
+    dt : float
+        Sample period [s].
+    cutoff : float
+        Pole of the filters [rad/s].
+    initial : mapping, optional
+        Parameters by name to start from. By default bias-compensated least squares gives them.
+
+    Notes
+    -----
+    theta = (sum zeta phi^T)^-1 sum zeta z, until theta no longer changes (Young and Jakeman 1979; the friction in the
+    model is ours). A transfer function is simulated with unknown initial conditions; its filter stays that of the
+    cutoff (`SRIVC` lets the filter follow the estimate). A dead time comes from the motion that fits best
+    (`IntervalML`), if that motion explains every count and knows the dead time better: the instrument is the change of
+    the input, and under control that is the change of the encoder's error.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import IV, Drive, Encoder, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> fit = IV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0).fit(u, counts)
+    >>> fit.theta.round(2)
+    array([ 1.07, 12.8 ,  0.8 ])
     """
 
     method: ClassVar[str] = "iv"
@@ -103,14 +127,41 @@ class IV(Instruments):
 class RIV(Simulating, RecursiveEstimator):
     """Recursive instrumental variables with a friction-aware auxiliary model (theory: Young 2011, RIV).
 
-    The model is driven by the input alone with a slow copy of the estimate. Where it does not follow the measured
-    velocity, the estimate is that of `BCRLS` and says so (`Status.FALLBACK`); the model then starts again from that.
-    initial: parameters by name to start from; None: from BCRLS as soon as that has an estimate.
+    Parameters
+    ----------
+    model : Drive or EquationModel
+    encoder : Encoder
+    dt : float
+        Sample period [s].
+    cutoff : float
+        Pole of the filters [rad/s].
+    forgetting : float
+        Factor of exponential forgetting for each sample, 0 to 1.
+    initial : mapping, optional
+        Parameters by name to start from. By default `BCRLS` gives them, as soon as it has an estimate.
+
+    Notes
+    -----
+    The model is driven by the input alone with a slow copy of the estimate. Where the model does not follow the
+    measured velocity, the estimate is that of `BCRLS`, with `Status.FALLBACK`; the model then starts again from that
+    estimate.
 
     A dead time that is estimated comes from a second motion, which each count cuts off at its nearest edge
     (csrc/pmf_within.h): its instrument, the change of the input, is that of the encoder's error under control. The
-    other parameters are given at that dead time, its variance in theirs; until it is believed the status says
-    `DEAD_TIME`.
+    other parameters are given at that dead time, with its variance in theirs. Until the dead time is believed, the
+    status has `Status.DEAD_TIME`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RIV, Drive, Encoder, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0)
+    >>> track = riv.run(u, counts)
+    >>> track.theta[-1].round(2)
+    array([ 1.07, 12.8 ,  0.8 ])
     """
 
     method: ClassVar[str] = "riv"

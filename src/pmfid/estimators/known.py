@@ -195,20 +195,33 @@ class Posterior(Presentable):
 class Known:
     """Prior information on the parameters of an estimator of any method, combined with its estimates.
 
-    given: values by name. prior: (mean, standard deviation) by name, Gaussian; a standard deviation of 0 is as given.
-    find_gain: the gain of the input is unknown. The estimator's `Drive` has any gain of the right sign, and a known
-    force determines the gain of the machine; `input_gain` may have a prior then.
-    `of` is for a fit or the estimate of a step, `run` for the samples of a recursive method:
+    Parameters
+    ----------
+    estimator : Estimator
+    given : mapping
+        Values by name.
+    prior : mapping
+        (mean, standard deviation) by name, Gaussian. A standard deviation of 0 is as given.
+    find_gain : bool
+        The gain of the input is unknown. The estimator's `Drive` has any gain of the right sign, and a known force
+        determines the gain of the machine; `input_gain` may have a prior then.
 
-    >>> from pmfid import Drive, Encoder, RIV
+    Raises
+    ------
+    UsageError
+        A name or value that is none, a value that is known twice, or a gain that nothing gives.
+
+    Notes
+    -----
+    `of` is for a fit or the estimate of a step, `run` for the samples of a recursive method. A prior counts once,
+    however long the record is: with a memory it holds at every time. It is weighed by the error bars of the estimate.
+
+    Examples
+    --------
+    >>> from pmfid import RIV, Drive, Encoder, Known
     >>> riv = RIV(Drive(1.0), Encoder(1e-5), 0.001, 50.0, forgetting=0.9995)
-    >>> belt = Known(riv, given={"mass": 1.25}, find_gain=True)
-    >>> belt.names
+    >>> Known(riv, given={"mass": 1.25}, find_gain=True).names
     ('mass', 'viscous_friction', 'coulomb_friction', 'input_gain')
-
-    A prior counts once, however long the record: with a memory it holds at every time. It is weighed by the error bars
-    of the estimate. Raises UsageError for a name or a value that is none, a value that is known twice, and a gain that
-    nothing gives.
     """
 
     estimator: Estimator

@@ -16,11 +16,31 @@ from pmfid.estimators.results import Columns
 
 @dataclass(frozen=True)
 class KnownStep(BatchEstimator):
-    """Off-line: theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), R = sum phi phi^T, r = sum phi z; C and c, that of phi
-    and z, from the filters alone.
+    """Least squares with compensation of a known noise, off-line.
 
-    noise_std: of the position [unit of y]; None: the value for the encoder's step. No instruments are needed and no
-    pre-filter; it fails where the noise is not white, below about one count of motion per sample.
+    Parameters
+    ----------
+    model, encoder, dt, cutoff
+        As of `IV`.
+    noise_std : float, optional
+        Standard deviation of the position's noise [unit of y]. By default the value for the encoder's step.
+
+    Notes
+    -----
+    theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), with R = sum phi phi^T and r = sum phi z. C and c, the covariances
+    of phi and z by unit noise, follow from the filters alone. No instruments and no pre-filter are needed. The method
+    fails where the noise is not white, below about one count of motion per sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, KnownStep, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> fit = KnownStep(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0).fit(u, counts)
+    >>> fit.theta.round(2)
+    array([ 1.07, 12.79,  0.81])
     """
 
     method: ClassVar[str] = "known-step"
@@ -42,9 +62,20 @@ class KnownStep(BatchEstimator):
 
 @dataclass(frozen=True)
 class RKnownStep(RecursiveEstimator):
-    """On-line, with forgetting: the same sums, discounted; see `KnownStep`.
+    """Least squares with compensation of a known noise, on-line: the sums of `KnownStep`, discounted.
 
-    noise_std: standard deviation of the position [unit of y]; None: the value for the encoder's step.
+    Parameters
+    ----------
+    model, encoder, dt, cutoff, forgetting
+        As of `RIV`.
+    noise_std : float, optional
+        Standard deviation of the position's noise [unit of y]. By default the value for the encoder's step.
+
+    Examples
+    --------
+    >>> from pmfid import Drive, Encoder, RKnownStep
+    >>> RKnownStep(Drive(1.0), Encoder(1e-5), 0.001, 50.0, forgetting=0.999).names
+    ('mass', 'viscous_friction', 'coulomb_friction')
     """
 
     method: ClassVar[str] = "rknown-step"

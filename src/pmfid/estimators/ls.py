@@ -208,7 +208,28 @@ class ExactEstimator(BatchEstimator):
 
 @dataclass(frozen=True)
 class BCLS(ExactEstimator):
-    """Bias-compensated least squares (paper eq. 17 to 32): theta = (sum zeta phi^T)^-1 sum zeta z; see `BCRLS`."""
+    """Bias-compensated least squares, off-line (paper eq. 17 to 32); see `BCRLS`.
+
+    Parameters
+    ----------
+    model, encoder, dt, cutoff
+        As of `IV`.
+
+    Notes
+    -----
+    theta = (sum zeta phi^T)^-1 sum zeta z.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import BCLS, Drive, Encoder, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> fit = BCLS(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0).fit(u, counts)
+    >>> fit.theta.round(2)
+    array([ 1.07, 12.81,  0.8 ])
+    """
 
     method: ClassVar[str] = "bcls"
     instrumental: ClassVar[bool] = True
@@ -219,9 +240,30 @@ class BCLS(ExactEstimator):
 
 @dataclass(frozen=True)
 class LS(ExactEstimator):
-    """Least squares (paper eq. 17): theta = (sum phi phi^T)^-1 sum phi z, by orthogonal decomposition.
+    """Least squares, off-line (paper eq. 17), by orthogonal decomposition.
 
-    With `prefilter_zeros`: the biased estimate of the extended model (paper eq. 19 to 21).
+    Parameters
+    ----------
+    model, encoder, dt, cutoff
+        As of `IV`.
+    prefilter_zeros : sequence of float, optional
+        Zeros of the pre-filter [rad/s]: the result is then the biased estimate of the extended model (paper eq. 19 to
+        21).
+
+    Notes
+    -----
+    theta = (sum phi phi^T)^-1 sum phi z. Counts make it biased; `BCLS` compensates that.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import LS, Drive, Encoder, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> fit = LS(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0).fit(u, counts)
+    >>> fit.names
+    ('mass', 'viscous_friction', 'coulomb_friction')
     """
 
     method: ClassVar[str] = "ls"

@@ -273,23 +273,45 @@ class Following(Simulating, BatchEstimator):
 class OE(ProcessSolver, Following):
     """Output error, off-line (Ljung 1999, sections 4.2 and 7.2; simulation: the kernel's body with stiction).
 
-    Least squares of y(k) - x(k), k = 0..n-1: y the middle of the count, x the position that the input alone gives
-    from the start x0, v0, which are fitted as well; mass > 0, frictions >= 0. Starts from `IV`, or where that does
-    not settle from its start. theta_cov is for residuals correlated in time, on whatever scale (`scatter`), and for
-    the error that the encoder makes along this very motion, wherever its lattice lies (`phase_scatter`). samples is n;
-    residual is y - x [unit of the resolution], relative_error its norm over the norm of y less its mean; both after
-    the high-pass, if there is one.
+    Parameters
+    ----------
+    model, encoder, dt, cutoff
+        As of `IV`.
+    drift_cutoff : float, optional
+        Pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt; 0: none. By default none if y - x is within what
+        the encoder explains (0.5 counts root mean square), and `cutoff` otherwise.
+    window : float or "auto", optional
+        For long predictions by a model whose friction is not quite the machine's: least squares of the position itself
+        over windows of this length [s] that overlap by half, each from a start of its own. "auto" is the length that
+        predicts best by a free run, on parts of the record that were not fitted. For machines, without drift_cutoff.
+    initial : mapping, optional
+        Parameters by name for `IV` to start from.
 
-    drift_cutoff: pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt; 0: none; None: none where y - x is
-    within what the encoder explains (0.5 counts root mean square), and otherwise `cutoff`. Unmodelled friction adds
-    up in the position to a random walk, and this high-pass whitens a random walk with white noise on top. The
-    high-pass costs information: on the cart with 128 increments and 20 rad/s the standard deviation of the mass
-    becomes 2.4 times, the one of the frictions 7 times as large. initial: parameters by name for `IV` to start from.
+    Notes
+    -----
+    Least squares of y(k) - x(k), k = 0..n-1: y is the middle of the count, x the position that the input alone gives
+    from the start x0, v0. The start is fitted as well; mass > 0, frictions >= 0. The search starts from `IV`, or from
+    the start of `IV` if that does not settle.
 
-    window: for long predictions by a model whose friction is not quite the machine's: least squares of the position
-    itself over windows of this length [s] that overlap by half, each from a start of its own, or "auto", the length
-    that predicts parts of the record best by a free run that were not fitted to (`windows`, `window_choice`). Then
-    residual (n,) is the mean over the windows, relative_error covers all windows. For machines, without drift_cutoff.
+    theta_cov holds for residuals correlated in time, on whatever scale, and for the error that the encoder makes along
+    this very motion, wherever its lattice lies. The residual is y - x [unit of the resolution] after the high-pass;
+    relative_error is its norm over the norm of y less its mean. With windows the residual (n,) is the mean over the
+    windows.
+
+    Unmodelled friction adds up in the position to a random walk, and the high-pass whitens a random walk with white
+    noise on top. The high-pass costs information: on the cart with 128 increments and 20 rad/s the standard deviation
+    of the mass becomes 2.4 times, that of the frictions 7 times as large.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import OE, Drive, Encoder, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> fit = OE(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0).fit(u, counts)
+    >>> fit.theta.round(2)
+    array([ 1.07, 12.8 ,  0.8 ])
     """
 
     method: ClassVar[str] = "output-error"
@@ -348,16 +370,34 @@ def _check_window(window: object, dt: float) -> None:
 class IntervalML(Following):
     """Maximum likelihood of the counts, off-line (Ljung 1999, section 7.4, for a quantised output).
 
-    log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) the simulated position, a = resolution * counts and
-    b = a + resolution the edges of the count, s the standard deviation of what else is in the position, estimated
-    too, of at least 0.02 counts. Starts from `OE`. theta_cov is that of the expected information, not of the observed
-    (far from the edges a count shows no curvature, whatever it says), or what the scores scatter where that is more:
-    in blocks on every scale, as where the model is not quite right, and over the places that the encoder's lattice may
-    have under this very motion.
+    Parameters
+    ----------
+    model, encoder, dt, cutoff, drift_cutoff, initial
+        As of `OE`.
+
+    Notes
+    -----
+    log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) is the simulated position, a = resolution * counts and b = a
+    + resolution are the edges of the count. s is the standard deviation of what else is in the position; it is
+    estimated, too, and is at least 0.02 counts. The search starts from `OE`.
+
+    theta_cov is that of the expected information, not of the observed: far from the edges a count shows no curvature,
+    whatever it says. Where the scores scatter more, in blocks on every scale or over the places that the encoder's
+    lattice may have, that scatter counts.
 
     Where y - x is more than the encoder explains, and wherever `OE` has a high-pass, the edges of the counts say
-    nothing on x: the result then comes from `OE`, with `Status.FALLBACK`. drift_cutoff: pole of a first-order high-pass
-    on y - x [rad/s], 0: none, None: as for `OE`. initial: parameters by name to start from.
+    nothing on x. The result then comes from `OE`, with `Status.FALLBACK`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, IntervalML, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> fit = IntervalML(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0).fit(u, counts)
+    >>> fit.theta.round(3)
+    array([ 1.07, 12.8 ,  0.8 ])
     """
 
     method: ClassVar[str] = "interval"

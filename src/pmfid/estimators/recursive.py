@@ -319,9 +319,25 @@ def _resume_estimator(
 class RLS(RecursiveEstimator):
     """Recursive least squares with exponential forgetting (paper eq. 33, first four lines).
 
-    Biased where the output is noisy or coarse. With `prefilter_zeros` it estimates the extended model (paper eq. 19
-    to 21): the biased estimate that the paper's compensation starts from, with the coefficients of f(s) as further
-    parameters.
+    Parameters
+    ----------
+    model, encoder, dt, cutoff, forgetting
+        As of `RIV`.
+    prefilter_zeros : sequence of float, optional
+        The estimate is then the biased one of the extended model (paper eq. 19 to 21), with the coefficients of f(s) as
+        further parameters. The paper's compensation starts from that estimate.
+
+    Notes
+    -----
+    The estimate is biased where the output is noisy or coarse.
+
+    Examples
+    --------
+    >>> from pmfid import RLS, Drive, Encoder
+    >>> rls = RLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0, forgetting=0.999)
+    >>> estimate = rls.step(0.5, 0)
+    >>> estimate.status_names
+    ('starting', 'settling', 'standstill')
     """
 
     method: ClassVar[str] = "rls"
@@ -334,12 +350,32 @@ class RLS(RecursiveEstimator):
 class BCRLS(RecursiveEstimator):
     """Bias-compensated recursive least squares (paper eq. 33 to 36).
 
-    Needs no noise variance, and the noise may be coloured, as long as it is not correlated with the input. In exact
-    arithmetic equal to the paper's recursion with the affine right-hand side of a known input gain; computed as the
-    instrumental variable estimate that it is (Soderstrom, Zheng and Stoica 1999 showed it for the discrete-time
-    method): the facts H^T theta = h determine the coefficients of f(s), the unknown correlation cancels the normal
-    equations of the noisy columns, and what is left are the noise-direct columns as instruments. That costs less, and
+    Parameters
+    ----------
+    model, encoder, dt, cutoff, forgetting
+        As of `RIV`.
+
+    Notes
+    -----
+    The method needs no noise variance. The noise may be coloured, as long as it is not correlated with the input. In
+    exact arithmetic the estimate equals the paper's recursion with the affine right-hand side of a known input gain. It
+    is computed as the instrumental variable estimate that it is (Soderstrom, Zheng and Stoica 1999 showed that for the
+    discrete-time method): the facts H^T theta = h determine the coefficients of f(s), the unknown correlation cancels
+    the normal equations of the noisy columns, and the noise-free columns are left as instruments. That costs less, and
     stays quiet where H^T P G passes through singularity.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import BCRLS, Drive, Encoder, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> bcrls = BCRLS(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0)
+    >>> for force, count in zip(u, counts):
+    ...     estimate = bcrls.step(force, count)
+    >>> round(estimate["mass"], 2), estimate.status_names
+    (1.07, ())
     """
 
     method: ClassVar[str] = "bcrls"

@@ -19,10 +19,32 @@ from pmfid.status import Status, status_names
 class Fit(Presentable):
     """Result of an off-line estimate with p parameters from n used samples.
 
-    theta: (p,); theta_cov: (p, p), for coloured residuals (Newey and West 1987); names, units; samples: n;
-    residual: (n,) z - phi^T theta;
-    relative_error: norm of the residual over norm of the target; status: all `Status` bits that occurred; notes: what
-    the method chose by itself, for people.
+    Attributes
+    ----------
+    names, units : tuple of str
+        Of the p parameters.
+    theta : ndarray (p,)
+        Parameters; `fit["mass"]` is one of them.
+    theta_cov : ndarray (p, p)
+        Covariance, for coloured residuals (Newey and West 1987).
+    samples : int
+        n.
+    residual : ndarray (n,)
+        z - phi^T theta.
+    relative_error : float
+        Norm of the residual over the norm of the target.
+    status : int
+        All `Status` bits that occurred.
+    notes : tuple of str
+        What the method chose by itself.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Fit
+    >>> fit = Fit(("mass",), ("kg",), np.array([1.07]), np.array([[1e-4]]), 100, np.zeros(100), 0.0, 0)
+    >>> fit["mass"], fit.theta_std
+    (1.07, array([0.01]))
     """
 
     names: tuple[str, ...]
@@ -84,9 +106,28 @@ class Columns:
 class Track(Presentable):
     """Estimates over a record of n samples with p parameters.
 
-    theta: (n, p); innovation: (n,) a priori error in the unit of the target; innovation_variance: (n,);
-    variance_factor: (n, p), the diagonal of P; inflation: (n, p), what coloured innovations make of the variances,
-    0 while not known; status: (n,) `Status` bits; names, units: of the p parameters.
+    Attributes
+    ----------
+    names, units : tuple of str
+        Of the p parameters.
+    theta : ndarray (n, p)
+        Parameters; `track["mass"]` is one of them, (n,).
+    variance_factor : ndarray (n, p)
+        Diagonal of P.
+    inflation : ndarray (n, p)
+        Factor of the variances by coloured innovations; 0 while not known.
+    innovation : ndarray (n,)
+        A priori error [unit of the target].
+    innovation_variance : ndarray (n,)
+    status : ndarray of uint32 (n,)
+        `Status` bits.
+
+    Examples
+    --------
+    >>> from pmfid import RLS, Drive, Encoder, Status
+    >>> track = RLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0).run([0.0] * 5, [0] * 5)
+    >>> track.theta.shape
+    (5, 3)
     """
 
     names: tuple[str, ...]
@@ -171,8 +212,22 @@ def join_tracks(parts: Sequence[Track]) -> Track:
 class Tracks(Track):
     """Estimates of many axes: a `Track` whose arrays have the axis in front.
 
-    theta, variance_factor, inflation: (axes, m, p); innovation, innovation_variance, status: (axes, m), where m is the
-    number of samples that were kept; samples: (m,) their numbers. `tracks["mass"]` is (axes, m).
+    Attributes
+    ----------
+    theta, variance_factor, inflation : ndarray (axes, m, p)
+        m is the number of samples that were kept. `tracks["mass"]` is (axes, m).
+    innovation, innovation_variance, status : ndarray (axes, m)
+    samples : ndarray (m,)
+        Numbers of the kept samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RLS, Drive, Encoder, Fleet
+    >>> fleet = Fleet(RLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0), axes=3)
+    >>> tracks = fleet.run(np.zeros((3, 10)), np.zeros((3, 10), int), every=5)
+    >>> tracks.samples, tracks.theta.shape
+    (array([4, 9]), (3, 2, 3))
     """
 
     samples: NDArray[np.int64]

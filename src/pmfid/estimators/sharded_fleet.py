@@ -147,15 +147,39 @@ PIECE = 512
 
 
 class ShardedFleet:
-    """Axes of any number of configurations, in shards that are stepped and saved apart; each has the bits that its
-    estimator alone would give.
+    """Axes of any number of configurations, in shards that are stepped and saved apart.
 
-    An axis is called by its handle, a number that `add` gives and that no other axis ever gets; its place in memory is
-    used again after `remove`. folder: of the checkpoints, one fleet at a time; the fleet resumes from the last whole
-    checkpoint there, see `restored`; None: no checkpoints. estimators: the configurations of the axes in the folder,
-    and others. shard: axes of a shard, if the folder does not say. workers: threads, None: as many as there are
-    processors. One thread at a time may use it. Raises UsageError for other numbers, for an estimator that is not
-    recursive, a folder that cannot be used, and for axes in it whose configuration is not among the estimators.
+    Each axis has the bits that its estimator alone would give. An axis is called by its handle, a number that `add`
+    gives and that no other axis ever gets; its place in memory is used again after `remove`. One thread at a time may
+    use a fleet.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Of the checkpoints, one fleet at a time. The fleet resumes from the last whole checkpoint there, see `restored`.
+        Without a folder there are no checkpoints.
+    estimators : iterable of recursive estimators
+        The configurations of the axes in the folder, and others.
+    shard : int
+        Axes of a shard, if the folder does not say.
+    workers : int, optional
+        Number of threads. By default as many as there are processors.
+
+    Raises
+    ------
+    UsageError
+        Other numbers, an estimator that is not recursive, a folder that cannot be used, or axes in the folder whose
+        configuration is not among the estimators.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RLS, Drive, Encoder, ShardedFleet
+    >>> fleet = ShardedFleet()
+    >>> handles = fleet.add(RLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0), axes=3)
+    >>> tracks = fleet.run(handles, np.zeros((3, 10)), np.zeros((3, 10), int), every=10)
+    >>> fleet.axes, tracks.theta.shape
+    (3, (3, 1, 3))
     """
 
     def __init__(

@@ -106,14 +106,44 @@ class ProcessOnly(Estimator):
 class SRIVC(ProcessSolver, ProcessOnly):
     """Simplified refined instrumental variables for continuous time (Young and Jakeman 1980; Young 2011, chapter 8).
 
-    sum zeta (z - phi^T theta) = 0, all signals filtered by 1/A(s) of the estimate, instruments zeta from the output
-    that the estimate simulates from the input; iterated from least squares with filters of the pole `cutoff`. Unstable
-    intermediate models are reflected; if the iteration does not settle, output error by Levenberg and Marquardt
-    takes over, and further filters are tried. There is no error of discretisation. Initial conditions are always
-    unknown and part of the fit. For white noise on the output it is efficient; for any noise that is not correlated
-    with the input it is consistent. theta_cov holds for noise of any colour (`linear/residuals.py`).
-    `fit` takes u and counts; `fit_experiments` takes records with gaps, missing samples, other holds and a reference.
-    For `TransferFunction` alone; raises UsageError for another model.
+    Parameters
+    ----------
+    model : TransferFunction
+    encoder : Encoder, optional
+    dt : float
+        Sample period [s].
+    cutoff : float
+        Pole of the filters of the first estimate [rad/s].
+
+    Raises
+    ------
+    UsageError
+        The model is no `TransferFunction`.
+
+    Notes
+    -----
+    sum zeta (z - phi^T theta) = 0. All signals are filtered by 1/A(s) of the estimate; the instruments zeta come from
+    the output that the estimate simulates from the input. The iteration starts from least squares with filters of the
+    pole `cutoff`. Unstable intermediate models are reflected. If the iteration does not settle, output error by
+    Levenberg and Marquardt takes over, and further filters are tried. There is no error of discretisation. Initial
+    conditions are always unknown and part of the fit. For white noise on the output the method is efficient; for any
+    noise that is not correlated with the input it is consistent. theta_cov holds for noise of any colour. `fit` takes u
+    and counts; `fit_experiments` takes records with gaps, missing samples, other holds and a reference.
+
+    Examples
+    --------
+    A first-order lag, 2 / (s + 2), from `Experiment`:
+
+    >>> import numpy as np
+    >>> from pmfid import Encoder, Experiment, SRIVC, TransferFunction
+    >>> rng, a = np.random.default_rng(1), np.exp(-0.02)
+    >>> u, y = np.repeat(rng.choice([-1.0, 1.0], 50), 20), np.zeros(1000)
+    >>> for k in range(999):
+    ...     y[k + 1] = a * y[k] + (1 - a) * u[k]
+    >>> srivc = SRIVC(TransferFunction(1, 0), Encoder(1e-6), 0.01, 2.0)
+    >>> fit = srivc.fit_experiments([Experiment(u, y + 0.01 * rng.standard_normal(1000), dt=0.01)])
+    >>> fit.theta.round(1)
+    array([2., 2.])
     """
 
     method: ClassVar[str] = "srivc"
@@ -286,15 +316,39 @@ FASTEST = 2.0
 class RSRIVC(ProcessOnly, RecursiveEstimator):
     """Recursive simplified refined instrumental variables, continuous time (Young and Jakeman 1980).
 
-    The process is simulated from the input alone with a slow copy of the estimate; the simulated output, filtered by
-    1 / A(s) like the measured one, is the instrument. For white noise on the output no unbiased method has a smaller
+    Parameters
+    ----------
+    model : TransferFunction
+    encoder, dt, cutoff, order, prefilter_zeros, forgetting
+        As of `BCRLS`. The time of the slow copy goes with cutoff.
+
+    Raises
+    ------
+    UsageError
+        The model is no `TransferFunction`, or one with initial conditions.
+
+    Notes
+    -----
+    The process is simulated from the input alone with a slow copy of the estimate; the simulated output, filtered by 1
+    / A(s) like the measured one, is the instrument. For white noise on the output no unbiased method has a smaller
     variance. The filters follow the copy and are updated once per filter time constant. The filters of the input are
-    exact for its hold, so there is no error of discretisation. A copy that would be unstable, or have poles beyond
-    2 / dt, is not taken; the last one stays. If the process rings for a good part of the record so far, the data have
+    exact for its hold, so there is no error of discretisation. A copy that would be unstable, or have poles beyond 2 /
+    dt, is not taken; the last one stays. If the process rings for a good part of the record so far, the data have
     filters that settle sooner, and only the instruments have the filters of the process; the error bars are then too
-    long rather than too short. Until the model is there and as good as `BCRLS`, the estimate is the one of `BCRLS`
-    (`Status.FALLBACK`). cutoff, order, prefilter_zeros: of `BCRLS`; the time of the copy goes with cutoff. Raises
-    UsageError for another model than a `TransferFunction`, or one with initial conditions.
+    long rather than too short. Until the model is there and as good as `BCRLS`, the estimate is that of `BCRLS`
+    (`Status.FALLBACK`).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RSRIVC, Encoder, TransferFunction, quantize
+    >>> rng, a = np.random.default_rng(1), np.exp(-0.02)
+    >>> u, y = np.repeat(rng.choice([-1.0, 1.0], 100), 20), np.zeros(2000)
+    >>> for k in range(1999):
+    ...     y[k + 1] = a * y[k] + (1 - a) * u[k]
+    >>> rsrivc = RSRIVC(TransferFunction(1, 0), Encoder(1e-3), 0.01, 4.0)
+    >>> rsrivc.run(u, quantize(y, 1e-3)).theta[-1].round(1)
+    array([2., 2.])
     """
 
     method: ClassVar[str] = "rsrivc"

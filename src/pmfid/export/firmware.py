@@ -258,14 +258,44 @@ def export_firmware(
     alarms: Sequence[ParameterAlarm] = (),
     blocks: bool = False,
 ) -> list[Path]:
-    """Writes the estimator as C99 into a folder: kernel, configuration, header, example, build files and self-test.
+    """Write the estimator as C99 into a folder: kernel, configuration, header, example, build files and self-test.
 
-    The C computes the same bits as the estimator. prefix: of all names, an identifier of C. record: (n,) inputs and
-    (n,) counts of the axis for the self-test; None: of a made-up motion. alarms: on parameters of the estimate.
-    blocks: with the encoder of blocks for `pmfid serve`. Same arguments, same bytes. Returns the files. Raises
-    UsageError for an off-line method, a prefix or names of parameters that would not compile, a folder with other
-    things in it, an alarm that cannot be, or a record that is empty or not finite, and OSError where the folder cannot
-    be written.
+    The C computes the same bits as the estimator. The same arguments give the same bytes.
+
+    Parameters
+    ----------
+    estimator : recursive estimator
+    folder : path
+    prefix : str
+        Of all names, an identifier of C.
+    record : pair of array_like (n,), optional
+        Input and counts of the axis for the self-test. By default the self-test has a made-up motion.
+    alarms : sequence of ParameterAlarm
+        Alarms on parameters of the estimate.
+    blocks : bool
+        Whether the encoder of blocks for `pmfid serve` is part of the export.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    UsageError
+        An off-line method, a prefix or names of parameters that would not compile, a folder with other things in it, an
+        alarm that cannot be, or a record that is empty or not finite.
+    OSError
+        The folder cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from pmfid import BCRLS, Drive, Encoder, export_firmware
+    >>> with TemporaryDirectory() as folder:
+    ...     files = export_firmware(BCRLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0), folder + "/axis")
+    >>> "main.c" in {file.name for file in files}
+    True
     """
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step or riv")

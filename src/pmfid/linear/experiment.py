@@ -169,13 +169,33 @@ SAMPLES_PER_COEFFICIENT = 10
 class Experiment(Presentable):
     """One record of a process.
 
-    u, y: (N,) input and output at the same instants; y is NaN where a sample is missing, u where it is not known, which
-    ends a stretch. dt: sample period [s], or t: (N,) instants [s], rising, with any spacing. hold: "zoh", the input
-    keeps its value until the next instant, or "foh", it goes there in a straight line. gap: a step longer than this
-    [s] separates two stretches with unknown initial conditions; None: 1.75 median steps. reference: (N,) the set point
-    of a controller, not correlated with the noise; in closed loop the source of the instruments. name: of the record,
-    for people.
-    Raises UsageError if the arrays do not fit each other, the time does not rise, or neither dt nor t is there.
+    Parameters
+    ----------
+    u, y : array_like (N,)
+        Input and output at the same instants. y is NaN where a sample is missing; u is NaN where it is not known, and a
+        stretch ends there.
+    dt : float
+        Sample period [s], or
+    t : array_like (N,)
+        instants [s], rising, with any spacing.
+    hold : {"zoh", "foh"}
+        The input keeps its value until the next instant, or goes there in a straight line.
+    gap : float, optional
+        A longer step [s] separates two stretches with unknown initial conditions. By default 1.75 median steps.
+    reference : array_like (N,), optional
+        The set point of a controller, not correlated with the noise; in closed loop the source of the instruments.
+    name : str
+
+    Raises
+    ------
+    UsageError
+        The arrays do not fit each other, the time does not rise, or neither dt nor t is there.
+
+    Examples
+    --------
+    >>> from pmfid import Experiment
+    >>> Experiment([0.0, 1.0, 1.0], [0.0, 0.0, 0.3], t=[0.0, 0.1, 0.25]).times
+    array([0.  , 0.1 , 0.25])
     """
 
     u: Floats

@@ -66,10 +66,30 @@ GAINS = (("gain", ""), ("velocity gain", "1/s"), ("acceleration gain", "1/s^2"))
 class Process(Presentable):
     """G(s) = exp(-delay s) (b_0 + ... + b_m s^m) / (a_0 + ... + a_{n-1} s^{n-1} + s^n).
 
-    a: (n,), b: (m+1,), both from the constant upwards; cov: (n+m+1, n+m+1) covariance of a and b, with one row and
-    column more where delay [s] was estimated, too. What is known, as a pole at 0, has no variance.
-    All uncertainties are one standard deviation, by the delta method: to first order in the parameters' errors, but for
-    poles and zeros, which are moved by as much as a 95 % interval allows.
+    Parameters
+    ----------
+    a : ndarray (n,)
+        Coefficients of the denominator, from the constant upwards.
+    b : ndarray (m+1,)
+        Coefficients of the numerator, from the constant upwards.
+    cov : ndarray (n+m+1, n+m+1)
+        Covariance of a and b, with one row and column more if the delay was estimated, too. What is known, as a pole at
+        0, has no variance.
+    delay : float
+        [s].
+
+    Notes
+    -----
+    All uncertainties are one standard deviation, by the delta method: to first order in the parameters' errors. Poles
+    and zeros are moved by as much as a 95 % interval allows.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Process
+    >>> process = Process(np.array([2.0]), np.array([4.0]), np.diag([0.01, 0.04]))
+    >>> float(process.gain), float(process.time_constants[0])
+    (2.0, 0.5)
     """
 
     a: Floats

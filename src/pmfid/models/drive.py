@@ -52,8 +52,23 @@ class Model(Protocol):
 class EquationModel:
     """A model from a user's own terms: any `Equation`.
 
-    The methods that simulate (iv, riv, output-error, interval) need one unknown second derivative of the output and
-    no known term but the input; the others take every equation.
+    Parameters
+    ----------
+    equation : Equation
+
+    Notes
+    -----
+    The methods that simulate (iv, riv, output-error, interval) need one unknown second derivative of the output and no
+    known term but the input; the others take every equation.
+
+    Examples
+    --------
+    m x'' + d x' = u:
+
+    >>> from pmfid import Equation, EquationModel, Term
+    >>> unknown = (Term("output", 2, "mass", "kg"), Term("output", 1, "damping", "N s/m"))
+    >>> EquationModel(Equation(unknown, (Term("input"),))).equation.names
+    ('mass', 'damping')
     """
 
     kind: ClassVar[str] = "equation"
@@ -79,32 +94,62 @@ class EquationModel:
 class Drive:
     """m x'' + d x' + F_c sign(x') [+ k x] [+ offset] = input_gain u  (paper eq. 37 and 42, F_c as a force).
 
-    input_gain: force per unit of input [N/V, or 1 where u is a force], finite, not 0; or "estimate", for
-    `pmfid.identify` with a force that is known, given = {"mass": 1.25}.
-    offset: estimate a constant force as well [N], as gravity or a biased current measurement give it.
-    friction: "symmetric", or "directional": viscous and Coulomb friction differ between forward and backward.
-    spring: the load hangs on a spring [N/m]; x counts from the first sample, where the spring's force is the offset,
-    which comes with it.
-    stribeck: friction at rest beyond Coulomb's falls with exp(-(v / stribeck)^2), stribeck > 0 [m/s]; or "estimate" to
-    find that speed as well, with output-error and interval.
-    quadratic: friction grows with v |v| as well.
-    gravity: a load out of balance on a rotary axis, forces with sin and cos of the angle: True where it is in rad, or a
-    turn in the unit of y. cogging: the pitch of a cogging force [m], which has sin and cos as well. friction_period:
-    the period of friction that changes along the travel [m].
-    Parameters: mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]] [, stiffness [N/m]];
+    Parameters
+    ----------
+    input_gain : float or "estimate"
+        Force per unit of input [N/V, or 1 where u is a force], finite, not 0. "estimate" is for `pmfid.identify` with a
+        force that is known, given = {"mass": 1.25}.
+    offset : bool
+        Estimate a constant force as well [N], as gravity or a biased current measurement give it.
+    friction : {"symmetric", "directional"}
+        With "directional", viscous and Coulomb friction differ between forward and backward. That excludes an offset,
+        which the two Coulomb frictions already contain.
+    spring : bool
+        The load hangs on a spring [N/m]. x counts from the first sample; the spring's force there is the offset, an
+        unknown as well.
+    dead_time : float or "estimate"
+        Time by which u acts late, or the counts are [s], any part of a sample. "estimate": a parameter, up to 20
+        samples, for the methods that simulate (iv, riv, output-error, interval).
+    stribeck : float or "estimate", optional
+        Friction at rest beyond Coulomb's falls with exp(-(v / stribeck)^2), stribeck > 0 [m/s]. "estimate" finds that
+        speed as well, with output-error and interval.
+    quadratic : bool
+        Friction grows with v |v| as well.
+    gravity : bool or float
+        A load out of balance on a rotary axis, forces with sin and cos of the angle: True if the angle is in rad, or a
+        turn in the unit of y.
+    cogging : float, optional
+        Pitch of a cogging force [m], with sin and cos as well.
+    friction_period : float, optional
+        Period of friction that changes along the travel [m].
+    lag : float or "estimate"
+        Time constant [s] of a first-order lag that u goes through as well, as that of a current loop, up to 20 samples.
+        "estimate": a parameter, off-line (iv, output-error, interval).
+    axis : {"linear", "rotary"}
+        With "rotary" y is an angle, forces are torques, and the mass is an inertia [kg m2]; m, N and their like above
+        are rad and N m.
+
+    Raises
+    ------
+    UsageError
+        An input gain that is 0 or not finite, an unknown friction or axis, offset with directional friction, or a dead
+        time, lag, speed or period that is none.
+
+    Notes
+    -----
+    Parameters are mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]] [, stiffness [N/m]];
     directional: mass, viscous_friction_forward, viscous_friction_backward, coulomb_friction_forward,
-    coulomb_friction_backward [, stiffness]. Directional friction excludes an offset, which the two Coulomb frictions
-    already contain. Then follow [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [, gravity_sin,
-    gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]]
-    [, stribeck_speed [m/s]]. Forces and friction of a place count it from the first sample on.
-    dead_time: by which u acts late, or the counts are [s], any part of a sample; "estimate": a parameter, too, up to 20
-    samples, for the methods that simulate (iv, riv, output-error, interval). lag: time constant [s] of a first-order
-    lag that u goes through as well, as that of a current loop, up to 20 samples; "estimate": a parameter, too [, lag
-    [s]], off-line (iv, output-error, interval).
-    axis: "linear", or "rotary": y is an angle, forces are torques, and the mass is an inertia [kg m2]; m, N and their
-    like above are rad and N m.
-    Raises UsageError for an input gain that is 0 or not finite, an unknown friction or axis, offset with directional
-    friction, and a dead time, lag, speed or period that is none.
+    coulomb_friction_backward [, stiffness]. Then follow [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [,
+    gravity_sin, gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]]
+    [, lag [s]] [, stribeck_speed [m/s]]. Forces and friction of a place count it from the first sample on.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> Drive(2.0, offset=True).equation.names
+    ('mass', 'viscous_friction', 'coulomb_friction', 'offset')
+    >>> Drive(1.0, axis="rotary", gravity=True).equation.units
+    ('kg m2', 'N m s/rad', 'N m', 'N m', 'N m')
     """
 
     kind: ClassVar[str] = "drive"

@@ -38,14 +38,34 @@ MOST_LATE = 20
 
 @dataclass(frozen=True)
 class Term:
-    """coefficient * d^derivative signal / dt^derivative, the coefficient unknown (it has a name) or known.
+    """coefficient * d^derivative signal / dt^derivative; the coefficient is unknown (it has a name) or known.
 
-    signal: see `Signal`. derivative: 0 to 2 of `output`, 1 of `forward_output` and `backward_output`, else 0, or 1 of
-    `input` for a dead time, see `Equation`. The output itself counts from its first sample on. Of a process: 0 to 6 of
-    the output, less than that of the input.
-    name, unit: of an unknown coefficient; None, if it is known. coefficient: the known value; for an unknown one a
-    factor, as -1 for the other side. shape: of a friction or a force at a place, which is unknown in its size alone.
-    Raises UsageError for another signal, derivative or value.
+    Parameters
+    ----------
+    signal : str
+        See `Signal`. The output itself counts from its first sample on.
+    derivative : int
+        0 to 2 of `output`, 1 of `forward_output` and `backward_output`, else 0, or 1 of `input` for a dead time (see
+        `Equation`). Of a process: 0 to 6 of the output, less than that of the input.
+    name : str, optional
+        Of an unknown coefficient.
+    unit : str
+        Of an unknown coefficient.
+    coefficient : float
+        The known value; for an unknown one a factor, as -1 for the other side.
+    shape : Shape, optional
+        Of a friction or a force at a place, whose size alone is unknown.
+
+    Raises
+    ------
+    UsageError
+        Another signal, derivative or value.
+
+    Examples
+    --------
+    >>> from pmfid import Term
+    >>> Term("output", 2, "mass", "kg").name
+    'mass'
     """
 
     signal: Signal
@@ -109,16 +129,36 @@ class Term:
 class Equation:
     """sum of `unknown` terms = sum of `known` terms (theory: sum theta_i D^j w_i = D^j w_0).
 
-    The order is the highest derivative of the output. delay: of the input, in whole samples; of a process only.
-    only_simulated: of a process, why only methods that simulate it can estimate it; empty if others can.
-    further: names and units of unknowns in which it is not linear, for such methods; unknowns of shapes are added.
-    dead_time: by which the input of a machine acts late [s], any part of a sample; "estimate": it is unknown, too, and
-    the equation has a further unknown term, dead_time times the derivative of the input: what it is to first order,
-    around the dead time of the model that is simulated. Late counts are the same as a late input.
-    lag: time constant of a first-order lag that the input goes through as well [s], as that of a current loop;
-    "estimate": it is an unknown in which the equation is not linear.
-    Raises UsageError where there is no unknown or no known term, where two unknowns share a name, where an unknown
-    term has no name or a known one has, and where a term stands twice.
+    Parameters
+    ----------
+    unknown, known : tuple of Term
+        The order is the highest derivative of the output.
+    delay : int
+        Of the input, in whole samples; of a process only.
+    only_simulated : str
+        Of a process: why only methods that simulate it can estimate it; empty if others can.
+    further : tuple of (name, unit)
+        Unknowns in which the equation is not linear, for such methods. Unknowns of shapes are added.
+    dead_time : float or "estimate"
+        Time by which the input of a machine acts late [s], any part of a sample. With "estimate" the equation has a
+        further unknown term, dead_time times the derivative of the input: the dead time to first order, around that of
+        the model that is simulated. Late counts are the same as a late input.
+    lag : float or "estimate"
+        Time constant of a first-order lag that the input goes through as well [s], as that of a current loop. With
+        "estimate" the equation is not linear in it.
+
+    Raises
+    ------
+    UsageError
+        There is no unknown or no known term, two unknowns share a name, an unknown term has no name or a known one has,
+        or a term stands twice.
+
+    Examples
+    --------
+    >>> from pmfid import Equation, Term
+    >>> equation = Equation((Term("output", 2, "mass", "kg"),), (Term("input", coefficient=2.0),))
+    >>> equation.names, equation.order
+    (('mass',), 2)
     """
 
     unknown: tuple[Term, ...]

@@ -65,8 +65,19 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Stribeck(Shape):
-    """exp(-(v / speed)^2): friction at rest beyond Coulomb's, which falls with the speed; speed > 0 [unit of y per s],
-    or "estimate"."""
+    """exp(-(v / speed)^2): friction at rest beyond Coulomb's, falling with the speed.
+
+    Parameters
+    ----------
+    speed : float or "estimate"
+        > 0 [unit of y per s].
+
+    Examples
+    --------
+    >>> from pmfid import Stribeck
+    >>> Stribeck(0.1).speed
+    0.1
+    """
 
     speed: float | Literal["estimate"]
 
@@ -99,7 +110,14 @@ class Stribeck(Shape):
 
 @dataclass(frozen=True)
 class Square(Shape):
-    """v^2: friction that grows more than linearly, as in air or oil."""
+    """v^2: friction that grows more than linearly, as in air or oil.
+
+    Examples
+    --------
+    >>> from pmfid import Square
+    >>> Square()
+    Square()
+    """
 
     of_speed = True
     positive = True
@@ -114,8 +132,22 @@ class Square(Shape):
 
 @dataclass(frozen=True)
 class Wave(Shape):
-    """sin or cos of 2 pi x / period: gravity on a rotary axis (period: a turn), cogging (its pitch), or a harmonic of
-    the travel; period > 0 [unit of y]; cosine: cos in place of sin."""
+    """sin or cos of 2 pi x / period: gravity on a rotary axis (period: a turn), cogging (its pitch), a harmonic of the
+    travel.
+
+    Parameters
+    ----------
+    period : float
+        > 0 [unit of y].
+    cosine : bool
+        cos in place of sin.
+
+    Examples
+    --------
+    >>> from pmfid import Wave
+    >>> Wave(0.01, cosine=True)
+    Wave(period=0.01, cosine=True)
+    """
 
     period: float
     cosine: bool = False
@@ -137,8 +169,23 @@ class Wave(Shape):
 
 @dataclass(frozen=True)
 class Along(Shape):
-    """A form along the travel, known but for its size: `values` (k,), 2 to 200, at places from `start` on, `step` apart
-    [unit of y]; the first and last hold beyond."""
+    """A form along the travel, known but for its size.
+
+    Parameters
+    ----------
+    start : float
+        Place of the first value [unit of y].
+    step : float
+        Distance of the values [unit of y].
+    values : sequence of float (k,)
+        2 to 200. The first and last hold beyond.
+
+    Examples
+    --------
+    >>> from pmfid import Along
+    >>> Along(0.0, 0.01, (0.0, 1.0, 0.5)).step
+    0.01
+    """
 
     start: float
     step: float

@@ -20,25 +20,49 @@ MAX_DELAY = 20
 class TransferFunction:
     """y^(n) + a_{n-1} y^(n-1) + ... + a_0 y = b_m u^(m) + ... + b_0 u [+ offset]  (paper eq. 6).
 
-    n: order of the denominator, 1 to 6; m: order of the numerator, 0 to n. delay: dead time of the input in whole
-    samples, 0 to 20. offset: a constant on the right-hand side is unknown, too; the output without input is then
-    offset / a_0. initial_conditions: so is the state at the first sample (paper eq. 10); the filters need not settle
-    then and every sample counts.
-    Parameters: a0 to a{n-1}, b0 to b{m} [, offset] [, dead_time] [, start0 to start{n-1}]; the last are what stood in
-    the plant at the start, the coefficients of the derivatives of the filters' impulse response, and of no meaning by
-    themselves. The position of the encoder counts from count zero.
+    Parameters
+    ----------
+    n : int
+        Order of the denominator, 1 to 6.
+    m : int
+        Order of the numerator, 0 to n. With m = n a part of the input goes straight through. A held input acts from its
+        own sample on: y[k] sees u[k - delay].
+    delay : int
+        Dead time of the input in whole samples, 0 to 20.
+    offset : bool
+        A constant on the right-hand side is unknown, too; the output without input is then offset / a_0.
+    initial_conditions : bool
+        The state at the first sample is unknown, too (paper eq. 10). The filters need not settle then, and every sample
+        counts.
+    integrators : int
+        Number of poles known to be at 0, 0 to n, for every method off-line. The denominator is s^integrators
+        (s^(n-integrators) + ...) and has no coefficients below a{integrators}. Where the output starts, and how fast it
+        drifts, is part of the fit; offset is then a constant force, that makes the output a ramp or a parabola.
+    unstable : bool
+        Poles may be in the right half-plane, of a process that only its controller holds; give the reference of the
+        controller with the record. The modes that grow are computed backward in time; that is the predictor with
+        mirrored poles (Forssell and Ljung 2000).
+    dead_time : float or "estimate"
+        Of the input [s], any, and no whole number of samples, in place of `delay`. With "estimate" it is unknown, too,
+        from 0 to 20 samples, for `SRIVC` and `OE`.
 
-    What follows is for the methods that simulate, `SRIVC`, `IV` and `OE`; integrators are for every method off-line.
-    m = n: a part of the input goes straight through. A held input acts from its own sample on: y[k] sees u[k - delay].
-    integrators: number of poles known to be at 0, 0 to n; the denominator is s^integrators (s^(n-integrators) + ...)
-    and has no coefficients below a{integrators}. Where the output starts, and how fast it drifts, is part of the fit;
-    offset is then a constant force, that makes the output a ramp or a parabola.
-    unstable: poles may be in the right half-plane, of a process that only its controller holds; give the reference of
-    the controller with the record. The modes that grow are computed backward in time, which is the predictor with
-    mirrored poles (Forssell and Ljung 2000).
-    dead_time: of the input in s, any, and no whole number of samples; "estimate": it is unknown, too, from 0 to 20
-    samples, for `SRIVC` and `OE`. In place of `delay`.
-    Raises UsageError for values outside these bounds.
+    Raises
+    ------
+    UsageError
+        A value is outside these bounds.
+
+    Notes
+    -----
+    Parameters are a0 to a{n-1}, b0 to b{m} [, offset] [, dead_time] [, start0 to start{n-1}]. The last are what stood
+    in the plant at the start, the coefficients of the derivatives of the filters' impulse response; by themselves they
+    have no meaning. The position of the encoder counts from count zero. m = n, `unstable` and `dead_time` are for the
+    methods that simulate, `SRIVC`, `IV` and `OE`.
+
+    Examples
+    --------
+    >>> from pmfid import TransferFunction
+    >>> TransferFunction(2, 1).equation.names
+    ('a0', 'a1', 'b0', 'b1')
     """
 
     kind: ClassVar[str] = "transfer_function"

@@ -48,20 +48,55 @@ def identify(
     encoder: Encoder | None = None,
     **settings: object,
 ) -> Result:
-    """Identifies a machine or a transfer function, with the same choice of method, flags and notes as `pmfid identify`.
+    """Identify a machine or a transfer function, with the method, flags and notes of `pmfid identify`.
 
-    u: input (n,). y: of a machine the counts of its encoder (n,), integers (see `quantize`), NaN in u or y where a
-    sample is missing, or in place of both several records [(u, y), (u, y)]; of a transfer function the output (n,), any
-    numbers; or in place of both one `Experiment` or several, with time, gaps and a reference.
-    model: `Drive`, `EquationModel` or `TransferFunction`. dt: sample period [s]. cutoff: pole of the filters [rad/s];
-    None: of a machine, chosen by the record. encoder: of a machine. settings: the keys of [estimator] in
-    AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization, prefilter_zeros, precision; of a
-    machine tolerance, and given and prior, prior information, {"mass": 1.25} and {"mass": (1.0, 0.1)}, as
-    the mass in place of Drive(input_gain="estimate").
-    axis: in place of all that, an AXIS.toml or its path. u is then a table with its columns: a frame of pandas, Polars
-    or Arrow, a dict of arrays, or the path of a file.
-    Raises UsageError for arguments that do not fit each other, and NotIdentifiableError if the data cannot identify
-    every parameter; its message begins with a mistake in the log that explains it.
+    Parameters
+    ----------
+    u : array_like (n,), Experiment, list of pairs (u, y), frame, dict of arrays, or path
+        Input, NaN where a sample is missing. Several records are [(u, y), (u, y)], or several `Experiment`. With
+        `axis`: a table of pandas, Polars or Arrow, or the path of a file.
+    y : array_like (n,), optional
+        Of a machine the counts of its encoder, integers (see `quantize`); of a transfer function the output.
+    model : Drive, EquationModel or TransferFunction
+        Not with `axis`.
+    axis : Axis, path or str
+        AXIS.toml, in place of all other arguments but `u`.
+    dt : float
+        Sample period [s].
+    cutoff : float, optional
+        Pole of the filters [rad/s]. By default the record of a machine decides.
+    encoder : Encoder
+        Of a machine.
+    **settings
+        Keys of [estimator] in AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization,
+        prefilter_zeros, precision; of a machine also tolerance, given and prior. Prior information is written
+        given={"mass": 1.25} or prior={"mass": (1.0, 0.1)}; it replaces a known gain for Drive(input_gain="estimate").
+
+    Returns
+    -------
+    Result
+        Parameters, standard deviations, status and findings.
+
+    Raises
+    ------
+    UsageError
+        Arguments do not fit each other.
+    NotIdentifiableError
+        The data cannot identify every parameter. The message begins with a mistake in the log that explains this.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, identify, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
+    >>> result = identify(u, counts, cutoff=20.0, method="iv", **settings)
+    >>> round(result["mass"], 2), CART.mass
+    (1.07, 1.07)
+    >>> result.status
+    ()
     """
     if axis is not None:
         if settings or any(value is not None for value in (y, model, dt, cutoff, encoder)):
@@ -105,10 +140,35 @@ def check(
     dt: float | None = None,
     encoder: Encoder | None = None,
 ) -> tuple[Finding, ...]:
-    """Mistakes in the log of a machine, most important first, as from `pmfid check`; empty without any.
+    """List the mistakes in the log of a machine, most important first, as `pmfid check` does.
 
-    u, y (n,), model, dt [s], encoder: as for `identify`; or u a frame, a dict of arrays or the path of a file, and
-    `axis` an AXIS.toml or its path, in place of the others. Raises UsageError for arguments that do not fit each other.
+    Parameters
+    ----------
+    u, y, model, axis, dt, encoder
+        As for `identify`.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty if the log has no mistake.
+
+    Raises
+    ------
+    UsageError
+        Arguments do not fit each other.
+
+    Examples
+    --------
+    The input has the wrong sign:
+
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, check, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> found = check(-u, counts, model=Drive(CART.input_gain), dt=CART_DT, encoder=Encoder(CART_RESOLUTION))
+    >>> [finding.code for finding in found]
+    ['reversed']
     """
     if axis is not None:
         if any(value is not None for value in (y, model, dt, encoder)):
@@ -129,10 +189,42 @@ def validate(
     dt: float | None = None,
     encoder: Encoder | None = None,
 ) -> Validation:
-    """Free runs with a result over other records, as `pmfid validate` makes them from files.
+    """Predict other records with a result by free runs, as `pmfid validate` does.
 
-    u, y, dt, encoder: as for `identify`, of the other record; without dt or encoder the values of the result are used.
-    Raises UsageError for arguments that do not fit each other, and if nothing can be simulated.
+    Parameters
+    ----------
+    result : Result
+        Of `identify`.
+    u, y : array_like (n,)
+        The other record, as for `identify`.
+    dt : float, optional
+        Sample period [s]; by default that of the result.
+    encoder : Encoder, optional
+        By default that of the result.
+
+    Returns
+    -------
+    Validation
+        Errors of the prediction over several horizons, and doubts in the model.
+
+    Raises
+    ------
+    UsageError
+        Arguments do not fit each other, or nothing can be simulated.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, identify, quantize, validate
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> def record(seed):
+    ...     u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(seed))
+    ...     return u, quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
+    >>> result = identify(*record(1), cutoff=20.0, method="iv", **settings)
+    >>> validation = validate(result, *record(2))
+    >>> validation.status, len(validation.runs)
+    ((), 1)
     """
     own, data = result.estimator, list[Records]()
     values = dict(zip(result.names, result.theta.tolist(), strict=True))
@@ -165,14 +257,54 @@ def search_terms(
     other: tuple[ArrayLike, ArrayLike] | None = None,
     **settings: object,
 ) -> TermSearch:
-    """Searches further terms of a drive beyond a model, as `pmfid terms` does.
+    """Search further terms of a drive beyond a model, as `pmfid terms` does.
 
-    u, counts (n,), dt [s], cutoff [rad/s], encoder, settings: as for `identify`. turn: the period of gravity on a
-    rotary axis; pitch: of a cogging force, one or several; friction_period: of friction that changes along the travel
-    [unit of y]; what is not given is not looked for, but a pitch, unless scan is False. other: u and counts of a second
-    record, which the models are to predict in place of parts of the first.
-    Raises UsageError for arguments that do not fit each other, and NotIdentifiableError if the record is too short,
-    or cannot identify the model to begin with.
+    Parameters
+    ----------
+    u, counts : array_like (n,)
+        Input and counts.
+    model : Drive
+        The model to begin with.
+    dt : float
+        Sample period [s].
+    cutoff : float, optional
+        Pole of the filters [rad/s].
+    encoder : Encoder
+    turn : float, optional
+        Period of gravity on a rotary axis [unit of y]. Without it, gravity is not looked for.
+    pitch : float or sequence of float
+        Pitch of a cogging force [unit of y], one or several.
+    friction_period : float, optional
+        Period of friction that changes along the travel [unit of y].
+    scan : bool
+        Whether a pitch is looked for that is not given.
+    other : pair of array_like, optional
+        u and counts of a second record. The models predict that record in place of parts of the first.
+    **settings
+        As for `identify`.
+
+    Returns
+    -------
+    TermSearch
+
+    Raises
+    ------
+    UsageError
+        Arguments do not fit each other.
+    NotIdentifiableError
+        The record is too short, or cannot identify the model to begin with.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, quantize, search_terms
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1)) + 1.0
+    >>> counts = quantize(simulate_drive(CART, u - 1.0, CART_DT).x, CART_RESOLUTION)
+    >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
+    >>> found = search_terms(u, counts, cutoff=20.0, scan=False, **settings)
+    >>> found.added
+    {'offset': True}
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
     places = list_periodic_forces(turn, [pitch] if isinstance(pitch, int | float) else pitch, friction_period)

@@ -48,12 +48,49 @@ def friction_curve(
     nodes: int = NODES,
     rising_from: float | None = None,
 ) -> FrictionCurve:
-    """Friction over velocity without an assumed law, and the mass, as `pmfid friction` estimates them.
+    """Estimate friction over velocity without an assumed law, and the mass, as `pmfid friction` does.
 
-    u: input (n,); counts (n,) of the encoder. model: its input_gain and dead_time are used, its friction is not. dt:
-    sample period [s]. cutoff: pole of the filters [rad/s], None: by the record. nodes: speeds in each direction;
-    rising_from: speed [m/s] above which friction does not fall, None: it may. Raises UsageError for arguments that do
-    not fit and NotIdentifiableError if the record does not separate friction from other forces.
+    Parameters
+    ----------
+    u : array_like (n,)
+        Input.
+    counts : array_like (n,)
+        Counts of the encoder.
+    model : Drive
+        Its input_gain and dead_time are used, its friction is not.
+    encoder : Encoder
+    dt : float
+        Sample period [s].
+    cutoff : float, optional
+        Pole of the filters [rad/s]. By default the record decides.
+    nodes : int
+        Number of speeds in each direction.
+    rising_from : float, optional
+        Speed [unit of y per s] above which friction does not fall. By default friction may fall anywhere.
+
+    Returns
+    -------
+    FrictionCurve
+
+    Raises
+    ------
+    UsageError
+        Arguments do not fit each other.
+    NotIdentifiableError
+        The record does not separate friction from other forces.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, friction_curve, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(3000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> curve = friction_curve(
+    ...     u, counts, model=Drive(CART.input_gain), encoder=Encoder(CART_RESOLUTION), dt=CART_DT, cutoff=20.0, nodes=4
+    ... )
+    >>> round(curve.mass, 2), CART.mass
+    (1.07, 1.07)
     """
     axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
     return _estimate_curve(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)

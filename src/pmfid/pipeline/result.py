@@ -95,11 +95,33 @@ def _list_beyond_noise(result: Parametric) -> list[list[str]]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Presentable):
-    """Parameters of a plant: theta, theta_std (p,) with the estimator's names and units; findings: on the parameters
-    and the record, most important first. `result["mass"]` is one parameter.
+    """Parameters of a plant, their uncertainty, and what to think of them.
 
-    theta_std covers errors that vary from record to record. model_spread (p,), of machines: root mean square change of
-    the parameters by unmodelled effects; NaN: not known, as for an equation that nothing simulates.
+    Attributes
+    ----------
+    estimator : Estimator
+        Its names and units are those of the parameters.
+    theta : ndarray (p,)
+        Parameters; `result["mass"]` is one of them.
+    theta_std : ndarray (p,)
+        Standard deviations of errors that vary from record to record.
+    findings : tuple of Finding
+        On the parameters and the record, most important first; `status` has their codes.
+    model_spread : ndarray (p,), optional
+        Of machines: root mean square change of the parameters by unmodelled effects. NaN: not known, as for an equation
+        that nothing simulates.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, identify, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
+    >>> result = identify(u, counts, cutoff=20.0, method="iv", **settings)
+    >>> dict(zip(result.names, result.units))
+    {'mass': 'kg', 'viscous_friction': 'N s/m', 'coulomb_friction': 'N'}
     """
 
     estimator: Estimator

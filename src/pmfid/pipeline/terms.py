@@ -185,9 +185,35 @@ class Hidden:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TermSearch(Presentable):
-    """What a search has found. name, samples, resolution [unit of y]: of the record; models: from that to begin with to
-    the chosen one; weighed: every term that was fitted, with its size; hidden: terms that are not in it; status, notes:
-    as of a result."""
+    """What a search for terms has found.
+
+    Attributes
+    ----------
+    name : str
+        Of the record.
+    samples : int
+    resolution : float
+        [unit of y].
+    models : tuple of NestedModel
+        From the model to begin with to the chosen one.
+    weighed : tuple of WeighedTerm
+        Every term that was fitted, with its size.
+    hidden : tuple of Hidden
+        Terms that the model has not.
+    status, notes : tuple of str
+        As of a result.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, quantize, search_terms
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(600, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
+    >>> search_terms(u, counts, cutoff=20.0, scan=False, **settings).sentence
+    'No term beyond those of [model] is found; they leave 0.0047 % (0.01 % at low speed) of friction and load unexplained.'
+    """
 
     name: str
     samples: int

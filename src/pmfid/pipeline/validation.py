@@ -27,9 +27,34 @@ WITHIN = 1.5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Presentable):
-    """Free runs over one record or more. kind, method: of the model and of its estimate; names, units, theta: (p,) of
-    its parameters; unit: of the output, empty without one; findings: doubts in the model by each record, as from
-    `identify`."""
+    """Free runs of a result over one record or more.
+
+    Attributes
+    ----------
+    kind, method : str
+        Of the model and of its estimate.
+    names, units : tuple of str
+    theta : ndarray (p,)
+        Parameters.
+    unit : str
+        Of the output, empty without one.
+    runs : tuple of FreeRun
+        One for each record: errors over several horizons.
+    findings : tuple of Finding
+        Doubts in the model by each record, as from `identify`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, identify, quantize, validate
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
+    >>> validation = validate(identify(u[:1000], counts[:1000], cutoff=20.0, method="iv", **settings), u, counts)
+    >>> validation.kind, validation.method, validation.findings
+    ('drive', 'iv', ())
+    """
 
     kind: str
     method: str
