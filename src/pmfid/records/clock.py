@@ -226,6 +226,8 @@ EARLY, RARE = 0.3, 0.001
 TURNS = 5
 #: Least part of the steps of a grid that are single periods.
 SINGLE = 0.3
+#: Steps beyond the median that tell missing lines from rounded stamps: of a pause or two the output says too little.
+LONG_STEPS = 5
 #: Longest gap on the grid [samples]. Longer gaps are shortened: the motion restarts after a gap of any length.
 LONGEST = 1000
 
@@ -303,7 +305,7 @@ def _steady(time: Floats) -> bool:
 
 def misses_lines(time: Floats, output: Floats) -> bool | None:
     """Whether lines are missing (True) or stamps are rounded (False), where steps of stamps (n,) are whole multiples of
-    the median step. None if there are no such steps, or if the output (n,) shows no difference.
+    the median step. None if there are fewer than LONG_STEPS of them, or if the output (n,) shows no difference.
 
     Over a step of k periods the output changes by k times its usual change if lines are missing, by its usual change if
     stamps are rounded. The usual change is the mean of those in the two neighbouring steps.
@@ -322,6 +324,8 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
     usual, change = (changes[long - 1] + changes[long + 1]) / 2, changes[long]
     known = np.isfinite(usual) & np.isfinite(change)
     usual, change, times = usual[known], change[known], times[long][known]
+    if change.size < LONG_STEPS:
+        return None
     if_missing, if_rounded = float(np.sum(np.abs(change - times * usual))), float(np.sum(np.abs(change - usual)))
     return None if if_missing == if_rounded else if_missing < if_rounded
 
