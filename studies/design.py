@@ -71,16 +71,16 @@ With `[robust] mass = 0.2` and `end_tolerance = [0.01, 0.01]` the limits hold fo
 way. Information is relative to the optimum for the true mass:
 """
 ROUNDS = """
-Two rounds of `pmfid commission` on the simulated axis, over ten start phases of the encoder (information: least and
-most of them; end: the worst):
+Two rounds of `pmfid design SPEC RECORD` on the simulated axis, over ten start phases of the encoder (information: least
+and most of them; end: the worst):
 """
 EXPERIMENTS = """
 ## Are the predicted deviations true?
 
 {runs} simulated experiments for each line, an encoder of {increments} increments (91 micrometres per count) that starts
-at a random phase, unknown m, d, F_c, criterion D. `commission` is the estimate of `pmfid commission`, which knows that
-the axis starts at rest; `interval` is the general estimator, which does not; `least squares` takes the error of the
-counts for white noise; `white noise` is least squares where
+at a random phase, unknown m, d, F_c, criterion D. `commission` is the estimate of `pmfid design SPEC RECORD`, which
+knows that the axis starts at rest; `interval` is the general estimator, which does not; `least squares` takes the error
+of the counts for white noise; `white noise` is least squares where
 the position has white noise of the encoder's variance in place of the encoder. *Gain*: size of the confidence ellipsoid
 by its determinant, trapezoid over design, as observed and as predicted.
 """

@@ -1,4 +1,4 @@
-"""The page on what `pmfid commission` claims: machines from 1 kg to 500 kg, their designs and many runs of each."""
+"""Is what `pmfid design SPEC RECORD` claims true? Machines from 1 kg to 500 kg, their designs, many runs of each."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def claims(problem: Problem, u: Floats, runs: int) -> Claims:
 
 
 def chosen(problem: Problem) -> Choice:
-    """What `pmfid commission` runs first."""
+    """What `pmfid design SPEC RECORD` runs first."""
     return choose(solve(problem, "D", starts=STARTS), starts=STARTS)
 
 
@@ -182,11 +182,11 @@ def _cell(values: Floats, digits: int) -> str:
 
 
 INTRODUCTION = """
-# Is what `pmfid commission` claims true?
+# Is what `pmfid design SPEC RECORD` claims true?
 
 One run each on {runs} simulated machines within {wrong:.0%} of their data sheet, from random phases of the encoder,
-{samples} position samples per interval; unknown m, d, F_c, criterion D. The input is what `pmfid commission` runs
-first; below it the trapezoid. *Inside*: runs whose 95 % interval holds the truth. *1.96*: runs within so many
+{samples} position samples per interval; unknown m, d, F_c, criterion D. The input is what `pmfid design SPEC RECORD`
+runs first; below it the trapezoid. *Inside*: runs whose 95 % interval holds the truth. *1.96*: runs within so many
 deviations. *Error / claimed*: root mean square. *Gain*: error with the trapezoid over that with the chosen input. All
 for m, d, F_c in turn; no setting was looked for with the machines {held}.
 """

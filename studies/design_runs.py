@@ -60,7 +60,7 @@ def counted(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) ->
 
 
 def commission(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
-    """The estimate of `pmfid commission`: what the counts leave open."""
+    """The estimate of `pmfid design SPEC RECORD`: what the counts leave open."""
     return _theta(problem, counted(u, x, problem, rng))
 
 

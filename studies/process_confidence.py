@@ -230,7 +230,7 @@ def _searches(results: Mapping[Task, Any]) -> list[str]:
     if not runs:
         return []
     return [
-        f"`pmfid order` on {SEARCHED} samples, {len(runs)} runs: its first is fitted and accepted in "
+        f"`pmfid terms` on {SEARCHED} samples, {len(runs)} runs: its first is fitted and accepted in "
         f"{sum(run[0] for run in runs)}; on fresh data its fit is within a point of the best of all structures in "
         f"{int(np.sum(lost <= 1.0))}, the worst is {np.max(lost):.2f} points below.",
         "",

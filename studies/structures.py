@@ -56,7 +56,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     return [
         "## Order and dead time",
         "",
-        f"`pmfid order` over n = {ORDERS[0]} to {ORDERS[-1]}, m = 0 to n - 1, delay {DELAYS[0]} to {DELAYS[-1]}, 90 "
+        f"`pmfid terms` over n = {ORDERS[0]} to {ORDERS[-1]}, m = 0 to n - 1, delay {DELAYS[0]} to {DELAYS[-1]}, 90 "
         f"structures; white noise at {10 * np.log10(SNR):g} dB, {seeds} runs of each plant. First: how often the true "
         "structure has the best criterion; instead: what was first otherwise; apart: median of its lead over the "
         "second that settled; fitted: structures that were, the others cannot win.",

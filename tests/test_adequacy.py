@@ -150,6 +150,7 @@ def test_error_bars_of_output_error_do_not_shrink_with_a_coarser_encoder():
 
 
 @pytest.mark.parametrize("name", list(AXES))
+@pytest.mark.long
 def test_bars_of_the_simulating_methods_are_of_the_size_of_the_errors(name):
     axis = AXES[name]
     truth = np.array([axis.drive.mass, axis.drive.viscous_friction, axis.drive.coulomb_friction])

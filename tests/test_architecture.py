@@ -341,6 +341,39 @@ def test_the_command_starts_without_the_heavy_libraries() -> None:
     assert "numpy" in modules_after("import pmfid.encoder"), "the list of modules would not show it"
 
 
+NUMERIC = {"numpy", "scipy"}
+TABLES = NUMERIC | {"pydantic", "pydantic_core", "polars", "narwhals"}
+#: Room -> the libraries without which its modules are not imported; all others of OUTSIDE may be absent.
+NEEDS = {
+    **dict.fromkeys(["simulation", "kernel", "models", "filters", "linear", "estimators", "diagnostics"], NUMERIC),
+    **dict.fromkeys(["monitor", "testing", "io"], NUMERIC),
+    **dict.fromkeys(["config", "records", "stream"], TABLES),
+    "pipeline": TABLES | {"highspy"},
+    "export": NUMERIC | {"jinja2"},
+    "design": NUMERIC | {"highspy"},
+    "report": TABLES | {"highspy", "jinja2", "matplotlib"},
+}
+OUTSIDE = SLOW_TO_IMPORT | {"click", "highspy", "jinja2", "narwhals", "pydantic_core", "fastexcel", "h5py", "mcap"}
+ALONE = """
+import importlib, pkgutil, sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {absent!r}:
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Absent())
+room = importlib.import_module("pmfid.{room}")
+for place in pkgutil.walk_packages(room.__path__, "pmfid.{room}."):
+    importlib.import_module(place.name)
+"""
+
+
+@pytest.mark.parametrize("room", NEEDS)
+def test_a_room_needs_no_library_of_those_above(room: str) -> None:
+    program = ALONE.format(absent=OUTSIDE - NEEDS[room], room=room)
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+
+
 def test_the_way_to_the_estimate_of_a_drive_needs_no_library_of_filters() -> None:
     """scipy.signal brings scipy.stats, and took a third of the time of `pmfid identify`."""
     loaded = modules_after("import pmfid.pipeline.identify, pmfid.estimators.registry, pmfid.diagnostics.drives")

@@ -1,4 +1,4 @@
-"""`pmfid compare`: every method on one record."""
+"""`pmfid identify --method all`: every method on one record."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def compared() -> Iterator[None]:
 
 
 def run(*arguments: str) -> str:
-    result = CliRunner().invoke(main, ["compare", *arguments], catch_exceptions=False)
+    result = CliRunner().invoke(main, ["identify", "--method", "all", *arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.stdout
 
@@ -74,7 +74,7 @@ def test_table_and_report(record, tmp_path):
 def test_nothing_to_identify_is_said_once(tmp_path):
     path = tmp_path / "still.csv"
     path.write_text("t,u,counts\n" + "".join(f"{k / 100},1.0,5\n" for k in range(500)))
-    result = CliRunner().invoke(main, ["compare", str(path), "--config", str(CONFIG)])
+    result = CliRunner().invoke(main, ["identify", "--method", "all", str(path), "--config", str(CONFIG)])
     assert result.exit_code == 3
     assert result.stderr.count("does not move") == 1
 
@@ -97,6 +97,7 @@ def test_a_transfer_function_by_every_method(tmp_path):
 
 
 @pytest.mark.parametrize("width", ["80", "60", "20"])
+@pytest.mark.long
 def test_no_number_of_many_parameters_is_cut(tmp_path, monkeypatch, width):
     record, config = tmp_path / "second_order.csv", tmp_path / "axis.toml"
     write(record)

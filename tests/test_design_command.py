@@ -1,4 +1,4 @@
-"""`pmfid design` and `pmfid commission` as a stranger tries them."""
+"""`pmfid design`, before the first run and after, as a stranger tries them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def first(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     """Input of the first design of a commissioning."""
     out = tmp_path_factory.mktemp("first")
-    assert run("commission", EXAMPLE, "--starts", "3", "--out", out).exit_code == 0
+    assert run("design", EXAMPLE, "--want", "mass=1e-6", "--starts", "3", "--out", out).exit_code == 0
     return pl.read_csv(out / "design.csv")["u"].to_numpy()[:-1]
 
 
@@ -215,7 +215,7 @@ def record(tmp_path: Path, u: np.ndarray, mass: float) -> Path:
 
 def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path, first: np.ndarray) -> None:
     path = record(tmp_path, first, 1.6)
-    result = run("commission", EXAMPLE, path, "--starts", "3", "--json", "--out", tmp_path / "next")
+    result = run("design", EXAMPLE, path, "--starts", "3", "--json", "--out", tmp_path / "next")
     assert result.exit_code == 0, result.stderr
     found = json.loads(result.stdout)
     mass = found["rounds"][-1]["parameters"]["mass"]
@@ -226,22 +226,22 @@ def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path, f
     assert found["doubts"] == []
     assert found["next"]["predicted_std"]["mass"] < mass["std"]
     assert pl.read_csv(tmp_path / "next" / "design.csv")["x"][-1] == pytest.approx(0.4, abs=1e-9)
-    done = run("commission", EXAMPLE, path, path, "--want", "mass=0.01", "--json")
+    done = run("design", EXAMPLE, path, path, "--want", "mass=0.01", "--json")
     assert json.loads(done.stdout)["reached"] is True
     assert json.loads(done.stdout)["next"] is None
-    assert "every wanted deviation is reached" in run("commission", EXAMPLE, path, "--want", "mass=0.01").stdout
+    assert "every wanted deviation is reached" in run("design", EXAMPLE, path, "--want", "mass=0.01").stdout
 
 
 @pytest.mark.long
 def test_all_rounds_on_a_simulated_axis() -> None:
     options = ("--truth", "mass=1.8", "--want", "mass=1e-9", "--rounds", "2", "--starts", "3")
-    result = run("commission", EXAMPLE, *options, "--json")
+    result = run("design", EXAMPLE, *options, "--json")
     found = json.loads(result.stdout)
     assert found["reached"] is False
     assert len(found["rounds"]) == 2
     assert found["rounds"][1]["parameters"]["mass"]["value"] == pytest.approx(1.8, rel=1e-3)
     assert found["rounds"][1]["travel"] == pytest.approx(0.4, rel=0.02)
-    assert re.search(r"1\.(80|79)\d* ±", run("commission", EXAMPLE, *options).stdout)
+    assert re.search(r"1\.(80|79)\d* ±", run("design", EXAMPLE, *options).stdout)
 
 
 @pytest.mark.parametrize(
@@ -255,13 +255,13 @@ def test_all_rounds_on_a_simulated_axis() -> None:
     ],
 )
 def test_wrong_commissions_are_one_error(arguments: list[str], message: str) -> None:
-    result = run("commission", EXAMPLE, *arguments)
+    result = run("design", EXAMPLE, *arguments)
     assert result.exit_code == 2
     assert message in result.stderr
     assert result.stderr.startswith("pmfid: ")
 
 
 def test_records_and_a_truth_exclude_each_other(tmp_path: Path, first: np.ndarray) -> None:
-    result = run("commission", EXAMPLE, record(tmp_path, first, 1.5), "--truth", "mass=1.5")
+    result = run("design", EXAMPLE, record(tmp_path, first, 1.5), "--truth", "mass=1.5")
     assert result.exit_code == 2
     assert "not both" in result.stderr

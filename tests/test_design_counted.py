@@ -1,4 +1,4 @@
-"""What `pmfid commission` says of counts: deviations that are true, inputs that serve it, doubts where due."""
+"""What `pmfid design SPEC RECORD` says of counts: deviations that are true, inputs that serve it, doubts where due."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ def usual_claims(name: str) -> Claims:
 
 
 @pytest.mark.parametrize("name", ["40 kg", "rotary"])
+@pytest.mark.long
 def test_errors_are_as_large_as_claimed(name: str) -> None:
     found = usual_claims(name)
     ratio = np.abs(found.errors / found.stds)

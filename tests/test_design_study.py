@@ -43,6 +43,7 @@ def test_breaking_a_limit_is_seen() -> None:
         assert design_wrong.breaks(problem, design_wrong.Outcome(**{**vars(kept), **change}))
 
 
+@pytest.mark.long
 def test_after_two_rounds_the_design_is_that_of_the_true_mass() -> None:
     problem = case("m")
     best = float(design_wrong.optimum(problem).fisher[0, 0])

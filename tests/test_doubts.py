@@ -47,6 +47,7 @@ def test_a_wrong_structure_is_no_feedback():
         assert ("unmodelled" in found.status) == (delay != 3)
 
 
+@pytest.mark.long
 def test_feedback_is_seen_by_every_method_and_a_reference_helps_those_that_use_it():
     r, u, y = closed_loop(1)
     record = Experiment(u, y, dt=0.05)

@@ -53,6 +53,7 @@ def test_half_a_millimetre_ruins_least_squares() -> None:
 
 
 @pytest.mark.parametrize("method", ["bcls", "bcrls"])
+@pytest.mark.long
 def test_half_a_millimetre_is_compensated(method: str) -> None:
     found = identified("--method", method, *HALF_MILLIMETRE, judged=method == "bcls")
     assert found["mass"] == pytest.approx(MASS, rel=0.05)
@@ -61,6 +62,7 @@ def test_half_a_millimetre_is_compensated(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["bcls", "bcrls"])
+@pytest.mark.long
 def test_a_whole_millimetre_is_compensated_in_the_mass(method: str) -> None:
     found = identified("--method", method, *MILLIMETRE, judged=method == "bcrls")
     assert found["mass"] == pytest.approx(MASS, rel=0.05)

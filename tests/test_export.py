@@ -125,6 +125,7 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
     "target",
     [pytest.param(t, marks=[needs(t), *([pytest.mark.long] if t is M4F else [])], id=t.name) for t in (CLANG, M4F, M7)],
 )
+@pytest.mark.long
 def test_shapes_and_dead_times_have_the_bits_of_python_everywhere(target: Target, variant: str, tmp_path: Path) -> None:
     """Its two recursions have different sizes: no compiler may find code for a third one."""
     estimator = make(pmfid.RIV, "float32", **VARIANTS[variant])
@@ -343,6 +344,7 @@ MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="u
 
 @needs(Target("", "cppcheck"))
 @pytest.mark.parametrize("kind", ["drive", pytest.param("process", marks=pytest.mark.long)])
+@pytest.mark.long
 def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
     """The drive with the most code and the process with the most, each with the macros of its export alone."""
     pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("window", "float32"), tmp_path)
@@ -357,6 +359,7 @@ def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
 
 
 @needs(GCC)
+@pytest.mark.long
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     folder = exported(make(pmfid.RIV), tmp_path, *hostile())
     assert difference(folder, GCC, "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover") is None

@@ -213,6 +213,7 @@ def records() -> dict[str, CartRecord]:
 
 @pytest.mark.parametrize("method", ["iv", "output-error", "interval", "auto"])
 @pytest.mark.parametrize("name", [name for name, *_ in CASES])
+@pytest.mark.long
 def test_the_gain_is_found_within_its_bar(records: dict[str, CartRecord], name: str, method: str) -> None:
     axis = BENCHES[name]
     result = identified(axis, records[name], method=method, given={"mass": axis.drive.mass})
@@ -485,7 +486,9 @@ def test_a_result_in_python_predicts(records: dict[str, CartRecord]) -> None:
 
 @pytest.mark.long
 def test_all_methods_side_by_side(folder: Path) -> None:
-    told = json.loads(invoked("compare", folder / "run.csv", "--config", folder / "axis.toml", "--json"))
+    told = json.loads(
+        invoked("identify", "--method", "all", folder / "run.csv", "--config", folder / "axis.toml", "--json")
+    )
     for method in ("ls", "iv", "output-error", "riv"):
         assert told["methods"][method]["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.02)
 

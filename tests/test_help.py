@@ -43,7 +43,7 @@ UNITS |= {"noise_std": "unit of y"}
 
 def explanation(doc: str, name: str) -> str:
     """What a docstring says wherever an argument is explained, each up to the next one."""
-    return " ".join(re.findall(rf"(?:^|[^\w`]){name}: (.*?)(?=\s\w+: |\Z)", doc, re.DOTALL))
+    return " ".join(re.findall(rf"(?:^|[^\w`]){name} ?: (.*?)(?=\s\w+ ?: |\Z)", doc, re.DOTALL))
 
 
 @pytest.mark.parametrize("method", ESTIMATORS)

@@ -56,14 +56,14 @@ def test_every_command_is_called() -> None:
     assert sum(part for _, part in COMMANDS.values()) == pytest.approx(1)
 
 
-def called(folder: Path, command: str, plant: str, axis: str, **columns: np.ndarray) -> tuple[str, ...]:
+def called(folder: Path, command: str, plant: str, axis: str, *further: str, **columns: np.ndarray) -> tuple[str, ...]:
     record: Columns = PLANTS[plant](0)[0] | columns
     files = {"axis.toml": axis.encode(), "run.csv": as_csv(np.random.default_rng(0), record)}
-    return run(Case((command, "run.csv", "--config", "axis.toml", "--json"), files), folder).faults
+    return run(Case((command, "run.csv", "--config", "axis.toml", "--json", *further), files), folder).faults
 
 
 def test_calls_that_ended_in_a_traceback(tmp_path: Path) -> None:
     """A drive by a method for processes compared, a reference of 1e200, a cutoff of 1e-320."""
-    assert called(tmp_path, "compare", "rotary", ROTARY + 'method = "rsrivc"\n') == ()
+    assert called(tmp_path, "identify", "rotary", ROTARY + 'method = "rsrivc"\n', "--method", "all") == ()
     assert called(tmp_path, "identify", "process", PROCESS, r=np.full(120, 1e200)) == ()
     assert called(tmp_path, "identify", "rotary", ROTARY.replace("100.0", "1e-320") + 'method = "rknown-step"') == ()

@@ -135,6 +135,7 @@ def test_saved_states_go_on_with_the_same_bits() -> None:
 
 @pytest.mark.parametrize(("kind", "said"), [("lag", "a first-order lag"), ("dead_time", "a dead time")])
 @pytest.mark.parametrize("axis", ["wheel", "stage"])
+@pytest.mark.long
 def test_which_of_the_two_it_is_is_said_and_the_remedy_helps(axis: str, kind: str, said: str) -> None:
     run = behind(axis, *((0.8, 0.0) if kind == "lag" else (0.0, 0.8)), switches=100)
     found = examine(made(IV, axis), run.u, run.counts)

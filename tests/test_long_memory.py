@@ -68,6 +68,7 @@ def test_float32_agrees_with_float64_after_two_million_samples(cls: type[Recursi
     np.testing.assert_allclose(*ends, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_rest_costs_no_information() -> None:
     estimator = after_millions(pmfid.BCRLS, "float32")
     u, counts = motion(heavy=False)
@@ -98,6 +99,7 @@ def test_export_says_how_long_float32_remembers(forgetting: str, told: bool, tmp
     assert ("remembers at most the last 524288 samples" in result.output) == told
 
 
+@pytest.mark.long
 def test_parameters_that_float32_never_forgets_agree_with_float64_after_eight_million_samples() -> None:
     """While the mass is forgotten: the sums of the others are full at different samples, if nothing fades them."""
     u, counts = motion(heavy=False)

@@ -183,6 +183,7 @@ SEQUENCES = {
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
+@pytest.mark.long
 def test_the_run_length_is_the_one_asked(name: str) -> None:
     """Blocks of known laws, as if each told as much as the next: an hour of them gives the thresholds, and other hours
     have about as many alarms as asked."""

@@ -114,6 +114,7 @@ def test_no_bias_beyond_chance(method):
 
 
 @pytest.mark.parametrize(("cls", "method", "low", "high"), [(OE, "oe", 0.5, 2.0), (IntervalML, "interval", 0.7, 3.0)])
+@pytest.mark.long
 def test_reported_deviations_are_those_over_the_seeds(cls, method, low, high, drive):
     """The likelihood's are on the safe side: the counts know more than with its least noise."""
     fit = fitted(cls, drive, cart_run(5, increments=128, samples=SAMPLES))

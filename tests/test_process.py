@@ -94,6 +94,7 @@ def test_offset_and_several_records():
     np.testing.assert_allclose(fit.theta, [*SECOND.theta, 0.5 * SECOND.theta[0]], rtol=1e-6)
 
 
+@pytest.mark.long
 def test_error_bars_are_those_of_many_runs():
     fits = [
         srivc(SECOND).fit_experiments([Experiment(SECOND.u, noisy(SECOND, s, 0.3), dt=SECOND.dt)]) for s in range(40)
@@ -140,6 +141,7 @@ def closed_loop(seed: int, samples: int = 4000, dt: float = 0.05) -> tuple[np.nd
     return r, u, y
 
 
+@pytest.mark.long
 def test_closed_loop_needs_the_reference():
     estimator = SRIVC(TransferFunction(2, 0), ENCODER, 0.05, 2.0)
     without, given = [], []
@@ -339,12 +341,12 @@ def test_options_of_the_structure(records):
 def test_order_command(records, tmp_path, monkeypatch):
     monkeypatch.setattr("pmfid.pipeline.processes.ORDERS", (1, 2, 3))
     monkeypatch.setattr("pmfid.pipeline.processes.DELAYS", (0, 1))
-    found = json.loads(run("order", records[0], "--config", str(CONFIG), "--json", "--out", str(tmp_path)))
+    found = json.loads(run("terms", records[0], "--config", str(CONFIG), "--json", "--out", str(tmp_path)))
     assert found["best"] == {"n": 2, "m": 0, "delay": 0}
     page = (tmp_path / "order.html").read_text()
     assert "Criterion" in page
     assert "mathdefault" not in page
-    assert "best: --n 2 --m 0 --delay 0" in run("order", records[0], "--config", str(CONFIG))
+    assert "best: --n 2 --m 0 --delay 0" in run("terms", records[0], "--config", str(CONFIG))
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,7 @@ def test_float32_is_close_to_float64(cls, forgetting, drive):
 @pytest.mark.parametrize("cls", RECURSIVE)
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("voltage", [0.0, 1.0])
+@pytest.mark.long
 def test_a_million_samples_without_excitation(cls, precision, voltage, drive):
     """At rest (zero regressor) or at constant speed: finite, flagged, and back after 2 s of motion."""
     n, head, tail = 1_000_000, 500, 200

@@ -79,6 +79,7 @@ def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive)
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize(("cls", "scheme"), CASES)
+@pytest.mark.long
 def test_an_hour_of_standstill_is_harmless_in_every_scheme(cls, scheme, precision, drive):
     """The estimate of before stays, and a memory after it all is as it was. A window lets its older blocks go until
     what is left says hardly anything, so that its estimate is of less; that of the mass stays, too."""

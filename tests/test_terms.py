@@ -117,6 +117,7 @@ def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[
     assert last.trial.theta[0] == pytest.approx(DRIVE.mass, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_dead_time_and_stribeck_friction_are_told_apart() -> None:
     """Each imitates the other at a reversal."""
     found = searched(made(samples=2000, stribeck=0.02, stribeck_speed=0.6, dead_time=1e-3))

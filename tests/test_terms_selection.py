@@ -98,6 +98,7 @@ def test_a_lag_that_no_drive_has_is_no_fit(lag: TermSearch, lagging: Made, monke
         bench.further(lag.terms.trials[0], {"lag": model.lag})
 
 
+@pytest.mark.long
 def test_a_dead_time_and_a_lag_are_found_together() -> None:
     found = searched(made(samples=2400, dead_time=3e-3, lag=5e-3))
     assert set(found.added) == {"dead_time", "lag"}
@@ -148,6 +149,7 @@ def test_a_term_that_turns_out_to_predict_worse_goes_again(monkeypatch: pytest.M
     assert found.steps[1][0].verdict == rules.DROPPED
 
 
+@pytest.mark.long
 def test_two_terms_are_tried_at_once_where_no_single_one_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
     record = made("stop-and-go", samples=2400, asymmetry=0.15, stiffness=0.01)
     own = rules.find_objection

@@ -156,6 +156,7 @@ def test_a_packed_file_is_no_csv(tmp_path: Path, pack: Callable[[bytes], bytes])
 
 
 @pytest.mark.parametrize("key", ["time", "input"])
+@pytest.mark.long
 def test_a_long_text_in_every_row_is_refused_before_it_is_copied(tmp_path: Path, key: str) -> None:
     pl.DataFrame({"u": ["a" * 100_000] * 40_000}).write_parquet(tmp_path / "rows.parquet")
     read = {"time": times, "input": lambda table, name: column(table, "input", name)}[key]

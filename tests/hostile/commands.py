@@ -120,7 +120,9 @@ def _check(rng: Rng, folder: Path) -> Case:
 def _compare(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, quantize=["1e-3"], cutoff=["10"]) + _out(rng, 0.03)
-    return Case(("compare", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
+    return Case(
+        ("identify", name, "--method", "all", "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files
+    )
 
 
 def _terms(rng: Rng, folder: Path) -> Case:
@@ -181,7 +183,7 @@ def _validate(rng: Rng, folder: Path) -> Case:
 def _order(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, cutoff=["10"]) + _out(rng, 0.03)
-    return Case(("order", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
+    return Case(("terms", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
 
 
 def _export(rng: Rng, folder: Path) -> Case:
@@ -309,7 +311,7 @@ def _commission(rng: Rng, folder: Path) -> Case:
     for _ in range(int(rng.choice([0, 1, 2], p=[0.3, 0.6, 0.1]))):
         name, data = as_file(rng, with_defects(rng, columns), folder)
         files[name], runs = data, [*runs, name]
-    return Case(("commission", "spec.toml", *runs, *chosen, *_out(rng, 0.01)), files)
+    return Case(("design", "spec.toml", *runs, *chosen, *_out(rng, 0.01)), files)
 
 
 # --- the rest ---------------------------------------------------------------------------------------------------------

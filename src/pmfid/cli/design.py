@@ -1,4 +1,4 @@
-"""The commands `pmfid design` and `pmfid commission`."""
+"""The command `pmfid design`: an input, or from the runs so far an estimate and the next input."""
 
 from __future__ import annotations
 
@@ -27,12 +27,29 @@ OUT = click.option(
     metavar="DIR",
     help="Write report.html, design.json, and t, u, x, v as design.csv there.",
 )
+RUNS = click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
+WANT = click.option(
+    "--want", multiple=True, metavar="NAME=STD", help="Stop at this standard deviation, in its unit; may be repeated."
+)
+TRUTH = click.option(
+    "--truth",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Simulate all rounds on an axis with this parameter, the others nominal; may be repeated.",
+)
+ROUNDS = click.option(
+    "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="The most to simulate."
+)
 #: Option -> key of SPEC.toml.
 KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
 
 
-@click.command(short_help="Find the input that tells most within an axis' limits.")
+@click.command(short_help="Find the input that tells most within an axis' limits, or the next one after runs.")
 @SPEC
+@RUNS
+@WANT
+@TRUTH
+@ROUNDS
 @UNKNOWN
 @CRITERION
 @STARTS
@@ -57,12 +74,28 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
 @OUT
 @JSON
 def design(
-    spec: Path, workers: int, certify: float, motions: int, out: Path | None, as_json: bool, **options: object
+    spec: Path,
+    records: tuple[Path, ...],
+    want: tuple[str, ...],
+    truth: tuple[str, ...],
+    rounds: int,
+    workers: int,
+    certify: float,
+    motions: int,
+    out: Path | None,
+    as_json: bool,
+    **options: object,
 ) -> None:
     """Find the input that tells most about an axis within its limits.
 
+    With records of designed runs, or --want or --truth: estimate from these runs and design the next one, until the
+    wanted deviation is reached; --workers, --certify and --motions do not act then.
+
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
     """
+    if records or want or truth:
+        _commission(spec, records, want, truth, rounds, out, as_json, options)
+        return
     with _infeasible_as_json(as_json), progress("design") as tell:
         from pmfid.pipeline.designs import run_appraisal, run_campaign, run_design
         from pmfid.report.design import write_design
@@ -83,19 +116,12 @@ def design(
         print_appraisal(appraisal, together, out)
 
 
-@click.command(short_help="Estimate from the runs so far and design the next one.")
+@click.command(hidden=True, deprecated="use pmfid design SPEC.toml RECORD")
 @SPEC
-@click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
-@click.option(
-    "--want", multiple=True, metavar="NAME=STD", help="Stop at this standard deviation, in its unit; may be repeated."
-)
-@click.option(
-    "--truth",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Simulate all rounds on an axis with this parameter, the others nominal; may be repeated.",
-)
-@click.option("--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="The most to simulate.")
+@RUNS
+@WANT
+@TRUTH
+@ROUNDS
 @UNKNOWN
 @CRITERION
 @STARTS
@@ -112,11 +138,20 @@ def commission(
     as_json: bool,
     **options: object,
 ) -> None:
-    """Estimate from the designed runs so far and design the next one, until the wanted deviation is reached.
+    """Estimate from the designed runs so far and design the next one."""
+    _commission(spec, records, want, truth, rounds, out, as_json, options)
 
-    Without a record: the first design. Exit code 0: an estimate or a design; 2: wrong usage; 3: the limits cannot be
-    met, or the runs cannot tell a parameter.
-    """
+
+def _commission(
+    spec: Path,
+    records: tuple[Path, ...],
+    want: tuple[str, ...],
+    truth: tuple[str, ...],
+    rounds: int,
+    out: Path | None,
+    as_json: bool,
+    options: dict[str, object],
+) -> None:
     with _infeasible_as_json(as_json), progress("commission"):
         from pmfid.pipeline.designs import read_run, run_appraisal, run_commissioning
 

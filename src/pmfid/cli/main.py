@@ -20,13 +20,15 @@ from pmfid.cli.monitor import monitor
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
 from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, progress, step
-from pmfid.cli.terms import terms
+from pmfid.cli.terms import order, terms
 from pmfid.cli.validate import validate
 from pmfid.errors import INTERRUPTED, PmfidError, printable
 from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
 EXIT_USAGE = 2
+#: The method that stands for each of them.
+EVERY = "all"
 #: More threads for products of small matrices only wait for each other: a search took four times as long.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -82,9 +84,9 @@ def _open_closed_streams() -> None:
 @config_option()
 @click.option(
     "--method",
-    type=click.Choice(METHODS),
-    help="auto: by the record. Off-line: ls, bcls, known-step, iv, output-error, interval, srivc; "
-    "recursive: rls, bcrls, rknown-step, riv, rsrivc. srivc and rsrivc are for a transfer function.",
+    type=click.Choice((*METHODS, EVERY)),
+    help="auto: by the record; all: every one, side by side. Off-line: ls, bcls, known-step, iv, output-error, "
+    "interval, srivc; recursive: rls, bcrls, rknown-step, riv, rsrivc. srivc and rsrivc are for a transfer function.",
 )
 @CUTOFF
 @click.option("--order", type=int, help="Stages of the filters.")
@@ -98,7 +100,10 @@ def _open_closed_streams() -> None:
     metavar="STEP",
     help="Floor the position to this coarser step first: what if the encoder were cheaper?",
 )
-@folder_option("Write report.html and result.json there, and track.parquet of a recursive method on a drive.")
+@folder_option(
+    "Write report.html and result.json there, and track.parquet of a recursive method on a drive; of all methods "
+    "compare.html."
+)
 @click.option("--n", type=int, help="Poles of a transfer function.")
 @click.option("--m", type=int, help="Zeros of a transfer function.")
 @click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
@@ -108,12 +113,16 @@ def identify(
 ) -> None:
     """Identify the parameters of a record."""
     sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
+    changes = {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()}
+    if options["method"] == EVERY:
+        _compare(records, config, changes | {"estimator.method": None}, quantize, out, as_json)
+        return
     with progress("identify") as tell:
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.identify import identify as run
         from pmfid.pipeline.identify import kind_of
 
-        axis = load_axis(config, {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()})
+        axis = load_axis(config, changes)
         result = run(kind_of(axis).read(records, axis, quantize), axis, tell)
         if out is not None:
             from pmfid.report.result import write_result
@@ -127,64 +136,20 @@ def identify(
         print_result(result, out)
 
 
-@main.command(short_help="Search the structure of a transfer function.")
-@RECORDS
-@config_option()
-@CUTOFF
-@folder_option("Write order.html there.")
-@JSON
-def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool) -> None:
-    """Search the poles, zeros and dead time of a transfer function that explains RECORD.
-
-    1 to 5 poles, fewer zeros, dead times of 0 to 5 samples; the configuration's n, m and delay are not used.
-    """
-    structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
-    structure |= {"model.integrators": 0, "model.dead_time": 0.0}
-    with progress("structures") as tell:
-        from pmfid.config.axis import load_axis
-        from pmfid.pipeline.processes import Processes, search_json, search_order
-
-        axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
-        search = search_order(Processes().read(records, axis), axis, tell)
-        if out is not None:
-            from pmfid.report.result import write_search
-
-            write_search(out, search, records[0].name)
-    if as_json:
-        print_json(search_json(search))
-    else:
-        from pmfid.cli.tables import print_search
-
-        print_search(search, records[0].name, out)
-
-
-@main.command(short_help="Identify a record by every method, side by side.")
-@RECORDS
-@config_option()
-@CUTOFF
-@click.option("--quantize", type=float, metavar="STEP", help="Floor the position to this coarser step first.")
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write compare.html there."
-)
-@JSON
-def compare(
+def _compare(
     records: tuple[Path, ...],
     config: Path,
-    cutoff: float | None,
+    changes: dict[str, object],
     quantize: float | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Identify the parameters of RECORD by every method, side by side.
-
-    Of a transfer function several records make one estimate.
-    """
     with progress("methods") as tell:
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.identify import compare as run
         from pmfid.pipeline.identify import kind_of
 
-        axis = load_axis(config, {"estimator.cutoff": cutoff})
+        axis = load_axis(config, changes)
         comparison = run(kind_of(axis).read(records, axis, quantize), axis, tell)
         if out is not None:
             from pmfid.report.comparison import write_comparison
@@ -198,10 +163,30 @@ def compare(
         print_comparison(comparison, out)
 
 
+@main.command(hidden=True, deprecated="use pmfid identify --method all")
+@RECORDS
+@config_option()
+@CUTOFF
+@click.option("--quantize", type=float)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False))
+@JSON
+def compare(
+    records: tuple[Path, ...],
+    config: Path,
+    cutoff: float | None,
+    quantize: float | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Identify the parameters of RECORD by every method, side by side."""
+    _compare(records, config, {"estimator.cutoff": cutoff}, quantize, out, as_json)
+
+
 main.add_command(check)
 main.add_command(init)
 main.add_command(design)
 main.add_command(commission)
+main.add_command(order)
 main.add_command(monitor)
 main.add_command(serve)
 main.add_command(simulate)

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import CUTOFF, JSON, config_option, folder_option, print_json, progress
-from pmfid.errors import printable
+from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, progress
+from pmfid.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from pmfid.pipeline.terms import TermSearch
 
 
-@click.command(short_help="Search the terms of a drive: friction, forces, dead time.")
-@click.argument("record", type=click.Path(path_type=Path))
+@click.command(short_help="Search the terms of a drive, or the structure of a transfer function.")
+@RECORDS
 @config_option("What the record holds, the encoder, the model to begin with; of [estimator] cutoff and order are used.")
 @CUTOFF
 @click.option(
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     "--friction-period", type=float, metavar="PERIOD", help="Look for friction that changes along the travel, too."
 )
 @click.option("--scan/--no-scan", default=True, help="Look for a cogging force of any pitch, where none is given.")
-@folder_option("Write terms.html and terms.json there.")
+@folder_option("Write terms.html and terms.json there, of a transfer function order.html.")
 @JSON
 def terms(
-    record: Path,
+    records: tuple[Path, ...],
     config: Path,
     cutoff: float | None,
     held_out: Path | None,
@@ -45,12 +45,19 @@ def terms(
     as_json: bool,
 ) -> None:
     """Search what RECORD asks for beyond the model of AXIS.toml: Stribeck, quadratic or directional friction, a load, a
-    spring, a dead time, and forces along the travel.
+    spring, a dead time, and forces along the travel. Of a transfer function: 1 to 5 poles, fewer zeros, dead times of 0
+    to 5 samples.
 
     One term is added at a time, and kept if it is beyond chance and explains data that it was not fitted to.
 
     Exit code 0: a search, whatever it finds; 2: wrong usage or unreadable input; 3: the record cannot tell.
     """
+    if _is_process(config):
+        _search_order(records, config, cutoff, out, as_json)
+        return
+    if len(records) > 1:
+        raise UsageError("pmfid terms takes one record of a drive; give the second one by --held-out")
+    record = records[0]
     with progress("terms") as tell:
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.terms import list_periodic_forces, search_drive
@@ -68,6 +75,52 @@ def terms(
         print_json(found.to_json())
     else:
         _print(found, out)
+
+
+def _is_process(config: Path) -> bool:
+    """Whether a configuration has a transfer function; what is wrong with the file, its reader says."""
+    from tomllib import TOMLDecodeError, loads
+
+    try:
+        model = loads(config.read_text(encoding="utf-8")).get("model")
+    except (OSError, UnicodeDecodeError, TOMLDecodeError):
+        return False
+    return isinstance(model, dict) and model.get("kind") == "transfer_function"
+
+
+@click.command(hidden=True, deprecated="use pmfid terms")
+@RECORDS
+@config_option()
+@CUTOFF
+@folder_option("Write order.html there.")
+@JSON
+def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool) -> None:
+    """Search the poles, zeros and dead time of a transfer function that explains RECORD."""
+    _search_order(records, config, cutoff, out, as_json)
+
+
+def _search_order(
+    records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool
+) -> None:
+    """n, m and delay of the configuration are not used."""
+    structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
+    structure |= {"model.integrators": 0, "model.dead_time": 0.0}
+    with progress("structures") as tell:
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.processes import Processes, search_json, search_order
+
+        axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
+        search = search_order(Processes().read(records, axis), axis, tell)
+        if out is not None:
+            from pmfid.report.result import write_search
+
+            write_search(out, search, records[0].name)
+    if as_json:
+        print_json(search_json(search))
+    else:
+        from pmfid.cli.tables import print_search
+
+        print_search(search, records[0].name, out)
 
 
 def _print(found: TermSearch, out: Path | None) -> None:

@@ -175,7 +175,7 @@ class ModelConfig(FileSection):
         )
         own = (of_process - of_drive) & self.model_fields_set
         if wanted and (self.n is None or self.m is None):
-            raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid order RECORD")
+            raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid terms RECORD")
         if own and not wanted:
             raise ValueError(f'{", ".join(sorted(own))} is for kind = "transfer_function"; add that, or drop it')
         foreign = ({*of_drive, "unknown", "known"} - of_process) & self.model_fields_set

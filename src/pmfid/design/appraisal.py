@@ -120,9 +120,9 @@ class Worth:
     surviving: part of the claimed information that remains with true stiction; the least over nominal, slightly larger
     and slightly smaller parameters. None if it cannot be simulated.
     predicted_std: of each unknown parameter after one run; inf if run and prior do not determine it.
-    std_encoder: expected standard deviation of `pmfid commission` from the encoder's counts, start position unknown
-    (`encoder_covariance`); inf as above, and if the noise is not an encoder's. covariance: (p, p) of the estimate after
-    one run over unknown + nuisance, in their units, for the choice of inputs; None if undetermined.
+    std_encoder: expected standard deviation of `pmfid design SPEC RECORD` from the encoder's counts, start position
+    unknown (`encoder_covariance`); inf as above, and if the noise is not an encoder's. covariance: (p, p) of the
+    estimate after one run over unknown + nuisance, in their units, for the choice of inputs; None if undetermined.
     """
 
     fisher: Floats

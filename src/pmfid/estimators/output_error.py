@@ -372,8 +372,12 @@ class IntervalML(Following):
 
     Parameters
     ----------
-    model, encoder, dt, cutoff, drift_cutoff, initial
-        As of `OE`.
+    model, encoder, dt, cutoff
+        As of `IV`.
+    drift_cutoff : float, optional
+        Pole of a first-order high-pass on y - x [rad/s], 0: none. By default as for `OE`.
+    initial : mapping, optional
+        Parameters by name to start from.
 
     Notes
     -----

@@ -167,7 +167,7 @@ def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandi
 
 
 def search_json(search: Search) -> dict[str, object]:
-    """The object that `pmfid order --json` prints."""
+    """The object that `pmfid terms --json` prints."""
     rows = [
         {
             "n": row.n,

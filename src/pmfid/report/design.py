@@ -273,7 +273,7 @@ def _with_std(value: float, std: float) -> str:
 
 _ENCODER_TEXT = (
     "An encoder does not tell where within a count the axis starts, and its error is not white: it repeats with the "
-    "motion. This is what pmfid commission gets from its counts."
+    "motion. This is what pmfid design SPEC RECORD gets from its counts."
 )
 
 
