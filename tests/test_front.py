@@ -203,7 +203,8 @@ def test_progress_without_a_terminal_is_sparse_and_short_work_is_silent(
 def run_on_terminal(work: str, *, interrupt: bool) -> tuple[int, str]:
     """The exit code of the command whose group is replaced by Python lines, and what it wrote on its terminal."""
     lines = (
-        "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background ignores it
+        # a job in the background ignores interrupts
+        "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"import pmfid.cli.main as m\ndef command():\n {work}\nm.main = command\nimport pmfid.cli.entry as e\ne.main()"
     )
     ours, theirs = os.openpty()
