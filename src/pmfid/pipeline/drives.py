@@ -167,7 +167,7 @@ class Drives(Kind[Record]):
         known = repair_as_configured(data, axis)
         result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
         result = replace(result, theta_std=_widen_errors(result, data))
-        return result.with_findings(*known.findings)
+        return result.with_findings(*known.findings, *_clock_findings(data))
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
         whole = unbroken(data)
@@ -307,6 +307,17 @@ def _estimate(
     found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, judgement.matter, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.of(fit, spread))
+
+
+def _clock_findings(record: Record) -> tuple[Finding, ...]:
+    """What the estimate of a resampled record owes to its clock."""
+    if not record.jitter:
+        return ()
+    sentence = (
+        f"the steps of the clock vary by {record.jitter:.0%} (root mean square), and the standard errors leave out "
+        "what resampling costs"
+    )
+    return (Finding("uneven_clock", sentence, "log at a fixed rate for a better estimate"),)
 
 
 def _widen_errors(result: DriveResult, record: Record) -> Floats:

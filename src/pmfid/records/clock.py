@@ -258,13 +258,13 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
     rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
     rows, early = _drop_early(time, rows)
     stamps, places = _take_rows(time, rows), None
-    if not _steady(stamps):
+    if not is_steady(stamps):
         missing = misses_lines(stamps, _take_rows(output, rows))
         found = None
         if missing is False:
             stamps = _even_stamps(stamps)
         elif missing or not even_grid(stamps)[1]:
-            found = _places(stamps)
+            found = find_places(stamps)
         if found is not None:
             places, period = found
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
@@ -297,7 +297,7 @@ def left_out(
     return out, tuple(notes)
 
 
-def _steady(time: Floats) -> bool:
+def is_steady(time: Floats) -> bool:
     """Does the time (n,) rise without a step in which samples are missing?"""
     steps = np.diff(time)
     return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= MISSING * np.median(steps))
@@ -360,7 +360,7 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     return rows[~early], (f"{count} {note} less than {EARLY:g} of a period after another: left out",)
 
 
-def _places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
+def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
     """Places (n,) of rising stamps (n,) on an even grid, from 0 on, and its period; None without a grid.
 
     Each step is nearly a whole number of periods. If the stamps scatter more, a line through all stamps gives the grid.

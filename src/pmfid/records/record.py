@@ -17,6 +17,7 @@ from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, n
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
 from pmfid.records.gaps import describe_missing, fill_gaps
+from pmfid.records.resampling import resample_uneven
 from pmfid.types import Counts, Flags, Floats
 
 if TYPE_CHECKING:
@@ -150,7 +151,8 @@ class Record:
     u: input, (n,), already scaled, NaN in gaps in which it is not known; counts: encoder counts, (n,), unwrapped; dt:
     sample period [s]; resolution: unit of y per count; notes: changes to the data, for people; name: name of the file;
     rotary: is the output an angle? there: (n,) the samples that were measured, None: all; `gaps` fills the others;
-    doubt: (p,) relative error of parameters that filled samples may cause, None: no error.
+    doubt: (p,) relative error of parameters that filled samples may cause, None: no error. jitter: root mean square
+    deviation of the steps of an uneven clock, as a part of the period, from which the record was resampled.
     """
 
     u: Floats
@@ -162,6 +164,7 @@ class Record:
     rotary: bool = False
     there: Flags | None = None
     doubt: Floats | None = None
+    jitter: float = 0.0
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:
@@ -261,6 +264,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     _check_lengths(columns, keys)
     for key, values in columns.items():
         _check_not_empty(f"{key} column {keys[key]!r}", values)
+    columns, jitter, clock_notes = _resample(axis, columns)
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
     rows, row_notes = _rows(table, config, columns)
@@ -278,14 +282,32 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         count_notes += (f"position quantised again with a step of {quantize:g}",)
     if config.output_kind == "counts" and resolution == 1:
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
-    notes = notes_of(table) + units.notes + scale_notes + row_notes + motion_notes + count_notes
+    notes = notes_of(table) + units.notes + scale_notes + clock_notes + row_notes + motion_notes + count_notes
     u = _scale_column(columns["input"], scale * units.u)
     if rows.whole:
-        return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary")
+        return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary", jitter=jitter)
     u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
-    return Record(
-        u, counts, rows.dt, resolution, (*notes, describe_missing(u, there)), name, units.kind == "rotary", there
-    )
+    notes = (*notes, describe_missing(u, there))
+    return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary", there, jitter=jitter)
+
+
+def _resample(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], float, tuple[str, ...]]:
+    """The columns of an uneven clock on an even grid, the jitter of its steps, 0 for an even clock, and notes. A record
+    with a counter that wraps, a velocity or rows that are left out keeps its clock."""
+    config, encoder = axis.record, axis.encoder
+    keeps = config.output_kind == "velocity" or config.mask or config.exclude
+    if "time" not in columns or keeps or encoder.bits is not None or encoder.range is not None:
+        return columns, 0.0, ()
+    found = resample_uneven(columns["time"], columns["input"], columns["output"])
+    if found is None:
+        return columns, 0.0, ()
+    period = (found.time[1] - found.time[0]) * time_factor(config)
+    note = "the stamps scatter around an even grid, as stamps of arrival do: the grid is taken"
+    if found.jitter:
+        note = f"the steps of the clock vary by {found.jitter:.0%}: the record is resampled to {period:.4g} s"
+    y = np.rint(found.y) if config.output_kind == "counts" else found.y
+    new = columns | {"time": found.time, "input": found.u, "output": y}
+    return new, found.jitter, (note,)
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:

@@ -1,0 +1,94 @@
+"""Records of an uneven clock: true stamps, stamps of arrival, bursts, gaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pmfid.config.axis import load_axis
+from pmfid.pipeline.identify import identify, kind_of
+from pmfid.pipeline.result import DriveResult
+from pmfid.records.resampling import resample_uneven
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
+from pmfid.types import Counts, Floats
+
+#: Parts of a period in the simulation.
+PARTS = 20
+SAMPLES = 2500
+
+
+def steps_of(clock: str, rng: np.random.Generator) -> Counts:
+    """Steps (n,) of a clock in parts of a period."""
+    if clock == "bursts":
+        return np.where(np.arange(SAMPLES) % 4 == 3, 4 * PARTS - 15, 5)
+    if clock == "in turn":
+        return np.where(np.arange(SAMPLES) % 2 == 0, 18, 22)
+    if clock == "host":
+        return np.maximum(8, np.rint(PARTS * np.exp(0.25 * rng.standard_normal(SAMPLES)))).astype(int)
+    return np.full(SAMPLES, PARTS)
+
+
+def run(clock: str, delay: float = 0.0) -> tuple[Floats, Floats, Counts]:
+    """Stamps, input and counts of the cart; delay: scale of the delay of the stamps [periods]."""
+    rng = np.random.default_rng(7)
+    steps = steps_of(clock, rng)
+    at = np.r_[0, np.cumsum(steps)[:-1]]
+    u = prbs(SAMPLES, clock=8, amplitude=2.0, rng=rng)
+    x = simulate_drive(CART, np.repeat(u, steps), CART_DT / PARTS).x[at]
+    late = np.sort(at * CART_DT / PARTS + delay * CART_DT * np.abs(rng.standard_normal(SAMPLES)))
+    return late, u, quantize(x, 8 * CART_RESOLUTION)
+
+
+def identified(folder: Path, time: Floats, u: Floats, counts: Counts) -> DriveResult:
+    pl.DataFrame({"t": time, "u": u, "n": counts}).write_csv(folder / "run.csv")
+    (folder / "axis.toml").write_text(
+        '[record]\ninput = "u"\noutput = "n"\noutput_kind = "counts"\ntime = "t"\ntime_unit = "s"\n'
+        f"[encoder]\nresolution = {8 * CART_RESOLUTION}\n[model]\ninput_gain = {CART.input_gain}\n"
+    )
+    axis = load_axis(folder / "axis.toml")
+    found = identify(kind_of(axis).read([folder / "run.csv"], axis), axis)
+    assert isinstance(found, DriveResult)
+    return found
+
+
+@pytest.mark.parametrize("clock", ["bursts", "in turn", "host"])
+def test_true_stamps_are_resampled_and_flagged(tmp_path: Path, clock: str) -> None:
+    result = identified(tmp_path, *run(clock))
+    assert result["mass"] == pytest.approx(CART.mass, rel=0.01)
+    assert result["viscous_friction"] == pytest.approx(CART.viscous_friction, rel=0.01)
+    assert "uneven_clock" in result.status
+
+
+@pytest.mark.parametrize("delay", [0.2, 1.0, 3.0])
+def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: float) -> None:
+    even, late = identified(tmp_path, *run("even")), identified(tmp_path, *run("even", delay))
+    np.testing.assert_allclose(late.theta, even.theta, rtol=2e-3)
+    assert "uneven_clock" not in late.status
+
+
+def test_no_impulse_is_lost_and_a_gap_stays_a_gap() -> None:
+    rng = np.random.default_rng(2)
+    steps = rng.uniform(0.5, 1.5, 400)
+    steps[200] = 20.0
+    time, u = np.r_[0.0, np.cumsum(steps)], rng.standard_normal(401)
+    found = resample_uneven(time, u, np.sin(0.05 * time))
+    assert found is not None
+    gap = np.isnan(found.y)
+    assert np.count_nonzero(gap) == pytest.approx(20, abs=1)
+    before = found.time < time[200] - 2
+    period = found.time[1] - found.time[0]
+    last = found.time[before][-1] + period
+    whole = np.interp(last, time, np.r_[0.0, np.cumsum(u[:-1] * steps)])
+    assert np.sum(found.u[before]) * period == pytest.approx(whole)
+    np.testing.assert_allclose(found.y[~gap], np.sin(0.05 * found.time[~gap]), atol=2e-3)
+
+
+def test_an_even_clock_stays_as_it_is() -> None:
+    k = np.arange(400)
+    y = np.sin(0.05 * k)
+    assert resample_uneven(0.01 * k, y, y) is None
+    assert resample_uneven(0.01 * np.r_[k[:200], k[200:] + 7], y, y) is None
+    assert resample_uneven(0.01 * k[::-1], y, y) is None
