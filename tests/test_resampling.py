@@ -86,6 +86,15 @@ def test_no_impulse_is_lost_and_a_gap_stays_a_gap() -> None:
     np.testing.assert_allclose(found.y[~gap], np.sin(0.05 * found.time[~gap]), atol=2e-3)
 
 
+@pytest.mark.parametrize("far", [1e6, 1e15])
+def test_a_stamp_that_is_far_off_fills_no_memory(far: float) -> None:
+    time = np.cumsum(np.random.default_rng(3).uniform(0.5, 1.5, 400))
+    time[200:] += far
+    found = resample_uneven(time, np.ones(400), np.sin(0.05 * np.arange(400)))
+    assert found is not None
+    assert found.time.size < 2000
+
+
 def test_an_even_clock_stays_as_it_is() -> None:
     k = np.arange(400)
     y = np.sin(0.05 * k)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.records.clock import EVEN, even_grid, find_places, is_steady, misses_lines
+from pmfid.records.clock import EVEN, LONGEST, even_grid, find_places, is_steady, misses_lines
 from pmfid.types import Flags, Floats
 
 #: Steps that differ from their median by less than this part are taken as even.
@@ -40,6 +40,7 @@ class Resampled:
 def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
     """The record (N,) on an even grid, or None if its clock is even but for gaps, or is no clock at all.
 
+    A gap of more than LONGEST samples is shortened, whatever its stamps say: the motion restarts after it anyway.
     The input is held from stamp to stamp, and its mean over each interval of the grid is taken: no impulse is lost.
     The output is interpolated by a cubic that keeps its shape (Fritsch and Carlson 1980).
     """
@@ -54,6 +55,8 @@ def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
     by_stamps, by_clock = _measure_unexplained(stamps, y)
     if by_clock < EXPLAINED * by_stamps:
         return _take_even_clock(stamps, u, y)
+    steps = np.minimum(steps, LONGEST * period)
+    stamps = stamps[0] + np.r_[0.0, np.cumsum(steps)]
     grid = stamps[0] + period * np.arange(int((stamps[-1] - stamps[0]) / period) + 1)
     after = np.clip(np.searchsorted(stamps, grid, side="right"), 1, stamps.size - 1)
     gap = (steps > LONGEST_STEP * period)[after - 1] & (grid != stamps[after - 1])
