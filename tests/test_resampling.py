@@ -69,6 +69,11 @@ def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: flo
     assert "uneven_clock" not in late.status
 
 
+def test_a_clock_that_drifts_is_flagged(tmp_path: Path) -> None:
+    time, u, counts = run("even")
+    assert "uneven_clock" in identified(tmp_path, time + time**2 / 200, u, counts).status
+
+
 def test_no_impulse_is_lost_and_a_gap_stays_a_gap() -> None:
     rng = np.random.default_rng(2)
     steps = rng.uniform(0.5, 1.5, 400)
