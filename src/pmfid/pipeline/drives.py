@@ -314,8 +314,8 @@ def _clock_findings(record: Record) -> tuple[Finding, ...]:
     if not record.jitter:
         return ()
     sentence = (
-        f"the steps of the clock vary by {record.jitter:.0%} (root mean square), and the standard errors leave out "
-        "what resampling costs"
+        f"the steps of the clock vary by {record.jitter:.0%} (root mean square): the error of resampling is in no "
+        "standard error, and may look like a dead time or friction"
     )
     return (Finding("uneven_clock", sentence, "log at a fixed rate for a better estimate"),)
 
