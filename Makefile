@@ -72,15 +72,17 @@ spark: .venv/spark
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -p no:benchmark tests/spark
 
 # A process for each core with one thread each (the threads of several would only wait for each other), a file of tests
-# in one of them; benchmarks stay out, they want the machine for themselves.
+# in one of them; benchmarks stay out, they want the machine for themselves. Bytecode is kept: where an environment
+# forbids it, each process rewrites every assertion again, and each command that a test starts compiles all of pmfid.
 WORKERS ?= auto
+KEPT = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 test: .venv/tools firmware-tools service-tools
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
+	$(KEPT) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
 	-m "not long"
 
 # The rest, of seconds each.
 test-long: .venv/tools firmware-tools service-tools
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
+	$(KEPT) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
 	-m long
 
 # An hour of a hundred axes at their full rate: memory, latency and open files over time.
