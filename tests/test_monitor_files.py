@@ -40,7 +40,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_axis(place, 60.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(place / "cache"))
+        patch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: 0.5)
         yield place
+
+
+def watch(folder: Path, *arguments: str) -> Any:
+    """`pmfid monitor -` on N samples in this process."""
+    command = ["monitor", "-", "--config", str(folder / "axis.toml"), "--json", *arguments]
+    return CliRunner().invoke(main, command, input=b"".join(lines(N * CART_DT)))
 
 
 def start(
@@ -90,28 +97,27 @@ def test_kill_and_restart_lose_no_row(folder: Path, kind: str) -> None:
 def test_a_restart_writes_to_a_new_file(folder: Path) -> None:
     out = folder / "again.parquet"
     for name in ("again.parquet", "again-2.parquet"):
-        process = start(folder, "--out", str(out))
-        end(process)
+        assert watch(folder, "--out", str(out)).exit_code == 0
         assert pl.read_parquet(folder / name).height == N
     assert not rows_path(out).exists()
 
 
 def test_no_input_is_written_over(folder: Path) -> None:
     normal = (folder / "normal.csv").read_bytes()
-    end(start(folder, "--out", str(folder / "normal.csv")))
+    assert watch(folder, "--out", str(folder / "normal.csv")).exit_code == 0
     assert (folder / "normal.csv").read_bytes() == normal
     assert pl.read_csv(folder / "normal-2.csv").height == N
     for name in ("normal.csv", "axis.toml"):
-        process = start(folder, "--report", str(folder / name))
-        assert f"would overwrite {folder / name}; choose another name" in end(process)[1]
-        assert process.returncode == 2
+        refused = watch(folder, "--report", str(folder / name))
+        assert f"would overwrite {folder / name}; choose another name" in refused.stderr
+        assert refused.exit_code == 2
     assert (folder / "normal.csv").read_bytes() == normal
 
 
 def test_the_page_of_a_pipe_replaces_none(folder: Path) -> None:
     page = folder / "page.html"
     page.write_text("yesterday")
-    end(start(folder, "--report", str(page)))
+    assert watch(folder, "--report", str(page)).exit_code == 0
     assert page.read_text() == "yesterday"
     assert "<svg" in (folder / "page-2.html").read_text()
 
