@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,16 +33,20 @@ DIGITS, DIGITS_OFF_LINE = 17, 7
 Row = tuple[str, str, str, str, str, str]
 
 
-def rows() -> Iterator[Row]:
-    """All of them."""
+def rows(wanted: Callable[[str], bool] = lambda record: True) -> Iterator[Row]:
+    """All of them, or those of the wanted records."""
     for name in SCENARIOS:
         for increments in INCREMENTS:
+            if not wanted(f"{name} {increments}"):
+                continue
             run = make_scenario(name, seed=11, increments=increments, duration=DURATION)
             for method, precision in _pairs([cls.method for cls in (*OFF_LINE, *RECURSIVE)]):
                 estimator = _drive(method, precision, run.resolution)
                 yield (f"{name} {increments}", method, precision, *outcome(estimator, run.motion.u, run.counts))
     for orders in PROCESSES:
         for noise in NOISE:
+            if not wanted(f"process {orders[0]} {orders[1]} {noise}"):
+                continue
             u, counts = process(orders, noise)
             for method, precision in _pairs(methods_for(TransferFunction(*orders))):
                 estimator = _process(method, precision, orders)
