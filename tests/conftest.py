@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -40,6 +41,11 @@ def cart_run(seed: int, *, increments: float | None = 4096, samples: int = 3000,
     resolution = 1e-9 if increments is None else resolution_of(increments)
     motion = simulate_drive(CART, u, CART_DT)
     return Run(u, quantize(motion.x, resolution, phase=rng.uniform(0, resolution)), pmfid.Encoder(resolution))
+
+
+def long_unless(few: Callable[..., bool], cases: Iterable[tuple[Any, ...]]) -> list[Any]:
+    """Cases of a test, of which all but a few are left to `make test-long`; few: of the values of a case."""
+    return [case if few(*case) else pytest.param(*case, marks=pytest.mark.long) for case in cases]
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from pmfid.estimators.registry import OFF_LINE, RECURSIVE
 from pmfid.export.firmware import literal, record_run
 from pmfid.kernel.saved import configuration
 from pmfid.kernel.structures import structures
-from tests.conftest import EMPS, cart_run, needs_emps
+from tests.conftest import EMPS, cart_run, long_unless, needs_emps
 from tests.firmware.build import (
     CLANG,
     GCC,
@@ -64,7 +65,13 @@ def hostile(samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
     return u, counts
 
 
-@pytest.fixture(scope="module", params=[(cls, precision) for cls in RECURSIVE for precision in PRECISIONS], ids=str)
+KERNELS = [(cls, precision) for cls in RECURSIVE for precision in PRECISIONS]
+#: Of these every kernel in `make test`, of the others one in two precisions or in one.
+BUILDS = {(GCC, "-O3"): KERNELS, (CLANG, "-O2"): [(pmfid.RIV, "float32"), (pmfid.RIV, "float64")]}
+BUILDS |= {(M4F, "-O2"): [(cls, "float32") for cls in RECURSIVE], (M7, "-O3"): [(pmfid.RIV, "float64")]}
+
+
+@pytest.fixture(scope="module", params=KERNELS, ids=str)
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     cls, precision = request.param
     return exported(make(cls, precision), tmp_path_factory.mktemp("export"), *hostile())
@@ -74,11 +81,18 @@ def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 @pytest.mark.parametrize(
-    ("target", "optimize"),
+    ("folder", "target", "optimize"),
     [
-        pytest.param(target, optimize, marks=needs(target), id=f"{target.name}{optimize}")
-        for target, optimize in ((GCC, "-O3"), (CLANG, "-O2"), (M4F, "-O2"), (M7, "-O3"))
+        pytest.param(
+            kernel,
+            *build,
+            marks=[needs(build[0]), *([] if kernel in often else [pytest.mark.long])],
+            id=f"{kernel[0].__name__}-{kernel[1]}-{build[0].name}{build[1]}",
+        )
+        for kernel in KERNELS
+        for build, often in BUILDS.items()
     ],
+    indirect=["folder"],
 )
 def test_exported_code_computes_the_bits_of_python(folder: Path, target: Target, optimize: str) -> None:
     assert difference(folder, target, optimize, *WARNINGS) is None
@@ -110,8 +124,10 @@ VARIANTS = {
 
 
 @needs(GCC)
-@pytest.mark.parametrize("cls", RECURSIVE)
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(
+    ("variant", "cls"),
+    long_unless(lambda variant, cls: cls is pmfid.RIV or variant in ("window", "offset"), product(VARIANTS, RECURSIVE)),
+)
 def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstimator], tmp_path: Path) -> None:
     try:
         estimator = make(cls, "float32", **VARIANTS[variant])
@@ -200,16 +216,17 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
     [(name, precision) for name, (cls, _) in PROCESSES.items() for precision in PRECISIONS[: 1 + (name == cls.method)]],
 )
 def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path) -> None:
-    """The methods in both precisions; their variants, as those of a drive above, in float32."""
+    """The methods in both precisions; their variants, as those of a drive above, in float32 and not optimized."""
+    optimize = "-O2" if name == PROCESSES[name][0].method else "-O0"
     estimator = process_estimator(name, precision)
     u, counts = (table[0].copy() for table in process_record())
     track = estimator.run(u, counts)
     assert name == "order" or not pmfid.Status(int(track.status[-1])) & pmfid.Status.FALLBACK, "it tests half of it"
     estimator.reset()
     u[1500], u[1501], counts[1600:] = np.nan, 1e30, counts[1600:] + 70_000
-    assert difference(exported(estimator, tmp_path, u, counts), GCC, "-O2", *WARNINGS) is None
+    assert difference(exported(estimator, tmp_path, u, counts), GCC, optimize, *WARNINGS) is None
     assert "y'' + a0 y" in (tmp_path / "axis.h").read_text() or name == "order"
-    assert selftest(tmp_path, GCC, *WARNINGS).returncode == 0
+    assert selftest(tmp_path, GCC, *WARNINGS, optimize=optimize).returncode == 0
     resumed = process_estimator(name, precision)
     estimator.run(u[:1700], counts[:1700])
     resumed.set_state(estimator.get_state())
@@ -217,7 +234,7 @@ def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path
 
 
 @needs(M4F)
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.long)])
 def test_a_linear_process_on_a_microcontroller(precision: str, tmp_path: Path) -> None:
     u, counts = (table[1, :2000] for table in process_record())
     folder = exported(process_estimator("rsrivc", precision), tmp_path, u, counts)

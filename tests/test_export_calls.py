@@ -10,11 +10,19 @@ import pmfid
 from tests.firmware.build import CLANG, GCC, M4F, Target, calls, objects
 from tests.test_export import make, needs
 
-BUILDS = [(GCC, "-O2"), (GCC, "-O3"), (CLANG, "-O2"), (M4F, "-Os"), (M4F, "-O3")]
+#: Each compiler once in `make test`.
+OFTEN = [(GCC, "-O3"), (CLANG, "-O2"), (M4F, "-Os")]
+BUILDS = [(GCC, "-O2"), (M4F, "-O3"), *OFTEN]
 
 
 @pytest.mark.parametrize(
-    ("target", "optimize"), [pytest.param(*one, marks=needs(one[0]), id=f"{one[0].name}{one[1]}") for one in BUILDS]
+    ("target", "optimize"),
+    [
+        pytest.param(
+            *one, marks=[needs(one[0]), *([] if one in OFTEN else [pytest.mark.long])], id=f"{one[0].name}{one[1]}"
+        )
+        for one in BUILDS
+    ],
 )
 def test_no_call_of_a_library(target: Target, optimize: str, tmp_path: Path) -> None:
     """Of the export with the most code; those of all methods: `test_exported_code_computes_the_bits_of_python`."""

@@ -70,9 +70,9 @@ def estimator_of(name: str, unit: str = "kg", second: str = "drag") -> pmfid.RLS
 
 
 def compile_all(folder: Path, prefix: str) -> None:
-    for file in ("main.c", f"{prefix}_config.c", "selftest.c"):
-        done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-fsyntax-only", file], folder)
-        assert done.returncode == 0, f"{file}: {done.stderr[:500]}"
+    files = ("main.c", f"{prefix}_config.c", "selftest.c")
+    done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-fsyntax-only", *files], folder)
+    assert done.returncode == 0, done.stderr[:500]
 
 
 @needs_gcc

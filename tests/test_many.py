@@ -21,6 +21,7 @@ from tests.conftest import cart_run
 from tests.test_architecture import C_FLAGS, COMPILER, CSRC
 
 DT, CUTOFF, AXES, SAMPLES = 0.01, 50.0, 21, 700
+PRECISIONS = ("float64", "float32")
 ENCODER = pmfid.Encoder(22.75e-6 * 4, max_speed=3.0)
 DRIVE = pmfid.Drive(2.0)
 ARRAYS = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
@@ -139,8 +140,18 @@ def one_of(kind: str, number: int, precision: str) -> RecursiveEstimator:
     return make(cls, precision, **({"model": PROCESS, "forgetting": 0.999, "cutoff": 10.0} | options))
 
 
-def described(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> list[Any]:
-    return [pytest.param(k, id=f"{cls.__name__}-{options}") for k, (cls, options) in enumerate(cases)]
+def in_precisions(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> list[Any]:
+    """Number and precision: in `make test` the methods in both, their options in one by turns."""
+    return [
+        pytest.param(
+            k,
+            precision,
+            id=f"{cls.__name__}-{options}-{precision}",
+            marks=[pytest.mark.long] if options and precision != PRECISIONS[k % 2] else [],
+        )
+        for k, (cls, options) in enumerate(cases)
+        for precision in PRECISIONS
+    ]
 
 
 def side_by_side_as_alone(kind: str, number: int, precision: str, way: int) -> tuple[Alone, ...]:
@@ -154,8 +165,7 @@ def side_by_side_as_alone(kind: str, number: int, precision: str, way: int) -> t
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("number", described(VARIANTS))
+@pytest.mark.parametrize(("number", "precision"), in_precisions(VARIANTS))
 def test_every_axis_has_the_bits_that_it_has_alone(number, precision, way):
     occurred = Status(0)
     for axis in side_by_side_as_alone("drive", number, precision, way):
@@ -165,8 +175,7 @@ def test_every_axis_has_the_bits_that_it_has_alone(number, precision, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("number", described(PROCESSES))
+@pytest.mark.parametrize(("number", "precision"), in_precisions(PROCESSES))
 def test_every_linear_process_has_the_bits_that_it_has_alone(number, precision, way):
     alone = side_by_side_as_alone("process", number, precision, way)
     followed = [not Status(int(axis.track.status[-1])) & (Status.FALLBACK | Status.STARTING) for axis in alone]
