@@ -5,18 +5,35 @@ from __future__ import annotations
 import doctest
 import inspect
 import itertools
+from importlib import import_module
 
 import pytest
 
 import pmfid
 
 OPTIONS = doctest.NORMALIZE_WHITESPACE
+#: Packages that users import from, next to pmfid itself.
+PACKAGES = ("pmfid.simulation",)
 
 
-@pytest.mark.parametrize("name", pmfid.__all__)
+def list_names(package: str) -> list[str]:
+    """Public names of a package; constants have comments in place of docstrings."""
+    module = import_module(package)
+    found = {name: getattr(module, name) for name in module.__all__}
+    return [f"{package}.{name}" for name, thing in found.items() if inspect.isclass(thing) or inspect.isroutine(thing)]
+
+
+def load(name: str) -> object:
+    package, own = name.rsplit(".", 1)
+    return getattr(import_module(package), own)
+
+
+NAMES = [f"pmfid.{name}" for name in pmfid.__all__] + [name for package in PACKAGES for name in list_names(package)]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_public_name_has_an_example_that_runs(name: str) -> None:
-    thing = getattr(pmfid, name)
-    text = inspect.getdoc(thing) or ""
+    text = inspect.getdoc(load(name)) or ""
     example = doctest.DocTestParser().get_doctest(text, {}, name, None, None)
     assert example.examples, "no example"
     messages: list[str] = []
@@ -24,9 +41,9 @@ def test_a_public_name_has_an_example_that_runs(name: str) -> None:
     assert not messages, "".join(messages)
 
 
-@pytest.mark.parametrize("name", pmfid.__all__)
+@pytest.mark.parametrize("name", NAMES)
 def test_sections_are_those_of_numpy(name: str) -> None:
-    lines = (inspect.getdoc(getattr(pmfid, name)) or "").splitlines()
+    lines = (inspect.getdoc(load(name)) or "").splitlines()
     titles = [title for title, rule in itertools.pairwise(lines) if rule and set(rule) == {"-"}]
     order = ["Parameters", "Attributes", "Returns", "Raises", "Notes", "References", "Examples"]
     assert titles == [title for title in order if title in titles]

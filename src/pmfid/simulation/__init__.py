@@ -10,7 +10,7 @@ from pmfid.simulation.drive import (
     position_control,
     simulate_drive,
 )
-from pmfid.simulation.encoder import NO_FAULTS, Faults, quantize
+from pmfid.simulation.encoder import Faults, quantize
 from pmfid.simulation.scenarios import (
     CART,
     CART_CONTROL,
@@ -38,7 +38,6 @@ __all__ = [
     "CART_INCREMENTS",
     "CART_LOADED",
     "CART_RESOLUTION",
-    "NO_FAULTS",
     "SCENARIOS",
     "DriveParameters",
     "Faults",

@@ -29,9 +29,30 @@ Columns = tuple[Floats, Floats, Floats, Floats, Floats]
 class DriveParameters:
     """Parameters of mass x'' + viscous_friction x' + coulomb_friction sign(x') + offset = input_gain u.
 
-    mass > 0 [kg], viscous_friction >= 0 [N s/m], coulomb_friction >= 0 [N], input_gain [N/V], offset [N]: a
-    constant load force. Paper eq. 37, but coulomb_friction is a force here, an acceleration there.
-    Raises ValueError for a value outside its range.
+    Parameters
+    ----------
+    mass
+        Moving mass [kg], > 0.
+    viscous_friction
+        Force per velocity [N s/m], >= 0.
+    coulomb_friction
+        Constant force against the motion [N], >= 0. Paper eq. 37 has an acceleration here.
+    input_gain
+        Force per unit of input [N/V].
+    offset
+        Constant load force [N].
+
+    Raises
+    ------
+    ValueError
+        If a value is outside its range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import DriveParameters
+    >>> cart = DriveParameters(mass=1.07, viscous_friction=12.8, coulomb_friction=0.8, input_gain=2.0)
+    >>> cart.mass, cart.offset
+    (1.07, 0.0)
     """
 
     mass: float
@@ -52,12 +73,30 @@ class DriveParameters:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Drive parameters that change: `changes` are pairs (time [s], parameters valid from then on).
+    """Drive parameters that change over time.
 
-    The first time is 0, times increase. A change takes effect at the first sample at or after its time; the
-    velocity does not jump. ramps: for each change the time [s] >= 0 over which the parameters move to the new ones
-    along a straight line, a new value every sample; () is no ramp anywhere, the first is 0. A ramp ends before the
-    next change. Raises ValueError for times out of order.
+    A change takes effect at the first sample at or after its time. The velocity does not jump.
+
+    Parameters
+    ----------
+    changes
+        Pairs (time [s], parameters valid from then on). The first time is 0, and times increase.
+    ramps
+        For each change the time [s] >= 0 in which the parameters move to the new ones. They move along a straight line,
+        with a new value every sample. The first ramp is 0, and () means no ramp. A ramp ends before the next change.
+
+    Raises
+    ------
+    ValueError
+        If times or ramps are out of order.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, CART_LOADED, Schedule
+    >>> schedule = Schedule(((0.0, CART), (2.0, CART_LOADED)), ramps=(0.0, 1.0))
+    >>> mass, viscous, coulomb, input_gain, offset = schedule.sample([0.0, 2.5, 4.0], dt=0.01)
+    >>> mass.round(3).tolist()
+    [1.07, 1.255, 1.44]
     """
 
     changes: tuple[tuple[float, DriveParameters], ...]
@@ -113,9 +152,30 @@ def make_schedule(parameters: Drive) -> Schedule:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The true motion at t = k dt, each field (n,): t [s], u [V], x [m], v [m/s], and for the interval that
-    starts at k `direction` in [-1, 1], (time moving forward - time moving backward) / dt, and `moving` in
-    [0, 1], time moving / dt.
+    """The true motion of a simulated drive, at the instants t = k dt.
+
+    Attributes
+    ----------
+    t
+        (n,) time [s].
+    u
+        (n,) input [V].
+    x
+        (n,) position [m].
+    v
+        (n,) velocity [m/s].
+    direction
+        (n,) in [-1, 1], for the interval that starts at k: (time moving forward - time moving backward) / dt.
+    moving
+        (n,) in [0, 1], for the same interval: time moving / dt.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import DriveParameters, simulate_drive
+    >>> cart = DriveParameters(mass=2.0, viscous_friction=0.0, coulomb_friction=1.0, input_gain=1.0)
+    >>> motion = simulate_drive(cart, [3.0, 0.0, 0.0, 0.0], dt=1.0)
+    >>> motion.v.round(6).tolist(), motion.direction.round(6).tolist()
+    ([0.0, 1.0, 0.5, 0.0], [1.0, 1.0, 1.0, 0.0])
     """
 
     t: Floats
@@ -134,13 +194,42 @@ def make_motion(dt: float, u: Floats, x: Floats, v: Floats, direction: Floats, m
 
 
 def simulate_drive(parameters: Drive, u: ArrayLike, dt: float, x0: float = 0.0, v0: float = 0.0) -> Motion:
-    """Return the motion under the input `u` (n,) [V], held over each interval of `dt` [s] > 0.
+    """Simulate the motion of a drive under a given input.
 
-    Exact up to rounding: stops, reversals and break-aways are solved for inside the interval. Starts at
-    position x0 [m] with velocity v0 [m/s]. Raises ValueError for wrong arguments. Paper eq. 37.
+    The result is exact up to rounding: stops, reversals and break-aways are solved for inside the interval.
 
+    Parameters
+    ----------
+    parameters
+        `DriveParameters`, a `Schedule`, or pairs (time [s], parameters).
+    u
+        (n,) input [V], held over each interval.
+    dt
+        Sample period [s], > 0.
+    x0, v0
+        Position [m] and velocity [m/s] at the start.
+
+    Returns
+    -------
+    Motion
+        True motion at the samples, (n,) each.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or the motion leaves the range of floating point.
+
+    References
+    ----------
+    Paper eq. 37.
+
+    Examples
+    --------
+    The drive accelerates with 1 m/s^2, then brakes with 0.5 m/s^2 to rest.
+
+    >>> from pmfid.simulation import DriveParameters, simulate_drive
     >>> cart = DriveParameters(mass=2.0, viscous_friction=0.0, coulomb_friction=1.0, input_gain=1.0)
-    >>> motion = simulate_drive(cart, [3.0, 0.0, 0.0, 0.0], dt=1.0)  # 1 m/s^2, then -0.5 m/s^2 to rest
+    >>> motion = simulate_drive(cart, [3.0, 0.0, 0.0, 0.0], dt=1.0)
     >>> [float(x) for x in motion.x], [float(m) for m in motion.moving]
     ([0.0, 0.5, 1.25, 1.5], [1.0, 1.0, 1.0, 0.0])
     """
@@ -165,15 +254,54 @@ def position_control(
     bits: int | None = None,
     faults: Faults = NO_FAULTS,
 ) -> tuple[Motion, Counts]:
-    """Return the motion and the counts (n,) of a drive whose PD controller sees only the encoder.
+    """Simulate a drive under PD control, whose controller sees only the encoder.
 
+    Parameters
+    ----------
+    parameters
+        As of `simulate_drive`.
+    reference
+        (n,) position to follow [m].
+    dt
+        Sample period [s], > 0.
+    kp, kd
+        Gains of the controller, >= 0 [V/m, V s/m].
+    u_max
+        Largest input [V], > 0.
+    resolution
+        Travel per count [m], > 0.
+    phase
+        Start position on the encoder lattice [m].
+    bits
+        Width of the register that is returned. The controller itself counts without overflow.
+    faults
+        Faults of the encoder.
+
+    Returns
+    -------
+    tuple of Motion and ndarray
+        True motion, and the counts (n,).
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Notes
+    -----
     y_k = resolution * counts_k,  counts_k = floor((x_k + phase) / resolution)   (paper eq. 3), or with `faults`
-    u_k = kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, limited to +-u_max, y_{-1} = y_0
+    u_k = kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, limited to +-u_max, y_{-1} = y_0.
 
-    reference (n,) [m]; dt > 0 [s]; kp >= 0 [V/m]; kd >= 0 [V s/m]; u_max > 0 [V]; resolution > 0 [m];
-    phase [m]. bits: width of the register that is returned; the controller itself counts on. Starts at rest at
-    x = 0. There is no integral part: friction leaves an error of up to
-    coulomb_friction / (input_gain kp). Raises ValueError for wrong arguments.
+    The drive starts at rest at x = 0. There is no integral part: friction leaves an error of up to
+    coulomb_friction / (input_gain kp).
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, CART_RESOLUTION, position_control, s_curve
+    >>> reference = s_curve(200, CART_DT, stroke=0.2, move_time=0.8)
+    >>> motion, counts = position_control(CART, reference, CART_DT, **CART_CONTROL, resolution=CART_RESOLUTION)
+    >>> bool(abs(motion.x[-1] - 0.2) < CART.coulomb_friction / (CART.input_gain * CART_CONTROL["kp"]))
+    True
     """
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
     for name, gain in (("kp", kp), ("kd", kd)):
@@ -200,18 +328,47 @@ _BODY = ("mass", "viscous", "coulomb", "gain", "offset", "stribeck", "stribeck_s
 
 @dataclass(frozen=True)
 class Machine:
-    """A drive with effects beyond the model m x'' + d x' + F_c sign(x') [+ offset] = input_gain u; SI units.
+    """A drive with effects beyond the model m x'' + d x' + F_c sign(x') [+ offset] = input_gain u.
 
-    drive: parameters of the model. stribeck: friction [N] at rest beyond Coulomb's, which falls with
-    exp(-(v / stribeck_speed)^2), stribeck_speed [m/s] > 0; quadratic: [N s^2/m^2], v |v|; asymmetry: friction is
-    1 + asymmetry times as large forward and 1 - asymmetry backward, within (-1, 1); stiffness: of a spring at rest at
-    x = 0 [N/m]; gravity: [N], times sin(x + gravity_angle), of a rotary axis; cogging: [N], times sin(2 pi x /
-    cogging_pitch + cogging_phase); uneven: friction beyond Coulomb's [N], times sin(2 pi x / uneven_period), and no
-    larger than that; dead_time: of the input [s] >= 0, any part of a sample; lag: time constant of a first-order lag of
-    the input [s] >= 0, whose output is averaged over each step of the integration; force_noise: standard deviation
-    [N] >= 0 of a random force, independent in each sample. A rotary axis: rad, kg m2, N m.
+    Parameters
+    ----------
+    drive
+        Parameters of the model. A rotary axis has rad, kg m2 and N m in place of m, kg and N.
+    stribeck
+        Friction at rest beyond Coulomb friction [N], >= 0. It falls with exp(-(v / stribeck_speed)^2).
+    stribeck_speed
+        Speed of that fall [m/s], > 0.
+    quadratic
+        Factor of v |v| [N s^2/m^2], >= 0.
+    asymmetry
+        In (-1, 1). Friction is 1 + asymmetry times as large forward, and 1 - asymmetry times backward.
+    stiffness
+        Stiffness of a spring that is at rest at x = 0 [N/m], >= 0.
+    gravity, gravity_angle
+        Force [N] >= 0, times sin(x + gravity_angle), of a rotary axis. The angle is in rad.
+    cogging, cogging_pitch, cogging_phase
+        Force [N] >= 0, times sin(2 pi x / cogging_pitch + cogging_phase). The pitch is in m, the phase in rad.
+    uneven, uneven_period
+        Friction beyond Coulomb friction [N], times sin(2 pi x / uneven_period). It is at most Coulomb friction. The
+        period is in m.
+    dead_time
+        Dead time of the input [s], >= 0, any part of a sample.
+    lag
+        Time constant of a first-order lag of the input [s], >= 0. Its output is averaged over each integration step.
+    force_noise
+        Standard deviation of a random force [N], >= 0, independent in each sample.
 
-    Raises ValueError for a value out of range.
+    Raises
+    ------
+    ValueError
+        If a value is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, Machine
+    >>> machine = Machine(CART, stribeck=0.4, dead_time=0.004)
+    >>> machine.drive.mass, machine.stribeck, machine.cogging
+    (1.07, 0.4, 0.0)
     """
 
     drive: DriveParameters
@@ -268,10 +425,43 @@ def drive_machine(
     rng: np.random.Generator | None = None,
     steps: int = STEPS,
 ) -> MachineRun:
-    """The motion under the input u (n,) [V], held over each dt [s], and the counts floor((x + phase) / resolution).
+    """Simulate the motion and the counts of a machine under a given input.
 
-    rng: draws the force noise; steps: of the integration in each sample. Starts at rest at x = 0. Raises ValueError for
-    wrong arguments.
+    Parameters
+    ----------
+    machine
+        The drive and its further effects. It starts at rest at x = 0.
+    u
+        (n,) input [V], held over each dt.
+    dt
+        Sample period [s], > 0.
+    resolution
+        Travel per count [m], > 0.
+    phase
+        Start position on the encoder lattice [m]: counts are floor((x + phase) / resolution).
+    rng
+        Generator of the force noise.
+    steps
+        Integration steps in each sample, >= 1.
+
+    Returns
+    -------
+    MachineRun
+        Input `u`, `counts`, and the true `x` [m] and `v` [m/s], (n,) each.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or a machine with force noise has no `rng`.
+
+    Examples
+    --------
+    The dead time is one sample: the position at the second sample is still 0.
+
+    >>> from pmfid.simulation import CART, CART_DT, Machine, drive_machine
+    >>> run = drive_machine(Machine(CART, dead_time=CART_DT), [3.0, 3.0, 3.0], CART_DT, resolution=1e-5)
+    >>> run.counts.tolist()
+    [0, 0, 23]
     """
     return _run(machine, check_signal("u", u), dt, resolution, phase, rng, steps, kp=0.0, kd=0.0, u_max=0.0)
 
@@ -289,7 +479,38 @@ def control_machine(
     rng: np.random.Generator | None = None,
     steps: int = STEPS,
 ) -> MachineRun:
-    """The same under position control through the encoder along a reference (n,) [m]; see `position_control`."""
+    """Simulate a machine under position control through its encoder.
+
+    Parameters
+    ----------
+    machine, dt, resolution, phase, rng, steps
+        As of `drive_machine`.
+    reference
+        (n,) position to follow [m].
+    kp, kd
+        Gains of the controller, kp > 0 [V/m] and kd >= 0 [V s/m], as of `position_control`.
+    u_max
+        Largest input [V], > 0.
+
+    Returns
+    -------
+    MachineRun
+        As of `drive_machine`.
+
+    Raises
+    ------
+    ValueError
+        As `drive_machine`, and for gains out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, Machine, control_machine, s_curve
+    >>> reference = s_curve(200, CART_DT, stroke=0.2, move_time=0.8)
+    >>> machine = Machine(CART, stribeck=0.3)
+    >>> run = control_machine(machine, reference, CART_DT, 1e-5, **CART_CONTROL)
+    >>> round(float(run.x[-1]), 2)
+    0.2
+    """
     check_number("kp", kp, above=0.0, remedy="give the gain in V/m")
     check_number("kd", kd, above=-1e-300, remedy="give the gain in V s/m, 0 for none")
     check_number("u_max", u_max, above=0.0, remedy="give the largest input in V")

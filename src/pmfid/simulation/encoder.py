@@ -46,13 +46,36 @@ COUNT_LIMIT = 2**53
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults of an encoder; none by default. The same seed gives the same faults.
+    """Faults of an encoder; none by default.
 
-    missed: probability in [0, 1) that an edge is not counted, so that the count stays wrong from then on.
-    jitter: standard deviation [counts] >= 0 by which the edges lie elsewhere at each sample (noise of the receiver).
-    line_error: largest displacement of a line of the disc [counts], in [0, 0.5). Displacements are uniform, and the
-    same on every turn of `lines` >= 1 counts. Edges inside one sample follow from its net travel.
-    Raises ValueError for a value outside its range.
+    The same seed gives the same faults. Edges inside one sample follow from its net travel.
+
+    Parameters
+    ----------
+    missed
+        Probability in [0, 1) that an edge is not counted. The count stays wrong from then on.
+    jitter
+        Standard deviation [counts] >= 0 by which the edges are displaced at each sample (noise of the receiver).
+    line_error
+        Largest displacement of a line of the disc [counts], in [0, 0.5). Displacements are uniform, and the same on
+        every turn.
+    lines
+        Counts per turn, >= 1.
+    seed
+        Seed of the faults, >= 0.
+
+    Raises
+    ------
+    ValueError
+        If a value is outside its range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.simulation import Faults, quantize
+    >>> x = np.linspace(0.0, 1e-3, 1001)
+    >>> int(quantize(x, 1e-5)[-1]), bool(quantize(x, 1e-5, faults=Faults(missed=0.2))[-1] < 100)
+    (100, True)
     """
 
     missed: float = 0.0
@@ -96,11 +119,42 @@ def wrap_counts(counts: Counts, bits: int | None) -> Counts:
 def quantize(
     x: ArrayLike, resolution: float, phase: float = 0.0, bits: int | None = None, faults: Faults = NO_FAULTS
 ) -> Counts:
-    """Return the encoder counts floor((x + phase) / resolution), shape of `x`, int64 (paper eq. 3).
+    """Return the encoder counts floor((x + phase) / resolution).
 
-    x, phase, resolution > 0 in the same unit [m]. With `bits` (1 to 63) the counter is that of a register
-    without sign: it wraps modulo 2**bits. With `faults`, x is (n,), one position per sample. Raises ValueError for
-    values that aren't finite or exceed 2**53 counts.
+    Parameters
+    ----------
+    x
+        Position [m]. With `faults`, (n,) with one position per sample.
+    resolution
+        Travel per count [m], > 0.
+    phase
+        Start position on the encoder lattice [m].
+    bits
+        Width of a register without sign, 1 to 63: the counter wraps modulo 2**bits. None: it does not wrap.
+    faults
+        Faults of the encoder.
+
+    Returns
+    -------
+    ndarray
+        Counts, int64, in the shape of `x`.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or exceeds 2**53 counts.
+
+    References
+    ----------
+    Paper eq. 3.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import quantize
+    >>> quantize([0.0, 0.25, -0.25], resolution=0.1).tolist()
+    [0, 2, -3]
+    >>> quantize([0.0, 0.25, -0.25], resolution=0.1, bits=8).tolist()
+    [0, 2, 253]
     """
     check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
     check_number("phase", phase, remedy="give the start position on the encoder lattice in m")

@@ -14,17 +14,99 @@ from pmfid.types import Counts, Floats
 
 
 def mass_step(parameters: DriveParameters, mass: float, at: float) -> Schedule:
-    """A load is put down: the mass becomes `mass` [kg] at the time `at` [s] > 0. Raises ValueError."""
+    """Return a schedule in which the mass changes at once: a load is put down.
+
+    Parameters
+    ----------
+    parameters
+        Parameters from time 0 on.
+    mass
+        Later mass [kg], > 0.
+    at
+        Time of the change [s], > 0.
+
+    Returns
+    -------
+    Schedule
+        Parameters over time.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, mass_step
+    >>> [(time, parameters.mass) for time, parameters in mass_step(CART, 1.44, at=10.0).changes]
+    [(0.0, 1.07), (10.0, 1.44)]
+    """
     return Schedule(((0.0, parameters), (at, replace(parameters, mass=mass))))
 
 
 def mass_ramp(parameters: DriveParameters, mass: float, at: float, ramp: float) -> Schedule:
-    """A container fills: the mass moves to `mass` [kg] from `at` [s] > 0 on in `ramp` [s]. Raises ValueError."""
+    """Return a schedule in which the mass moves to a new value: a container fills.
+
+    Parameters
+    ----------
+    parameters, mass
+        As of `mass_step`.
+    at
+        Start of the change [s], > 0.
+    ramp
+        Duration of the change [s], >= 0.
+
+    Returns
+    -------
+    Schedule
+        Parameters over time.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, mass_ramp
+    >>> mass, *others = mass_ramp(CART, 1.47, at=10.0, ramp=4.0).sample([9.0, 12.0, 15.0], dt=0.01)
+    >>> mass.round(3).tolist()
+    [1.07, 1.27, 1.47]
+    """
     return Schedule(((0.0, parameters), (at, replace(parameters, mass=mass))), (0.0, ramp))
 
 
 def friction_growth(parameters: DriveParameters, factor: float, at: float, ramp: float) -> Schedule:
-    """A guide runs dry: viscous and Coulomb friction grow by `factor` from `at` [s] > 0 on in `ramp` [s]."""
+    """Return a schedule in which viscous and Coulomb friction grow: a guide runs dry.
+
+    Parameters
+    ----------
+    parameters
+        Parameters from time 0 on.
+    factor
+        Later friction over the earlier one, >= 0.
+    at
+        Start of the change [s], > 0.
+    ramp
+        Duration of the change [s], >= 0.
+
+    Returns
+    -------
+    Schedule
+        Parameters over time.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, friction_growth
+    >>> worn = friction_growth(CART, 1.5, at=10.0, ramp=4.0).changes[-1][1]
+    >>> round(worn.viscous_friction, 3), round(worn.coulomb_friction, 3)
+    (19.2, 1.2)
+    """
     worn = replace(
         parameters,
         viscous_friction=factor * parameters.viscous_friction,
@@ -34,9 +116,34 @@ def friction_growth(parameters: DriveParameters, factor: float, at: float, ramp:
 
 
 def slipping_belt(parameters: DriveParameters, part: float, at: float) -> Schedule:
-    """A belt slips: from `at` [s] > 0 on only `part` of the force arrives (input_gain). Raises ValueError.
+    """Return a schedule in which only a part of the force arrives: a belt slips.
 
     An estimator that goes on with the old input_gain finds every parameter larger by 1 / part.
+
+    Parameters
+    ----------
+    parameters
+        Parameters from time 0 on.
+    part
+        Later input gain over the earlier one.
+    at
+        Time of the change [s], > 0.
+
+    Returns
+    -------
+    Schedule
+        Parameters over time.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import CART, slipping_belt
+    >>> slipping_belt(CART, 0.8, at=10.0).changes[-1][1].input_gain
+    1.6
     """
     return Schedule(((0.0, parameters), (at, replace(parameters, input_gain=part * parameters.input_gain))))
 
@@ -136,9 +243,33 @@ SCENARIOS: Mapping[str, Recipe] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A run and its truth: motion and counts (n,), resolution [m per count], dt [s], parameters over time.
+    """A simulated run and its truth.
 
-    bits: width of the register that the counts are from, None: it does not wrap.
+    Attributes
+    ----------
+    name
+        Key of `SCENARIOS`.
+    motion
+        True motion, (n,) each.
+    counts
+        (n,) counts of the encoder.
+    resolution
+        Travel per count [m].
+    dt
+        Sample period [s].
+    schedule
+        Parameters over time.
+    bits
+        Width of the register that the counts are from; None: it does not wrap.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import make_scenario
+    >>> run = make_scenario("mass-step", duration=10.0)
+    >>> run.name, run.dt, run.counts.shape
+    ('mass-step', 0.01, (1000,))
+    >>> [(time, parameters.mass) for time, parameters in run.schedule.changes]
+    [(0.0, 1.07), (5.0, 1.44)]
     """
 
     name: str
@@ -151,7 +282,29 @@ class Scenario:
 
 
 def resolution_of(increments: int) -> float:
-    """Return the cart's travel per count [m] for an encoder of `increments` per turn."""
+    """Return the travel per count of the cart for an encoder.
+
+    Parameters
+    ----------
+    increments
+        Counts per turn, >= 1.
+
+    Returns
+    -------
+    float
+        Travel per count [m].
+
+    Raises
+    ------
+    ValueError
+        If the number is not whole or < 1.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import resolution_of
+    >>> resolution_of(4096), resolution_of(1024)
+    (2.275e-05, 9.1e-05)
+    """
     check_whole("increments", increments, 1, np.inf, "give the counts per turn of the encoder")
     return CART_RESOLUTION * CART_INCREMENTS / increments
 
@@ -166,11 +319,47 @@ def make_scenario(
     faults: Faults = NO_FAULTS,
     schedule: Schedule | None = None,
 ) -> Scenario:
-    """Return the scenario `name` (a key of SCENARIOS) of `duration` [s], encoder of `increments` per turn.
+    """Return a named scenario: a simulated run of the cart, with its truth.
 
-    The seed draws the start phase on the encoder lattice and the random signals; an input does not depend on
-    `increments`. bits: width of the counter, which then wraps; faults: of the encoder; schedule: in place of the
-    scenario's own. Raises ValueError for an unknown name and for values out of range.
+    The seed draws the start phase on the encoder lattice and the random signals. An input does not depend on
+    `increments`.
+
+    Parameters
+    ----------
+    name
+        Key of `SCENARIOS`.
+    seed
+        Seed of the run, >= 0.
+    increments
+        Counts of the encoder per turn, >= 1.
+    duration
+        Length of the run [s].
+    bits
+        Width of the counter, which then wraps; None: it does not.
+    faults
+        Faults of the encoder.
+    schedule
+        Parameters over time, in place of the scenario's own.
+
+    Returns
+    -------
+    Scenario
+        Motion, counts and parameters.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown or a value is out of range.
+
+    Examples
+    --------
+    >>> import pmfid
+    >>> from pmfid.simulation import CART, make_scenario
+    >>> run = make_scenario("stop-and-go", seed=1, duration=20.0)
+    >>> ls = pmfid.LS(pmfid.Drive(CART.input_gain), pmfid.Encoder(run.resolution), run.dt, 20.0)
+    >>> fit = ls.fit(run.motion.u, run.counts)
+    >>> round(fit["mass"], 2)
+    1.07
     """
     if name not in SCENARIOS:
         raise ValueError(f"unknown scenario {name!r}; choose one of: {', '.join(SCENARIOS)}")
@@ -218,7 +407,28 @@ FORGETTING = 0.995
 
 
 def axis_toml(scenario: Scenario) -> str:
-    """The AXIS.toml that goes with the record of a scenario; it forgets where the scenario changes."""
+    """Return the AXIS.toml that goes with the record of a scenario.
+
+    It sets a forgetting factor below 1 if the parameters change.
+
+    Parameters
+    ----------
+    scenario
+        A simulated run.
+
+    Returns
+    -------
+    str
+        Content of the file.
+
+    Examples
+    --------
+    >>> import tomllib
+    >>> from pmfid.simulation import axis_toml, make_scenario
+    >>> axis = tomllib.loads(axis_toml(make_scenario("mass-step", duration=10.0)))
+    >>> axis["model"], axis["estimator"]["forgetting"]
+    ({'kind': 'drive', 'input_gain': 2.0}, 0.995)
+    """
     recipe, bits = SCENARIOS[scenario.name], scenario.bits
     changes = len(scenario.schedule.changes) > 1
     return _AXIS.format(
@@ -234,10 +444,34 @@ def axis_toml(scenario: Scenario) -> str:
 
 
 def write_csv(scenario: Scenario, path: str | Path, truth: bool = False) -> None:
-    """Write the columns t [s], u [V], counts; floats read back to the same bits, lines end in a line feed.
+    """Write the record of a scenario: columns t [s], u [V] and counts.
 
-    truth: also x [m], v [m/s], mass, viscous_friction, coulomb_friction, input_gain and offset at every sample.
-    Raises OSError if the file can't be written.
+    Floats read back to the same bits. Lines end in a line feed.
+
+    Parameters
+    ----------
+    scenario
+        A simulated run.
+    path
+        The file.
+    truth
+        Also write x [m], v [m/s], mass, viscous_friction, coulomb_friction, input_gain and offset at every sample.
+
+    Raises
+    ------
+    OSError
+        If the file can't be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from pmfid.simulation import make_scenario, write_csv
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_csv(make_scenario("prbs", duration=1.0), Path(folder) / "run.csv")
+    ...     lines = (Path(folder) / "run.csv").read_text().splitlines()
+    >>> lines[0], len(lines)
+    ('t,u,counts', 101)
     """
     motion, names = scenario.motion, ["t", "u", "counts"]
     columns = [motion.t, motion.u, scenario.counts]

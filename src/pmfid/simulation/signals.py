@@ -24,9 +24,36 @@ def _check_amplitude(amplitude: float) -> None:
 
 
 def prbs(samples: int, *, clock: int, amplitude: float, rng: np.random.Generator) -> Floats:
-    """Return a random binary sequence (samples,), +-amplitude [V], each value held for `clock` samples.
+    """Return a random binary sequence.
 
-    Raises ValueError unless samples and clock are whole and >= 1, amplitude > 0.
+    Parameters
+    ----------
+    samples
+        Length of the signal, >= 1.
+    clock
+        Samples for which each value is held, >= 1.
+    amplitude
+        Size of the values [V], > 0.
+    rng
+        Generator of the values.
+
+    Returns
+    -------
+    ndarray
+        (samples,) values +-amplitude [V].
+
+    Raises
+    ------
+    ValueError
+        If samples or clock are not whole and >= 1, or the amplitude is not > 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.simulation import prbs
+    >>> u = prbs(1000, clock=10, amplitude=3.0, rng=np.random.default_rng(1))
+    >>> u.shape, np.unique(u).tolist()
+    ((1000,), [-3.0, 3.0])
     """
     _check_samples(samples)
     _check_clock(clock)
@@ -36,10 +63,35 @@ def prbs(samples: int, *, clock: int, amplitude: float, rng: np.random.Generator
 
 
 def mls(stages: int, clock: int, amplitude: float) -> Floats:
-    """Return one period of a maximum length sequence, ((2**stages - 1) * clock,), +-amplitude [V].
+    """Return one period of a maximum length sequence.
 
-    Each value is held for `clock` samples. Its autocorrelation at multiples of the clock is 1 at zero and
-    -1/(2**stages - 1) elsewhere. Raises ValueError unless 2 <= stages <= 24, clock >= 1, amplitude > 0.
+    Its autocorrelation at multiples of the clock is 1 at zero and -1/(2**stages - 1) elsewhere.
+
+    Parameters
+    ----------
+    stages
+        Stages of the shift register, 2 to 24.
+    clock
+        Samples for which each value is held, >= 1.
+    amplitude
+        Size of the values [V], > 0.
+
+    Returns
+    -------
+    ndarray
+        ((2**stages - 1) * clock,) values +-amplitude [V].
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import mls
+    >>> u = mls(stages=4, clock=1, amplitude=1.0)
+    >>> u.size, float(u.sum()), float(u[1:] @ u[:-1] + u[0] * u[-1])
+    (15, 1.0, -1.0)
     """
     check_whole("stages", stages, 2, _MAX_STAGES, "the period is 2**stages - 1 clocks")
     _check_clock(clock)
@@ -52,9 +104,38 @@ def mls(stages: int, clock: int, amplitude: float) -> Floats:
 
 
 def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float, rng: np.random.Generator) -> Floats:
-    """Return a sum of sines (samples,) of equal size and random phase whose largest value is `amplitude` [V].
+    """Return a sum of sines of equal size and random phase.
 
-    frequencies (q,) [Hz], each in (0, 1/(2 dt)); dt > 0 [s]. Raises ValueError for values out of range.
+    Parameters
+    ----------
+    samples
+        Length of the signal, >= 1.
+    dt
+        Sample period [s], > 0.
+    frequencies
+        (q,) frequencies [Hz], each in (0, 1/(2 dt)).
+    amplitude
+        Largest value of the sum [V], > 0.
+    rng
+        Generator of the phases.
+
+    Returns
+    -------
+    ndarray
+        (samples,) signal [V].
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.simulation import multisine
+    >>> u = multisine(1000, 0.01, [0.5, 1.5, 3.0], amplitude=6.0, rng=np.random.default_rng(1))
+    >>> u.shape, round(float(abs(u).max()), 6)
+    ((1000,), 6.0)
     """
     _check_samples(samples)
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
@@ -99,19 +180,65 @@ SHAPES: dict[str, Callable[[Floats], Floats]] = {"s-curve": _smooth_step, "trape
 
 
 def trapezoid(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
-    """Return a position reference (samples,) [m] from 0 to `stroke` in move_time [s], then held.
+    """Return a position reference from 0 to `stroke`, with a trapezoid as its velocity.
 
-    The velocity is a trapezoid: a third of the time each to accelerate, cruise (at 1.5 stroke/move_time) and
-    brake. Raises ValueError unless dt, move_time > 0 and stroke is finite.
+    A third of the time each is for acceleration, cruise (at 1.5 stroke/move_time) and braking.
+
+    Parameters
+    ----------
+    samples
+        Length of the signal, >= 1.
+    dt
+        Sample period [s], > 0.
+    stroke
+        Length of the move [m], with its sign.
+    move_time
+        Time of the move [s], > 0; the position is held afterwards.
+
+    Returns
+    -------
+    ndarray
+        (samples,) position [m].
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import trapezoid
+    >>> trapezoid(6, dt=0.1, stroke=0.2, move_time=0.4).round(3).tolist()
+    [0.0, 0.028, 0.1, 0.172, 0.2, 0.2]
     """
     return stroke * _trapezoid_step(_phase_of_move(samples, dt, stroke, move_time))
 
 
 def s_curve(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
-    """Return a position reference (samples,) [m] from 0 to `stroke` in move_time [s], then held.
+    """Return a position reference from 0 to `stroke` with least jerk.
 
-    The polynomial of least jerk: acceleration is zero at both ends, peak velocity 1.875 stroke/move_time.
-    Raises ValueError unless dt, move_time > 0 and stroke is finite.
+    Acceleration is zero at both ends. The peak velocity is 1.875 stroke/move_time.
+
+    Parameters
+    ----------
+    samples, dt, stroke, move_time
+        As of `trapezoid`.
+
+    Returns
+    -------
+    ndarray
+        (samples,) position [m].
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import s_curve
+    >>> s_curve(6, dt=0.1, stroke=0.2, move_time=0.4).round(3).tolist()
+    [0.0, 0.021, 0.1, 0.179, 0.2, 0.2]
     """
     return stroke * _smooth_step(_phase_of_move(samples, dt, stroke, move_time))
 
@@ -124,10 +251,32 @@ def _check_dwell(dwell_time: float) -> None:
 def stop_and_go(
     samples: int, dt: float, stroke: float, move_time: float, dwell_time: float, shape: str = "s-curve"
 ) -> Floats:
-    """Return a position reference (samples,) [m]: 0 to `stroke`, dwell, back to 0, dwell, and so on.
+    """Return a position reference of moves to `stroke` and back to 0, with a dwell after each.
 
-    Each move is an `s_curve` (or, by its shape, a `trapezoid`) of move_time [s] > 0, each dwell lasts
-    dwell_time [s] >= 0. Raises ValueError for values out of range.
+    Parameters
+    ----------
+    samples, dt, stroke, move_time
+        As of `trapezoid`, for each move.
+    dwell_time
+        Time of each dwell [s], >= 0.
+    shape
+        "s-curve" or "trapezoid".
+
+    Returns
+    -------
+    ndarray
+        (samples,) position [m].
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import stop_and_go
+    >>> stop_and_go(9, dt=0.2, stroke=0.2, move_time=0.4, dwell_time=0.4).round(3).tolist()
+    [0.0, 0.1, 0.2, 0.2, 0.2, 0.1, 0.0, 0.0, 0.0]
     """
     tau = _phase_of_move(samples, dt, stroke, move_time)
     _check_dwell(dwell_time)
@@ -143,9 +292,30 @@ def _rise(shape: str) -> Callable[[Floats], Floats]:
 
 
 def steps(samples: int, dt: float, stroke: float, hold_time: float) -> Floats:
-    """Return a position reference (samples,) [m] that jumps between `stroke` and 0, each held for hold_time [s] > 0.
+    """Return a position reference that jumps between `stroke` and 0.
 
-    Raises ValueError for values out of range.
+    Parameters
+    ----------
+    samples, dt, stroke
+        As of `trapezoid`.
+    hold_time
+        Time for which each value is held [s], > 0.
+
+    Returns
+    -------
+    ndarray
+        (samples,) position [m].
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from pmfid.simulation import steps
+    >>> steps(6, dt=0.1, stroke=0.1, hold_time=0.2).tolist()
+    [0.1, 0.1, 0.0, 0.0, 0.1, 0.1]
     """
     leg = np.floor(_phase_of_move(samples, dt, stroke, hold_time) + 1e-9)
     return np.asarray(np.where(leg % 2.0 == 0.0, stroke, 0.0), dtype=np.float64)
@@ -160,10 +330,36 @@ def random_moves(
     rng: np.random.Generator,
     shape: str = "s-curve",
 ) -> Floats:
-    """Return a position reference (samples,) [m] of moves between random places in [0, stroke].
+    """Return a position reference of moves between random positions in [0, stroke].
 
-    Each move takes move_time [s] > 0, each dwell 0 to 2 dwell_time [s], mean dwell_time >= 0. Raises ValueError for
-    values out of range.
+    Parameters
+    ----------
+    samples, dt, stroke, move_time
+        As of `trapezoid`, for each move.
+    dwell_time
+        Mean time of a dwell [s], >= 0. Each dwell takes 0 to 2 dwell_time.
+    rng
+        Generator of positions and dwells.
+    shape
+        "s-curve" or "trapezoid".
+
+    Returns
+    -------
+    ndarray
+        (samples,) position [m].
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.simulation import random_moves
+    >>> reference = random_moves(3000, 0.01, 0.4, move_time=0.8, dwell_time=0.5, rng=np.random.default_rng(1))
+    >>> float(reference[0]), bool(reference.min() >= 0.0), bool(reference.max() <= 0.4)
+    (0.0, True, True)
     """
     tau = _phase_of_move(samples, dt, stroke, move_time)
     _check_dwell(dwell_time)
