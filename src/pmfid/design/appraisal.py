@@ -204,7 +204,40 @@ class Appraisal(Presentable):
 
 
 def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
-    """Compares the design with the standard inputs; combination: for criterion "c"; seed: of the PRBS."""
+    """Compare a design with the standard inputs.
+
+    Parameters
+    ----------
+    design
+        Result of `solve` or `evaluate`.
+    combination
+        {parameter: weight} for the criterion "c".
+    seed
+        Seed of the PRBS.
+
+    Returns
+    -------
+    Appraisal
+        Value and predicted standard deviations of each input, `gain` over each standard input, and the `recommended`
+        one.
+
+    Raises
+    ------
+    UsageError, InfeasibleError
+        As `solve`.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, appraise, solve
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0, min_speed=0.01), resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> found = appraise(solve(problem, starts=3))
+    >>> found.gain["trapezoid"] > 1.0, "design" in found.worths
+    (True, True)
+    """
     problem = design.problem
     ready = setting(problem, design.criterion, combination)
     standard = standard_inputs(problem, seed)

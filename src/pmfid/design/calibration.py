@@ -32,10 +32,30 @@ LEAST = {"mass": 1e-3, "offset": -np.inf}
 
 @dataclass(frozen=True, eq=False)
 class DesignedRun:
-    """One experiment: u (n,), held from sample k to k+1; y (n,), measured position at sample k [m]; dt [s].
+    """One experiment with a designed input.
 
     Only changes of y count, its zero is free: the start phase on the encoder's lattice is not known.
-    Raises UsageError for arrays that do not fit each other or are not finite.
+
+    Parameters
+    ----------
+    u
+        (n,) input [V], held from sample k to k+1.
+    y
+        (n,) measured position at sample k [m].
+    dt
+        Sample period [s].
+
+    Raises
+    ------
+    UsageError
+        If the arrays do not fit each other or are not finite.
+
+    Examples
+    --------
+    >>> from pmfid.design import DesignedRun
+    >>> run = DesignedRun([2.0, 2.0, 0.0], [0.0, 0.01, 0.03], dt=0.1)
+    >>> run.dt
+    0.1
     """
 
     u: Floats
@@ -79,10 +99,40 @@ class RunsEstimate:
 
 
 def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
-    """Unknown and nuisance parameters of a problem from its runs, its prior centred on its nominal values.
+    """Estimate unknown and nuisance parameters of a problem from its runs.
 
-    Raises UsageError without a run, NotIdentifiableError if the runs leave a parameter open or the simulated
-    position does not follow.
+    The prior is centred on the nominal values.
+
+    Parameters
+    ----------
+    problem
+        Equation, nominal parameters, encoder and prior.
+    runs
+        At least one run.
+
+    Returns
+    -------
+    RunsEstimate
+        All `parameters`, their `information` (p, p), and a 95 % `interval` for each estimate.
+
+    Raises
+    ------
+    UsageError
+        If there is no run.
+    NotIdentifiableError
+        If the runs leave a parameter open, or the simulated position does not follow.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, calibrate, evaluate, simulated_experiment
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0), resolution=1e-5)
+    >>> experiment = simulated_experiment(problem, {"mass": 1.8}, np.random.default_rng(0))
+    >>> estimate = calibrate(problem, [experiment(evaluate(problem, np.full(10, 2.0)))])
+    >>> round(estimate.parameters["mass"], 2)
+    1.8
     """
     if not runs:
         raise UsageError("there is no run to estimate from; give at least one")

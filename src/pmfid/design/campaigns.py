@@ -58,9 +58,45 @@ def campaign(
     starts: int = 20,
     seed: int = 0,
 ) -> Campaign:
-    """At most `motions` motions that together tell the most per run; prior information counts once per run.
+    """Search for at most `motions` motions that together give the most information per run.
 
-    Raises as `solve`; UsageError if the criterion is ME, which is not concave, or motions < 1.
+    Prior information counts once per run.
+
+    Parameters
+    ----------
+    problem
+        Equation, parameters and limits.
+    criterion
+        Name of a concave criterion: not "ME".
+    motions
+        Largest number of different motions, >= 1.
+    combination
+        {parameter: weight} for the criterion "c".
+    starts, seed
+        As of `solve`.
+
+    Returns
+    -------
+    Campaign
+        The `motions`, their `weights`, the best `single` motion and the `gain` over repeating it.
+
+    Raises
+    ------
+    UsageError
+        If the criterion is "ME", which is not concave, or motions < 1; further errors as `solve`.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, campaign
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> limits = Limits(input=3.0, min_speed=0.01)
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass", "viscous_friction"), 2.0, 10, limits, resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> found = campaign(problem, motions=2, starts=3)
+    >>> sum(found.runs(10)), round(float(found.weights.sum()), 6)
+    (10, 1.0)
     """
     began = time.perf_counter()
     rule = criterion_of(problem, criterion, combination)

@@ -180,7 +180,38 @@ def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | Non
 
 
 def sensitivities(problem: Problem, u: ArrayLike) -> Floats:
-    """d position / d parameter at the samples, (intervals * samples_per_interval, p), parameters in their own units."""
+    """Return the sensitivities of the position to the parameters.
+
+    Parameters
+    ----------
+    problem
+        Equation, parameters and time grid.
+    u
+        (K,) input [V], one value per interval.
+
+    Returns
+    -------
+    ndarray
+        (intervals * samples_per_interval, p) d position / d parameter at the samples, parameters in their own units.
+
+    Raises
+    ------
+    UsageError
+        If the input has another shape or is not finite.
+
+    Examples
+    --------
+    A larger mass lags: it travels less far.
+
+    >>> import numpy as np
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, sensitivities
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0), resolution=1e-5)
+    >>> s = sensitivities(problem, np.full(10, 2.0))
+    >>> s.shape, bool(s[-1, 0] < 0.0)
+    ((10, 1), True)
+    """
     maps = affine(problem)
     return np.asarray(
         (maps.weigh_sensitivities(_check_input(problem, u)) / problem.scale[:, None]).T * np.sqrt(problem.variance)
@@ -188,7 +219,41 @@ def sensitivities(problem: Problem, u: ArrayLike) -> Floats:
 
 
 def information(problem: Problem, u: ArrayLike) -> Floats:
-    """Fisher information on unknown and nuisance parameters in their own units, prior included: (p, p), paper eq. 4."""
+    """Return the Fisher information on unknown and nuisance parameters.
+
+    Parameters
+    ----------
+    problem
+        Equation, parameters, time grid and noise.
+    u
+        (K,) input [V], one value per interval.
+
+    Returns
+    -------
+    ndarray
+        (p, p), parameters in their own units, prior included.
+
+    Raises
+    ------
+    UsageError
+        If the input has another shape or is not finite.
+
+    References
+    ----------
+    Paper eq. 4.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, information, sensitivities
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0), resolution=1e-5)
+    >>> u = np.full(10, 2.0)
+    >>> s = sensitivities(problem, u)
+    >>> np.allclose(information(problem, u), s.T @ s / problem.variance)
+    True
+    """
     maps = affine(problem)
     return maps.information(_check_input(problem, u)) / np.outer(maps.scale, maps.scale)
 

@@ -197,7 +197,27 @@ class Relaxation:
 
 
 class InfeasibleError(PmfidError):
-    """No input meets all limits (exit code 3); `relaxations` are single changes that would do, smallest first."""
+    """Raised if no input meets all limits (exit code 3 of the command).
+
+    Attributes
+    ----------
+    relaxations
+        Single changes of a limit that would do, smallest first.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import InfeasibleError, Limits, Problem, solve
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=0.5, min_speed=0.01), resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> try:
+    ...     solve(problem, starts=1)
+    ... except InfeasibleError as error:
+    ...     print(error.relaxations[0].name)
+    horizon
+    """
 
     exit_code: ClassVar[int] = 3
 
@@ -208,14 +228,41 @@ class InfeasibleError(PmfidError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What the machine bears; None if there is no limit. A single number b stands for (-b, b).
+    """Limits of a machine; None means no limit, and a single number b stands for (-b, b).
 
-    input [V, or what u is in], input_rate [1/s of it]: |u[k] - u[k-1]| / dt, with u[-1] = 0; position [m],
-    velocity [m/s], acceleration [m/s^2]: at every instant; jerk [m/s^3]: change of the mean acceleration from one
-    interval to the next, over dt; energy: integral of u^2 dt [V^2 s]; rms: root of the mean square of u [V].
-    min_speed: at the nodes between standstills the speed is at least this [m/s], >= 0; at 0 the optimum may park at
-    standstill, where the linear sensitivities are wrong.
-    Raises UsageError if a limit is not finite, empty or of the wrong sign.
+    Parameters
+    ----------
+    input
+        Bounds of the input [V, or the unit of u].
+    input_rate
+        Largest change of the input [V/s]: |u[k] - u[k-1]| / dt, with u[-1] = 0.
+    position
+        Bounds of the position [m], at every instant.
+    velocity
+        Bounds of the velocity [m/s], at every instant.
+    acceleration
+        Bounds of the acceleration [m/s^2], at every instant.
+    jerk
+        Largest change of the mean acceleration from one interval to the next, over dt [m/s^3].
+    energy
+        Largest integral of u^2 dt [V^2 s].
+    rms
+        Largest root of the mean square of u [V].
+    min_speed
+        Least speed at the nodes between standstills [m/s], >= 0: v_min of the paper. At 0 the optimum may park at
+        standstill, where the linear sensitivities are wrong.
+
+    Raises
+    ------
+    UsageError
+        If a limit is not finite, empty or of the wrong sign.
+
+    Examples
+    --------
+    >>> from pmfid.design import Limits
+    >>> limits = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
+    >>> limits.pair("input"), limits.pair("position"), limits.pair("velocity")
+    ((-3.0, 3.0), (0.0, 0.4), None)
     """
 
     input: float | tuple[float, float] | None = None
@@ -244,22 +291,63 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Design of u[0..intervals-1], held over intervals of dt = horizon / intervals.
+    """Problem of input design: u[0..intervals-1], held over intervals of dt = horizon / intervals.
 
-    drive: the equation. nominal: value of each of its parameters, {name: value}. unknown: those that the experiment is
-    for; nuisance: unknown as well, but of no interest; the others are taken as known.
-    horizon [s]; intervals: >= 1. limits: see `Limits`. start: (position [m], velocity [m/s]); end: the same, None where
-    free.
-    noise_variance: of the measured position [m^2]; None: resolution^2 / 12. resolution: of the encoder [m per count].
-    samples_per_interval: position samples per interval (the sampling may be finer than the input), >= 1.
-    prior: information known beforehand, (p, p) over unknown + nuisance, in the units of the parameters.
-    scaled: criteria refer to the parameters divided by their nominal values. v_min is `limits.min_speed`.
-    directions: 1 forward, -1 backward, 0 at rest, for each interval; empty: forward throughout. Between forward and
-    backward there is at least one interval of rest, where friction holds the axis: only so the sensitivities are exact.
-    end_tolerance: (position, velocity) by which the end may be missed; scenarios: other parameter sets {name: value}
-    (missing ones nominal) in which the limits must hold as well; there, the end counts only where it has a tolerance.
-    average: of the criterion, "mean" (geometric) or "worst" over the nominal case and the scenarios; None: nominal.
-    Raises UsageError naming the field that is wrong.
+    Parameters
+    ----------
+    drive
+        The equation.
+    nominal
+        Value of each parameter of the equation, {name: value}.
+    unknown
+        Parameters that the experiment is for.
+    horizon
+        Duration of a run [s].
+    intervals
+        Number of intervals K, >= 1.
+    limits
+        Limits of the machine.
+    resolution
+        Travel per count of the encoder [m].
+    noise_variance
+        Variance of the measured position [m^2]; None: resolution^2 / 12.
+    nuisance
+        Parameters that are unknown as well, but of no interest. The others are taken as known.
+    start, end
+        (position [m], velocity [m/s]) at the start and at the end; None where the end is free.
+    end_tolerance
+        (position [m], velocity [m/s]) by which the end may be missed.
+    samples_per_interval
+        Position samples per interval, >= 1: the sampling may be finer than the input.
+    prior
+        Prior information, (p, p) over unknown + nuisance, in the units of the parameters.
+    scaled
+        Whether criteria refer to the parameters divided by their nominal values.
+    directions
+        1 forward, -1 backward, 0 at rest, for each interval; empty: forward throughout. Between forward and backward
+        there is at least one interval of rest, where friction holds the axis: only so the sensitivities are exact.
+    scenarios
+        Other parameter sets {name: value} in which the limits must hold as well; missing values are nominal. The end
+        counts in them only where it has a tolerance.
+    average
+        Criterion over the nominal case and the scenarios: "mean" (geometric) or "worst"; None: the nominal case.
+
+    Raises
+    ------
+    UsageError
+        If a field is wrong; the message names it.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> limits = Limits(input=3.0, min_speed=0.01)
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass",), horizon=2.0, intervals=10, limits=limits, resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> problem.dt, problem.names, problem.t.shape
+    (0.2, ('mass',), (11,))
     """
 
     drive: Drive
@@ -335,12 +423,48 @@ class Problem:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design(Presentable):
-    """An input, its nominal motion, and what it tells.
+    """An input, its nominal motion, and its information.
 
-    t: (n+1,) nodes [s]; u: (n,) input, held from t[k] to t[k+1]; x, v: (n+1,) nominal position [m] and velocity [m/s].
-    fisher: (p, p) information on the *unknown* parameters in their own units, prior included, nuisance ones eliminated.
-    value: of the criterion, larger is better (see `criteria`); bound: proved upper bound of it, or None; it holds for
-    the problem's time grid and directions. starts: how many, reached: fraction of them within 0.1 % of the best.
+    Attributes
+    ----------
+    problem
+        What was designed.
+    criterion
+        Name of the criterion.
+    t
+        (n+1,) nodes [s].
+    u
+        (n,) input [V], held from t[k] to t[k+1].
+    x, v
+        (n+1,) nominal position [m] and velocity [m/s].
+    fisher
+        (p, p) information on the unknown parameters, in their own units. It includes the prior, and nuisance parameters
+        are eliminated.
+    value
+        Value of the criterion; larger is better (see `criteria`).
+    bound
+        Proved upper bound of the value, for the time grid and the directions of the problem; None if no bound is
+        proved.
+    starts, reached
+        Number of starts, and the fraction of them within 0.1 % of the best.
+    solve_seconds
+        Time of the search [s].
+    feasible
+        Whether the limits hold.
+    warnings
+        Sentences for the user.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, solve
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0, min_speed=0.01), resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> design = solve(problem, starts=3)
+    >>> design.u.shape, list(design.predicted_std), design.feasible
+    ((10,), ['mass'], True)
     """
 
     problem: Problem

@@ -106,11 +106,51 @@ def sequential(
     starts: int = 20,
     seed: int = 0,
 ) -> Commissioning:
-    """Rounds of design, choice, run and estimate until every wanted standard deviation is reached, at most `rounds`.
+    """Design, choose, run and estimate in rounds, until every wanted standard deviation is reached.
 
-    wanted: {unknown parameter: standard deviation, its unit}; empty: all the rounds. The first design is for the
-    problem's nominal values and prior; the prior belongs to the nominal values as an earlier estimate does. Raises
-    UsageError for a wrong `wanted`, and as `solve`, `calibrate` and the experiment do.
+    The first design is for the problem's nominal values and prior. The prior belongs to the nominal values as an
+    earlier estimate does.
+
+    Parameters
+    ----------
+    problem
+        Equation, parameters and limits.
+    experiment
+        Function from a `Design` to its `DesignedRun`: a machine, a file, or `simulated_experiment`.
+    wanted
+        {unknown parameter: standard deviation, in its unit}; empty: all the rounds.
+    criterion, combination, starts, seed
+        As of `solve`.
+    rounds
+        Largest number of rounds, >= 1.
+
+    Returns
+    -------
+    Commissioning
+        Rounds so far, and `reached`; `rounds[-1].known` is the estimate from all runs.
+
+    Raises
+    ------
+    UsageError
+        If `wanted` or `rounds` is wrong; further errors as `solve`, `calibrate` and the experiment.
+
+    References
+    ----------
+    Paper section II.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, sequential, simulated_experiment
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0, min_speed=0.01), resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> experiment = simulated_experiment(problem, {"mass": 1.8}, np.random.default_rng(0))
+    >>> state = sequential(problem, experiment, {"mass": 0.01}, rounds=3, starts=3)
+    >>> state.reached, round(state.rounds[-1].known.parameters["mass"], 2)
+    (True, 1.8)
     """
     _check_wanted(problem, wanted, rounds)
     done: list[Round] = []
@@ -164,10 +204,36 @@ def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float
 
 
 def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.random.Generator) -> Experiment:
-    """Runs on a drive with the true parameters {name: value}, missing ones nominal, with stiction and the encoder.
+    """Return an experiment on a simulated drive, with stiction and the encoder.
 
-    The encoder starts at a random phase of its lattice; without a resolution the noise is normal with the problem's
+    The encoder starts at a random phase of its lattice. Without a resolution the noise is normal with the problem's
     variance.
+
+    Parameters
+    ----------
+    problem
+        Equation, nominal parameters and encoder.
+    truth
+        True parameters {name: value}; missing ones are nominal.
+    rng
+        Generator of phase and noise.
+
+    Returns
+    -------
+    callable
+        Function from a `Design` to its `DesignedRun`, for `sequential`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, evaluate, simulated_experiment
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0), resolution=1e-5)
+    >>> experiment = simulated_experiment(problem, {"mass": 1.8}, np.random.default_rng(0))
+    >>> run = experiment(evaluate(problem, np.full(10, 2.0)))
+    >>> run.u.shape == run.y.shape, run.dt
+    (True, 0.2)
     """
 
     def run(design: Design) -> DesignedRun:

@@ -64,7 +64,39 @@ def setting(problem: Problem, criterion: str, combination: Mapping[str, float] |
 def evaluate(
     problem: Problem, u: ArrayLike, criterion: str = "D", *, combination: Mapping[str, float] | None = None
 ) -> Design:
-    """What a given input (K,) is worth; `feasible` and `warnings` say which limits it breaks. Raises UsageError."""
+    """Evaluate a given input.
+
+    Parameters
+    ----------
+    problem
+        What the input is for.
+    u
+        (K,) input [V], one value per interval.
+    criterion
+        Name of the criterion: "trace", "D", "A", "E", "ME" or "c".
+    combination
+        {parameter: weight} for the criterion "c".
+
+    Returns
+    -------
+    Design
+        Motion and information; `feasible` and `warnings` say which limits the input breaks.
+
+    Raises
+    ------
+    UsageError
+        If an argument is wrong.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, evaluate
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0), resolution=1e-5)
+    >>> evaluate(problem, np.full(10, 2.0)).feasible, evaluate(problem, np.full(10, 4.0)).feasible
+    (True, False)
+    """
     return setting(problem, criterion, combination).design(np.asarray(u, float))
 
 
@@ -226,12 +258,58 @@ def solve(
     certify: float | None = None,
     gap: float = 0.01,
 ) -> Design:
-    """The best input that `starts` random starts find; the same for the same seed and number of workers.
+    """Search for the best input, from random starts.
 
-    criterion: a key of `CRITERIA`; combination: {parameter: weight} for "c". workers: threads. progress: called after
-    every start. certify: seconds of the processor for a proved upper bound, None for none; gap: where to stop with it.
-    Raises UsageError, NotIdentifiableError (a parameter that no input tells), InfeasibleError (with what to relax),
-    SolverError.
+    The result is the same for the same seed and number of workers.
+
+    Parameters
+    ----------
+    problem
+        Equation, parameters and limits.
+    criterion
+        Name of the criterion: "trace", "D", "A", "E", "ME" or "c".
+    combination
+        {parameter: weight} for the criterion "c".
+    starts
+        Number of random starts, >= 1.
+    seed
+        Seed of the starts.
+    workers
+        Number of threads, >= 1.
+    progress
+        Function that is called after every start.
+    certify
+        Processor time for a proved upper bound [s]; None: no bound.
+    gap
+        Relative gap of the bound at which the proof stops.
+
+    Returns
+    -------
+    Design
+        The best input that the starts find.
+
+    Raises
+    ------
+    UsageError
+        If an argument is wrong.
+    NotIdentifiableError
+        If no input identifies a parameter.
+    InfeasibleError
+        If no input meets the limits; it lists what to relax.
+    SolverError
+        If the numerical solver fails.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, solve
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0, min_speed=0.01), resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> design = solve(problem, starts=3, seed=0)
+    >>> bool(abs(design.u).max() <= 3.0 + 1e-6), round(float(design.x[-1]), 3)
+    (True, 0.4)
     """
     began = time.perf_counter()
     if starts < 1 or workers < 1:
@@ -255,7 +333,38 @@ def solve(
 
 
 def price_of_robustness(design: Design, combination: Mapping[str, float] | None = None, starts: int = 20) -> float:
-    """Part of the nominal information that robustness costs: 1 - (nominal value of the design) / (the best)."""
+    """Return the part of the nominal information that robustness costs.
+
+    Parameters
+    ----------
+    design
+        Design of a problem with scenarios.
+    combination
+        {parameter: weight} for the criterion "c".
+    starts
+        Starts of the search for the best nominal input.
+
+    Returns
+    -------
+    float
+        1 - (nominal value of the design) / (best nominal value).
+
+    Raises
+    ------
+    UsageError, InfeasibleError
+        As `solve`.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, price_of_robustness, solve
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> limits = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
+    >>> lighter = ({"mass": 1.2},)
+    >>> problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 10, limits, resolution=1e-5, scenarios=lighter)
+    >>> 0.0 < price_of_robustness(solve(problem, starts=3), starts=3) < 1.0
+    True
+    """
     nominal = replace(design.problem, scenarios=(), average=None)
     best = solve(nominal, design.criterion, combination=combination, starts=starts)
     return 1.0 - evaluate(nominal, design.u, design.criterion, combination=combination).value / best.value

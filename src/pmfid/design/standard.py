@@ -112,11 +112,43 @@ class StandardInput:
 
 
 def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()) -> dict[str, StandardInput]:
-    """Trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp within the problem's limits.
+    """Return the standard inputs within the limits of a problem.
 
-    names: only these; seed: of the PRBS. "minimum_time" reaches the end of each leg as early as the limits let it, and
-    goes on at the least speed. A profile that the limits do not allow is replaced by the nearest input, in
-    the sum of squares. Raises InfeasibleError if no input meets the limits.
+    They are trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp. "minimum_time" reaches the
+    end of each leg as early as the limits let it, and goes on at the least speed. A profile that the limits do not
+    allow is replaced by the nearest input, in the sum of squares.
+
+    Parameters
+    ----------
+    problem
+        Equation, parameters and limits.
+    seed
+        Seed of the PRBS.
+    names
+        Names of the wanted inputs; empty: all.
+
+    Returns
+    -------
+    dict of str to StandardInput
+        By name: input `u` (K,) [V], position `x` [m] and velocity `v` [m/s] at the nodes (K+1,), and `bent`, true if
+        the profile was replaced.
+
+    Raises
+    ------
+    InfeasibleError
+        If no input meets the limits.
+
+    Examples
+    --------
+    >>> from pmfid import Drive
+    >>> from pmfid.design import Limits, Problem, standard_inputs
+    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
+    >>> problem = Problem(
+    ...     Drive(2.0), nominal, ("mass",), 2.0, 10, Limits(input=3.0, min_speed=0.01), resolution=1e-5, end=(0.4, 0.0)
+    ... )
+    >>> trapezoid = standard_inputs(problem, names=("trapezoid",))["trapezoid"]
+    >>> trapezoid.u.shape, round(float(trapezoid.x[-1]), 3)
+    ((10,), 0.4)
     """
     maker = _Maker(problem, input_set(polytope(problem)), seed)
     found = {}
