@@ -16,7 +16,7 @@ from pmfid.estimators.facts import check_known
 from pmfid.estimators.friction_curve import friction_curve
 from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import LS
-from pmfid.estimators.motion import first_speed, least, rms
+from pmfid.estimators.motion import first_speed, rms
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.search import find_least_from_start
 from pmfid.simulation import Machine
@@ -28,8 +28,8 @@ METHOD = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
 
 
 def test_a_motion_that_begins_at_rest_is_not_begun_with_a_speed() -> None:
-    """With cogging of a known pitch least squares stayed where 1.1 counts are left: the first counts, within stiction,
-    were taken for a speed."""
+    """The first counts, within stiction, show no speed: least squares with cogging of a known pitch stayed beside the
+    minimum."""
     axis = BENCHES["gantry"]
     pitch = axis.stroke / 12
     machine = Machine(axis.drive, cogging=0.3 * axis.drive.coulomb_friction, cogging_pitch=pitch, cogging_phase=1.0)
@@ -41,7 +41,6 @@ def test_a_motion_that_begins_at_rest_is_not_begun_with_a_speed() -> None:
     behind = replace(whole, pole=method.cutoff, parts=2)
     speed = first_speed(behind.y, axis.dt, method.cutoff, record.resolution)
     begin = np.r_[theta, behind.y[0], speed] / behind.scale
-    assert rms(behind(least(behind, begin, [1e-4]))) > 1.0
     found = find_least_from_start(behind, begin, method.cutoff, [1e-4])
     assert rms(behind(found)) < 0.35
     assert found[0] * behind.scale[0] == pytest.approx(axis.drive.mass, rel=1e-3)

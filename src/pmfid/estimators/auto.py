@@ -61,13 +61,15 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     Raises NotIdentifiableError if no method can identify every parameter.
     """
     refused: list[str] = []
-    sharp = None if configured.equation.without_simulation else _sharp(configured, u, counts, best, refused)
+    simulates = not configured.equation.without_simulation
+    best = best or (_find_best(configured, u, counts, refused) if simulates else None)
+    sharp = _sharp(configured, best, refused) if best and simulates else None
     if sharp is not None and not sharp.doubt:
         return sharp.make_choice("the model explains every count")
     adequacy = sharp.adequacy if sharp else None
     doubt = sharp.doubt if sharp else ""
     for cls, reason in _CANDIDATES:
-        if issubclass(cls, Simulating) and configured.equation.without_simulation:
+        if issubclass(cls, Simulating) and not simulates:
             continue
         if not issubclass(cls, Simulating) and ESTIMATE in (configured.equation.dead_time, configured.equation.lag):
             continue  # it would be wrong by as much as that makes it
@@ -75,7 +77,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
             continue
         candidate = _candidate(cls, configured, u, counts)
         try:
-            fit = candidate.fit(u, counts)
+            fit = _fit_candidate(candidate, best, u, counts)
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
@@ -119,12 +121,17 @@ class _Sharp:
         return MethodChoice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
 
 
-def _sharp(
-    configured: Estimator, u: ArrayLike, counts: ArrayLike, best: Best | None, refused: list[str]
-) -> _Sharp | None:
+def _find_best(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list[str]) -> Best | None:
+    try:
+        return like(IntervalML, configured, prefilter_zeros=None).best(u, counts)
+    except NotIdentifiableError as error:
+        refused.append(f"{IntervalML.method}: {error}")
+        return None
+
+
+def _sharp(configured: Estimator, best: Best, refused: list[str]) -> _Sharp | None:
     method = like(IntervalML, configured, prefilter_zeros=None)
     try:
-        best = best or method.best(u, counts)
         fit, found = method.fit_of(best), weigh(best)
     except NotIdentifiableError as error:
         refused.append(f"{method.method}: {error}")
@@ -137,6 +144,13 @@ def _sharp(
     elif np.any(spread > fit.theta_std):
         doubt = "; the error bars of interval leave out unmodelled effects that this record does not show"
     return _Sharp(method, fit, found, doubt)
+
+
+def _fit_candidate(candidate: BatchEstimator, best: Best | None, u: ArrayLike, counts: ArrayLike) -> Fit:
+    """The fit of a candidate; output error is that of the motion that is known, if there is one."""
+    if isinstance(candidate, OE) and candidate.window is None and best is not None:
+        return candidate.make_least_squares_fit(best)
+    return candidate.fit(u, counts)
 
 
 def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, counts: ArrayLike) -> BatchEstimator:

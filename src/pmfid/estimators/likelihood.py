@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr
 
-from pmfid.estimators.motion import Difference, rms
+from pmfid.estimators.motion import FIRST_DAMPING, MAX_DAMPING, SETTLED_STEP, Difference, bounded_step, rms, try_step
 from pmfid.types import Floats
 
 #: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
@@ -26,7 +26,6 @@ SHRINKING = (0.3, 0.1, 0.04)
 AGREEING, SAME = 3, 0.01
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-6
-MAX_DAMPING = 1e8
 #: Noise, in counts, from which on the edges of the counts no longer show.
 WIDE = 3.0
 TINY = 1e-300
@@ -115,10 +114,13 @@ def _list_starts(difference: Difference, q: Floats) -> list[Floats]:
     return [np.maximum(q + step, difference.lower) for step in steps]
 
 
-def climb(difference: Difference, q: Floats, fixed: float | None, settled: float = 0.0) -> tuple[float, Floats, float]:
+def climb(
+    difference: Difference, q: Floats, fixed: float | None, settled: float = SETTLED_STEP**2 / 2
+) -> tuple[float, Floats, float]:
     """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
-    after each or a fixed one. settled: a step that gains less is the last one."""
-    damping, step, gain = 1e-3, np.inf, np.inf
+    after each or a fixed one. settled: a step that gains less is the last one; by default one of SETTLED_STEP of a
+    standard error."""
+    damping, step, gain = FIRST_DAMPING, np.inf, np.inf
     e = difference(q)
     jacobian = difference.forward_jacobian(q, e)
     noise = fixed or likeliest_noise(e)
@@ -127,32 +129,37 @@ def climb(difference: Difference, q: Floats, fixed: float | None, settled: float
         hessian = jacobian.T @ (curvature[:, None] * jacobian)
         # counts far from their edges have no curvature: without the last term a step would leave them
         hessian += damping * (np.diag(np.diagonal(hessian)) + jacobian.T @ jacobian)
-        trial = np.maximum(q - np.linalg.lstsq(hessian, jacobian.T @ slope)[0], difference.lower)
-        e_trial = difference(trial)
-        gain = now - cost(e_trial, noise)[0]
+        step_back = bounded_step(hessian, jacobian.T @ slope, q > difference.lower)
+        trial = np.maximum(q - step_back, difference.lower)
+        e_trial = try_step(difference, q, trial)
+        gain = now - cost(e_trial, noise)[0] if np.all(np.isfinite(e_trial)) else -np.inf
         if gain > 0:
             step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
-            noise, jacobian = fixed or likeliest_noise(e), difference.forward_jacobian(q, e)
+            noise = fixed or likeliest_noise(e)
         else:
             damping *= 10
         if step < TOLERANCE or damping > MAX_DAMPING or 0 < gain < settled:
             break
+        if gain > 0:
+            jacobian = difference.forward_jacobian(q, e)
     return cost(e, noise)[0], q, noise
 
 
 def likeliest_noise(e: Floats) -> float:
-    """Noise [counts] of the largest likelihood for the differences e (n,) [counts]."""
-    from scipy.optimize import minimize_scalar  # slow to import, and only this needs it
-
-    bounds = (math.log(NOISE_FLOOR), math.log(1 + 2 * float(np.max(np.abs(e)))))
+    """Noise [counts] of the largest likelihood for the differences e (n,) [counts], at least NOISE_FLOOR."""
     apart = np.abs(e)
-    search = minimize_scalar(
-        lambda log: -np.sum(log_probability(apart, math.exp(log))),
-        bounds=bounds,
-        method="bounded",
-        options={"xatol": NOISE_TOLERANCE},
-    )
-    return math.exp(search.x)
+
+    def slope(log: float) -> float:
+        """Of the log-likelihood by the logarithm of the noise, for a sample."""
+        noise = math.exp(log)
+        return -float(np.mean(count_likelihood(apart, noise)[2])) * noise**2
+
+    low, high = math.log(NOISE_FLOOR), math.log(1 + 2 * float(np.max(apart)))
+    if slope(low) <= 0:
+        return NOISE_FLOOR
+    from scipy.optimize import brentq  # slow to import, and a record within its counts never needs it
+
+    return math.exp(brentq(slope, low, high, xtol=NOISE_TOLERANCE))
 
 
 def cost(e: Floats, noise: float) -> tuple[float, Floats, Floats]:

@@ -15,7 +15,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.kernel.configuration import Decay, decays, shape_bytes
 from pmfid.models.equation import ESTIMATE, LATE, MASS, MOST_LATE, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 #: Parts of a sample in the simulation of forces with a shape and of reversals under a lagging input: by default, and
 #: at most.
@@ -179,7 +179,13 @@ class _Moved:
 #: the simulated position, far below what makes the position bend.
 QUOTIENT_STEP = 1e-4
 MAX_EVALUATIONS = 200
-TOLERANCE = 1e-10
+#: A step by less than this part of a standard error ends an iteration.
+SETTLED_STEP = 0.01
+#: Damping of the first step, and the largest one: a step that is damped more moves nothing.
+FIRST_DAMPING, MAX_DAMPING = 1e-3, 1e8
+TINY = 1e-300
+#: Longest step, in sizes of the parameters at the start.
+LONGEST_STEP = 100.0
 #: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never settle.
 ROUGH_TOLERANCE = 1e-7
 #: Root mean square of the difference, in counts, up to which the encoder explains it; rounding down alone gives 0.29.
@@ -392,47 +398,65 @@ def rms(signal: Floats) -> float:
     return float(np.sqrt(np.mean(signal**2)))
 
 
-def least(difference: Difference, q: Floats, tolerances: Sequence[float] = (TOLERANCE, ROUGH_TOLERANCE)) -> Floats:
-    """Least squares from q (q,), with these relative tolerances one after the other. Raises NotIdentifiableError
-    where the iteration does not settle."""
-    from scipy.optimize import least_squares  # slow to import, and only this needs it
-
-    last = q, np.empty(0)
-
-    def error(at: Floats) -> Floats:
-        nonlocal last
-        last = at.copy(), difference(at)
-        return last[1]
-
-    def jacobian(at: Floats) -> Floats:
-        return difference.forward_jacobian(at, last[1] if np.array_equal(last[0], at) else difference(at))
-
-    for tolerance in tolerances:
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-                found = least_squares(
-                    error,
-                    q,
-                    jacobian,
-                    bounds=(difference.lower, np.inf),
-                    x_scale="jac",
-                    ftol=tolerance,
-                    xtol=tolerance,
-                    gtol=tolerance,
-                    max_nfev=MAX_EVALUATIONS,
-                )
-        except ValueError:  # sensitivities that are not finite
-            raise NotIdentifiableError(
-                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
-                "Python give `initial`"
-            ) from None
-        q = np.maximum(found.x, difference.lower)
-        if found.status > 0 or rms(difference(q)) <= difference.explained:
-            return np.asarray(q)
+def least(difference: Difference, q: Floats, tolerances: Sequence[float] | None = None) -> Floats:
+    """Least squares from q (q,), with these relative tolerances of the sum of squares one after the other; None: a step
+    by SETTLED_STEP of a standard error lowers the sum of n squares by SETTLED_STEP^2 / n of itself. Raises
+    NotIdentifiableError where the iteration does not settle."""
+    settled = SETTLED_STEP**2 / difference.y.size
+    for tolerance in tolerances or (settled, max(settled, ROUGH_TOLERANCE)):
+        q, ended = _descend(difference, q, tolerance)
+        if ended or rms(difference(q)) <= difference.explained:
+            return q
     raise NotIdentifiableError(
         f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
         "follow the record closely; use iv, or in Python give `initial`"
     )
+
+
+def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Floats, bool]:
+    """q (q,) after damped steps of Gauss and Newton (Levenberg 1944, Marquardt 1963), and whether they settled: the sum
+    of squares falls by less than this part of itself, or no step lowers the sum any more."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+        error, damping = difference(q), FIRST_DAMPING
+        jacobian = difference.forward_jacobian(q, error)
+        if not (np.all(np.isfinite(error)) and np.all(np.isfinite(jacobian))):
+            raise NotIdentifiableError(
+                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
+                "Python give `initial`"
+            )
+        for _ in range(MAX_EVALUATIONS):
+            size = np.maximum(np.linalg.norm(jacobian, axis=0), TINY)
+            scaled = jacobian / size
+            step = bounded_step(scaled.T @ scaled + damping * np.eye(q.size), scaled.T @ error, q > difference.lower)
+            trial = np.maximum(q - step / size, difference.lower)
+            found, cost = try_step(difference, q, trial), float(error @ error)
+            gain = cost - float(found @ found)
+            if gain > 0:
+                q, error, damping = trial, found, damping / 10
+                if gain <= tolerance * cost:
+                    return q, True
+                jacobian = difference.forward_jacobian(q, error)
+            elif damping > MAX_DAMPING or gain == 0:
+                return q, True
+            else:
+                damping *= 10
+    return q, False
+
+
+def try_step(difference: Difference, q: Floats, trial: Floats) -> Floats:
+    """The difference (n,) at trial (q,), infinite where the step from q is too long: what hardly acts runs away."""
+    if np.max(np.abs(trial - q)) > LONGEST_STEP:
+        return np.full(difference.y.size, np.inf)
+    return difference(trial)
+
+
+def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:
+    """The step (q,) to take back of Newton; a parameter that is not `above` its bound (q,) only moves away from the
+    bound."""
+    free = above | (gradient < 0)
+    step = np.zeros(gradient.size)
+    step[free] = np.linalg.lstsq(hessian[np.ix_(free, free)], gradient[free])[0]
+    return step
 
 
 def remove_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:

@@ -22,8 +22,6 @@ from pmfid.estimators.ls import BCLS
 from pmfid.estimators.motion import (
     LEAST_MASS,
     QUOTIENT_STEP,
-    ROUGH_TOLERANCE,
-    TOLERANCE,
     WORST_FIT,
     Difference,
     first_speed,
@@ -108,7 +106,7 @@ class Following(Simulating, BatchEstimator):
         u, counts = check_arrays(u, counts)
         theta, status = self._start(u, counts) if start is None else (start, 0)
         difference, q = self._prepare_difference(theta, u, self.position(counts))
-        q = find_least_from_start(difference, q, self.cutoff, (TOLERANCE, ROUGH_TOLERANCE))
+        q = find_least_from_start(difference, q, self.cutoff)
         difference = difference.fine_at(q[:-2] * difference.scale[:-2])
         if self.drift_cutoff:
             return difference, q, status

@@ -80,7 +80,9 @@ def _weigh_residual(difference: Difference, q: Floats, speed: float) -> Floats:
     return np.append(WHITE * difference(q), (q[-1] - speed) / difference.start_velocity_std)
 
 
-def find_least_from_start(difference: Difference, q: Floats, cutoff: float, tolerances: Sequence[float]) -> Floats:
+def find_least_from_start(
+    difference: Difference, q: Floats, cutoff: float, tolerances: Sequence[float] | None = None
+) -> Floats:
     """`least` from q (q,). Where a force has a shape, from where the motion at these parameters starts by the first
     samples, and from q itself only if more is left than the encoder explains: along the travel the sum of squares has a
     minimum for each way to begin. Raises NotIdentifiableError where nothing settles."""
