@@ -184,8 +184,8 @@ SETTLED_STEP = 0.01
 #: Damping of the first step, and the largest one: a step that is damped more moves nothing.
 FIRST_DAMPING, MAX_DAMPING = 1e-3, 1e8
 TINY = 1e-300
-#: Longest step, in sizes of the parameters at the start.
-LONGEST_STEP = 100.0
+#: Longest step, in sizes of the parameters at the start, of which some are only guessed.
+LONGEST_STEP = 1e6
 #: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never settle.
 ROUGH_TOLERANCE = 1e-7
 #: Root mean square of the difference, in counts, up to which the encoder explains it; rounding down alone gives 0.29.
