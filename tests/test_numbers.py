@@ -69,7 +69,7 @@ def test_columns_beyond_the_numbers_are_refused() -> None:
 
 def test_sensitivities_that_are_not_finite_are_refused() -> None:
     class Runaway:
-        lower = np.full(2, -np.inf)
+        lower, y = np.full(2, -np.inf), np.zeros(3)
 
         def __call__(self, q: np.ndarray) -> np.ndarray:
             return np.array([q[0] - 1, q[1] - 2, q[0] * q[1]])
