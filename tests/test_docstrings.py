@@ -13,7 +13,7 @@ import pmfid
 
 OPTIONS = doctest.NORMALIZE_WHITESPACE
 #: Packages that users import from, next to pmfid itself.
-PACKAGES = ("pmfid.design", "pmfid.simulation")
+PACKAGES = ("pmfid.design", "pmfid.monitor", "pmfid.simulation", "pmfid.testing")
 
 
 def list_names(package: str) -> list[str]:

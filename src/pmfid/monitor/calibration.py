@@ -246,9 +246,45 @@ def _line(level: float, slope: float, rate: float, mtbf_hours: float) -> float:
 
 @dataclass(frozen=True)
 class Calibration:
-    """theta: (p,) reference; scale: of normal work; chi_square: precision of that detector; tails: by detector; noise:
-    (p,) standard deviation of normal work over that of the simulation; hours: simulated; record_hours: of the record
-    whose units the tails are made of, 0 if they are the simulation's; work: those units, None there."""
+    """Thresholds and scales of a monitor; `calibrate` makes one.
+
+    Attributes
+    ----------
+    theta
+        (p,) reference parameters, in their units.
+    scale
+        Scale of normal work.
+    chi_square
+        Precision of the detector "chi-square".
+    tails
+        Distribution of large statistics, by detector.
+    noise
+        (p,) standard deviation of normal work over the standard deviation in the simulation.
+    hours
+        Simulated time [h].
+    record_hours
+        Length of the record whose units of work the tails are made of [h]; 0 if the tails are from the simulation.
+    work
+        These units of work; None if the tails are from the simulation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RIV, Drive, Encoder
+    >>> from pmfid.monitor import calibrate
+    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, CART_RESOLUTION, position_control, random_moves
+    >>> def work(cart, seconds, seed):
+    ...     rng = np.random.default_rng(seed)
+    ...     moves = random_moves(round(seconds / CART_DT), CART_DT, 0.4, 0.8, 0.5, rng)
+    ...     motion, counts = position_control(cart, moves, CART_DT, **CART_CONTROL, resolution=CART_RESOLUTION)
+    ...     return motion.u, counts
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=0.99)
+    >>> u, counts = work(CART, 200.0, 1)
+    >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+    >>> calibration = calibrate(riv, theta, u, counts, hours=0.5)
+    >>> sorted(calibration.tails), calibration.hours
+    (['chi-square', 'cusum', 'glr', 'page-hinkley'], 0.5)
+    """
 
     theta: Floats
     scale: Scale
@@ -297,10 +333,54 @@ def calibrate(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Simulates `hours` of normal work at theta (p,) under the input u (n,) of a record of it.
+    """Simulate hours of normal work, and return the thresholds of all detectors.
 
-    counts: (n,) of the record; None if it is not known to be normal: then the noise is the encoder's alone. Raises
-    UsageError for a record that is too short and NotIdentifiableError for one that does not move enough.
+    Parameters
+    ----------
+    estimator
+        Estimator of the axis.
+    theta
+        (p,) reference parameters, in their units.
+    u
+        (n,) input of a record of normal work [V].
+    counts
+        (n,) counts of that record; None if the record may not be normal: the noise is then the encoder's alone.
+    hours
+        Time to simulate [h].
+    seed
+        Seed of the simulation.
+    progress
+        Function that is called with the fraction that is done.
+
+    Returns
+    -------
+    Calibration
+        Thresholds and scales for `Monitor`.
+
+    Raises
+    ------
+    UsageError
+        If the record is too short.
+    NotIdentifiableError
+        If the record does not move enough.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RIV, Drive, Encoder
+    >>> from pmfid.monitor import calibrate
+    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, CART_RESOLUTION, position_control, random_moves
+    >>> def work(cart, seconds, seed):
+    ...     rng = np.random.default_rng(seed)
+    ...     moves = random_moves(round(seconds / CART_DT), CART_DT, 0.4, 0.8, 0.5, rng)
+    ...     motion, counts = position_control(cart, moves, CART_DT, **CART_CONTROL, resolution=CART_RESOLUTION)
+    ...     return motion.u, counts
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=0.99)
+    >>> u, counts = work(CART, 200.0, 1)
+    >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+    >>> calibration = calibrate(riv, theta, u, counts, hours=0.5)
+    >>> calibration.theta.tolist(), calibration.record_hours
+    ([1.07, 12.8, 0.8], 0.0)
     """
     runs = replays(estimator, theta, u, hours, np.random.default_rng(seed), progress)
     first = next(runs)

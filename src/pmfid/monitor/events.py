@@ -26,8 +26,25 @@ STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
 class Watch:
     """What to watch for.
 
-    detector: one of DETECTORS; mtbf_hours: mean time between false alarms [h], > 0; tolerance: relative deviation of a
-    parameter that is no change, >= 0. Raises UsageError for a value outside these bounds.
+    Parameters
+    ----------
+    detector
+        Name of the detector: "glr", "cusum", "page-hinkley" or "chi-square".
+    mtbf_hours
+        Mean time between false alarms [h], in [0.1, 1e6].
+    tolerance
+        Relative deviation of a parameter that is no change, in [0, 1).
+
+    Raises
+    ------
+    UsageError
+        If a value is outside these bounds.
+
+    Examples
+    --------
+    >>> from pmfid.monitor import Watch
+    >>> Watch(mtbf_hours=100.0)
+    Watch(detector='glr', mtbf_hours=100.0, tolerance=0.02)
     """
 
     detector: str = "glr"
@@ -45,10 +62,34 @@ class Watch:
 
 @dataclass(frozen=True)
 class Alarm:
-    """A change. time: of the alarm [s]; changed_at: when it began to show [s]; parameter: name, or "input_gain",
-    or "friction" if all frictions grew alike; change, std: [unit]; relative: change over the reference, over std if the
-    reference is 0 ("friction": change and std are relative, too); statistic at the first suspicion, and its threshold;
-    others: causes that the samples so far do not exclude."""
+    """A change of a parameter.
+
+    Attributes
+    ----------
+    time
+        Time of the alarm [s].
+    changed_at
+        Time at which the change began to show [s].
+    parameter
+        Name of the parameter, or "input_gain", or "friction" if all frictions grew alike.
+    unit
+        Unit of the parameter.
+    change, std
+        Size of the change and its standard deviation [unit]; relative if the parameter is "friction".
+    relative
+        Change over the reference; over std if the reference is 0.
+    statistic, threshold
+        Statistic at the first suspicion, and its threshold.
+    others
+        Causes that the samples so far do not exclude.
+
+    Examples
+    --------
+    >>> from pmfid.monitor import Alarm
+    >>> alarm = Alarm(12.5, 11.9, "mass", "kg", change=0.37, std=0.02, relative=0.35, statistic=30.0, threshold=12.0)
+    >>> alarm.parameter, alarm.relative, alarm.others
+    ('mass', 0.35, ())
+    """
 
     time: float
     changed_at: float
@@ -64,9 +105,28 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Settled:
-    """A new reference after an alarm. time [s]; theta, std: (q,) of the parameters that the monitor reports; before:
-    (q,) the previous reference. gain: if the alarm was on the input gain, the new gain, its standard deviation and the
-    previous gain; theta is then expressed with the previous gain."""
+    """A new reference after an alarm.
+
+    Attributes
+    ----------
+    time
+        Time of the event [s].
+    theta, std
+        (q,) parameters that the monitor reports, and their standard deviations, in their units.
+    before
+        (q,) previous reference.
+    gain
+        After an alarm on the input gain: the new gain, its standard deviation and the previous gain. Theta is then
+        expressed with the previous gain. None otherwise.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.monitor import Settled
+    >>> event = Settled(20.0, np.array([1.44]), np.array([0.01]), before=np.array([1.07]))
+    >>> (event.theta - event.before).round(2).tolist()
+    [0.37]
+    """
 
     time: float
     theta: Floats
@@ -77,7 +137,23 @@ class Settled:
 
 @dataclass(frozen=True)
 class StateChange:
-    """The state from time [s] on: STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING; and the reason."""
+    """A change of the monitor's state.
+
+    Attributes
+    ----------
+    time
+        Time from which the state holds [s].
+    state
+        "starting", "watching", "cannot tell", "suspicious" or "settling".
+    reason
+        Reason of the state.
+
+    Examples
+    --------
+    >>> from pmfid.monitor import StateChange
+    >>> StateChange(3.0, "cannot tell", "standstill").reason
+    'standstill'
+    """
 
     time: float
     state: str
@@ -86,7 +162,21 @@ class StateChange:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A sample that no motion explains, at time [s]: it is left out, the watch goes on. signal: "counts" or "input"."""
+    """A sample that no motion explains; it is left out, and the watch goes on.
+
+    Attributes
+    ----------
+    time
+        Time of the sample [s].
+    signal
+        "counts" or "input".
+
+    Examples
+    --------
+    >>> from pmfid.monitor import Outlier
+    >>> Outlier(3.0, "counts")
+    Outlier(time=3.0, signal='counts')
+    """
 
     time: float
     signal: str
@@ -97,9 +187,29 @@ Event = Alarm | Settled | StateChange | Outlier
 
 @dataclass(frozen=True)
 class FleetRows:
-    """Results for n samples of k axes. theta, std: (k, n, q) of the reported parameters; innovation: (k, n); status:
-    (k, n) bits of the estimates; state: (k, n) of the monitors after each sample, numbers of `STATES`; events: (row,
-    sample, event), row by row, each row in the order of time."""
+    """Results for n samples of k axes.
+
+    Attributes
+    ----------
+    theta, std
+        (k, n, q) reported parameters and their standard deviations, in their units.
+    innovation
+        (k, n) errors of the equation before the update.
+    status
+        (k, n) bits of the estimates, as of `Status`.
+    state
+        (k, n) states of the monitors after each sample: 0 starting, 1 watching, 2 cannot tell, 3 suspicious, 4
+        settling.
+    events
+        (row, sample, event), row by row, each row in the order of time.
+
+    Examples
+    --------
+    >>> from pmfid.monitor import FleetRows
+    >>> rows = FleetRows.empty(axes=2, samples=100, parameters=3)
+    >>> rows.theta.shape, rows.state.shape, rows.events
+    ((2, 100, 3), (2, 100), [])
+    """
 
     theta: Floats
     std: Floats

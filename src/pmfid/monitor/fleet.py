@@ -108,11 +108,45 @@ PIECE = 100
 
 
 class MonitorFleet:
-    """Many axes watched with the configuration and calibration of one monitor, each with a state of its own and the
-    bits that `Monitor` alone would give.
+    """Many axes watched with the configuration and calibration of one monitor.
 
-    All start from the present state of `monitor`, which itself does not change. axes: number, >= 0. One thread at a
-    time may use it. Raises UsageError for another number.
+    Each axis has a state of its own, and the same bits as a `Monitor` alone.
+
+    Parameters
+    ----------
+    monitor
+        All axes start from its present state; it does not change.
+    axes
+        Number of axes, >= 0.
+
+    Raises
+    ------
+    UsageError
+        If `axes` is another number.
+
+    Notes
+    -----
+    Only one thread at a time may use a fleet.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RIV, Drive, Encoder
+    >>> from pmfid.monitor import Monitor, MonitorFleet, calibrate
+    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, CART_RESOLUTION, position_control, random_moves
+    >>> def work(cart, seconds, seed):
+    ...     rng = np.random.default_rng(seed)
+    ...     moves = random_moves(round(seconds / CART_DT), CART_DT, 0.4, 0.8, 0.5, rng)
+    ...     motion, counts = position_control(cart, moves, CART_DT, **CART_CONTROL, resolution=CART_RESOLUTION)
+    ...     return motion.u, counts
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=0.99)
+    >>> u, counts = work(CART, 200.0, 1)
+    >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+    >>> calibration = calibrate(riv, theta, u, counts, hours=0.5)
+    >>> fleet = MonitorFleet(Monitor(riv, calibration), axes=2)
+    >>> rows = fleet.run([0, 1], u[:500] * np.ones((2, 1)), counts[:500] * np.ones((2, 1), np.int64))
+    >>> rows.theta.shape, fleet.axes
+    ((2, 500, 3), 2)
     """
 
     def __init__(self, monitor: Monitor, axes: int) -> None:

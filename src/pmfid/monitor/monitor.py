@@ -97,14 +97,46 @@ ANY_OUTLIER = sum(OUTLIERS)
 class Monitor(WatchedAxis, Presentable):
     """Watches one axis.
 
-    estimator: recursive, at its start; calibration: of its configuration and the reference parameters. `step` takes one
-    sample. The estimator's covariance is reset at the first suspicion: all later samples are of the new plant, and are
-    still needed when the cause is clear and the alarm comes. The new value, once known, becomes the reference, so each
-    change is reported once.
+    The estimator's covariance is reset at the first suspicion: all later samples are of the new plant, and are still
+    needed when the cause is clear and the alarm comes. The new value, once known, becomes the reference, so each change
+    is reported once.
 
-    known: prior information on the parameters. Given values are constant, so they are no causes of a change. If the
-    input gain is to be found, the estimator has the gain of the reference; reported values are those of the machine
-    with its present gain.
+    Parameters
+    ----------
+    estimator
+        Recursive estimator, at its start.
+    calibration
+        Calibration for its configuration and the reference parameters.
+    watch
+        Detector, mean time between false alarms, and tolerance.
+    known
+        Prior information on the parameters. Given values are constant, so they are no causes of a change. If the input
+        gain is to be found, the estimator has the gain of the reference. Reported values are those of the machine with
+        its present gain.
+
+    Examples
+    --------
+    A cart is loaded after 30 s. Half an hour of simulation keeps the example short; real thresholds need 20 h or more.
+
+    >>> import numpy as np
+    >>> from pmfid import RIV, Drive, Encoder
+    >>> from pmfid.monitor import Alarm, Monitor, Watch, calibrate
+    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, CART_RESOLUTION
+    >>> from pmfid.simulation import mass_step, position_control, random_moves
+    >>> def work(cart, seconds, seed):
+    ...     rng = np.random.default_rng(seed)
+    ...     moves = random_moves(round(seconds / CART_DT), CART_DT, 0.4, 0.8, 0.5, rng)
+    ...     motion, counts = position_control(cart, moves, CART_DT, **CART_CONTROL, resolution=CART_RESOLUTION)
+    ...     return motion.u, counts
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=0.99)
+    >>> u, counts = work(CART, 200.0, 1)
+    >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+    >>> calibration = calibrate(riv, theta, u, counts, hours=0.5)
+    >>> monitor = Monitor(riv, calibration, Watch("glr"))
+    >>> u, counts = work(mass_step(CART, 1.44, at=30.0), 60.0, 2)
+    >>> rows = monitor.run(u, counts)
+    >>> [(event.parameter, round(event.changed_at)) for _, _, event in rows.events if isinstance(event, Alarm)]
+    [('mass', 30)]
     """
 
     @property

@@ -19,6 +19,7 @@ The record is simulated from the estimator's own model, with motion that its enc
 nothing can simulate needs one of its own.
 """
 
-from pmfid.testing.case import ContractError as ContractError
-from pmfid.testing.contract import check_estimator as check_estimator
-from pmfid.testing.contract import checks_of as checks_of
+from pmfid.testing.case import ContractError
+from pmfid.testing.contract import check_estimator, checks_of
+
+__all__ = ["ContractError", "check_estimator", "checks_of"]

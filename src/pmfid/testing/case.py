@@ -214,7 +214,16 @@ COPIES: Mapping[str, Again] = {"copy.copy": copy.copy, "copy.deepcopy": copy.dee
 
 
 class ContractError(PmfidError, AssertionError):
-    """An estimator does not do what all of them owe; names the check and what was found."""
+    """Raised if an estimator breaks the contract; names the check and what was found.
+
+    It is an AssertionError, too.
+
+    Examples
+    --------
+    >>> from pmfid.testing import ContractError
+    >>> issubclass(ContractError, AssertionError)
+    True
+    """
 
 
 @runtime_checkable

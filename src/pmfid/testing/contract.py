@@ -214,8 +214,33 @@ ON_LINE = _list_checks(
 def checks_of(
     estimator: Estimator, record: tuple[ArrayLike, ArrayLike] | None = None
 ) -> list[tuple[str, Callable[[], None]]]:
-    """The checks of an estimator, each with its name; arguments and errors of `check_estimator`. They share what they
-    compute."""
+    """Return the checks of an estimator, each with its name.
+
+    The checks share what they compute.
+
+    Parameters
+    ----------
+    estimator, record
+        As of `check_estimator`.
+
+    Returns
+    -------
+    list of tuple
+        (name, check) pairs; a check takes no argument and raises `ContractError`.
+
+    Raises
+    ------
+    UsageError
+        As `check_estimator`.
+
+    Examples
+    --------
+    >>> import pmfid
+    >>> from pmfid.testing import checks_of
+    >>> ls = pmfid.LS(pmfid.Drive(2.0), pmfid.Encoder(1e-5), dt=0.01, cutoff=30.0)
+    >>> checks = dict(checks_of(ls))
+    >>> checks["configuration_is_a_value"]()
+    """
     if not isinstance(estimator, Estimator) or not isinstance(estimator, OffLine | OnLine):
         raise UsageError(
             f"check_estimator takes an Estimator that has fit, or step, run and state, got {type(estimator).__name__}; "
@@ -227,20 +252,43 @@ def checks_of(
 
 
 def check_estimator(estimator: Estimator, record: tuple[ArrayLike, ArrayLike] | None = None) -> None:
-    """Checks an estimator against the contract of all estimators of pmfid, in some seconds.
+    """Check an estimator against the contract of all estimators of pmfid, in some seconds.
 
-    Whatever the method: the configuration is a value (frozen, `==`, `hash`), and errors in it are refused at
-    construction with a UsageError; arrays are only read, in any form; copies by `copy.copy`, `copy.deepcopy` and
-    `pickle` give the same bits and share nothing; parameters have names and units; on a record of its own model it
-    finds the parameters within 10 %, does the same in other units and with both signs reversed, and more data make
-    smaller standard errors. Over whole records: rest is not identifiable, the covariance is one. Sample by sample: a
-    run in parts, by steps or from a saved state has the bits of the whole; foreign states are refused; rest and hostile
-    input leave finite numbers and a status; float32 is near float64.
+    Parameters
+    ----------
+    estimator
+        Estimator of any configuration, also one that has run; it stays as it is.
+    record
+        u and counts, (n,) each with n >= 1400, in place of a simulated record. The truth is then unknown, and not
+        compared.
 
-    estimator: of any configuration, also one that has run; it stays as it is. record: u and counts, (n,) each with
-    n >= 1400, in place of a simulated one; then the truth is not known and not asked for.
-    Raises ContractError, an AssertionError, for the first check that fails, with its name and what was found;
-    UsageError for an object that is no estimator, and without a record for an equation that cannot be simulated.
+    Raises
+    ------
+    ContractError
+        For the first check that fails, with its name and what was found. It is an AssertionError.
+    UsageError
+        For an object that is no estimator, and without a record for an equation that cannot be simulated.
+
+    Notes
+    -----
+    For every method:
+
+    - The configuration is a value (frozen, `==`, `hash`). Errors in it are refused at construction with a UsageError.
+    - Arrays are only read, in any form.
+    - Copies by `copy.copy`, `copy.deepcopy` and `pickle` give the same bits and share nothing.
+    - Parameters have names and units.
+    - On a record of its own model the estimator finds the parameters within 10 %. It does the same in other units and
+      with both signs reversed. More data make smaller standard errors.
+
+    Over whole records: rest is not identifiable, and the covariance is one. Sample by sample: a run in parts, by steps
+    or from a saved state has the bits of the whole. Foreign states are refused. Rest and hostile input leave finite
+    numbers and a status. float32 is near float64.
+
+    Examples
+    --------
+    >>> import pmfid
+    >>> from pmfid.testing import check_estimator
+    >>> check_estimator(pmfid.LS(pmfid.Drive(2.0), pmfid.Encoder(1e-5), dt=0.01, cutoff=30.0))
     """
     for _, check in checks_of(estimator, record):
         check()
