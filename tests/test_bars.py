@@ -33,11 +33,11 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
             "stop-and-go",
             4096,
         ),  # 9 to 11 times too long, of scores beside the edges of parked counts
-        (IntervalML, "rotary", "stop-and-go", 4096),  # 4
+        pytest.param(IntervalML, "rotary", "stop-and-go", 4096, marks=pytest.mark.long),  # 4
         (pmfid.IV, "heavy", "multisine", 4096),  # 3 to 8: blocks with sharp ends
-        (pmfid.IV, "rotary", "prbs", 32),
+        pytest.param(pmfid.IV, "rotary", "prbs", 32, marks=pytest.mark.long),
         (OE, "rotary", "stop-and-go", 4096),  # 2.4: scatter taken before the inverse
-        (OE, "heavy", "prbs", 32),
+        pytest.param(OE, "heavy", "prbs", 32, marks=pytest.mark.long),
     ],
     ids=str,
 )

@@ -69,7 +69,11 @@ def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float
     return state, state.rounds[0].known.parameters["mass"]
 
 
-@pytest.mark.parametrize("lacks", [{"stribeck": 0.2}, {"quadratic": 4.0}, {"dead_time": 0.004}], ids=lambda d: str(d))
+@pytest.mark.parametrize(
+    "lacks",
+    [{"stribeck": 0.2}, pytest.param({"quadratic": 4.0}, marks=pytest.mark.long), {"dead_time": 0.004}],
+    ids=lambda d: str(d),
+)
 def test_a_model_that_misses_counts_is_doubted_and_reaches_nothing(lacks: dict[str, float]) -> None:
     state, _ = machine_run(22.75e-6, **lacks)
     assert state.rounds[0].known.unexplained > 0.5
@@ -119,7 +123,7 @@ def test_an_input_is_chosen_that_leaves_no_parameter_worse_than_the_trapezoid() 
     assert state.to_json()["next"]["expected_std"] == dict(state.choice.std)
 
 
-@pytest.mark.parametrize("name", ["40 kg", "150 kg, slow", "rotary"])
+@pytest.mark.parametrize("name", ["40 kg", pytest.param("150 kg, slow", marks=pytest.mark.long), "rotary"])
 def test_a_motion_that_stops_on_a_machine_near_by_is_not_chosen(name: str) -> None:
     """Before, designs at the least speed stopped on one machine in ten: 0.30 of the trapezoid's information on F_c."""
     problem = MACHINES[name]

@@ -239,7 +239,14 @@ def test_it_is_the_estimate_with_any_other_gain_in_proportion(records: dict[str,
 
 
 @pytest.mark.parametrize(
-    "names", [("viscous_friction",), ("coulomb_friction",), ("mass", "viscous_friction"), NAMES], ids=str
+    "names",
+    [
+        ("viscous_friction",),
+        ("coulomb_friction",),
+        pytest.param(("mass", "viscous_friction"), marks=pytest.mark.long),
+        NAMES,
+    ],
+    ids=str,
 )
 def test_any_force_may_be_the_known_one(records: dict[str, CartRecord], names: tuple[str, ...]) -> None:
     axis = BENCHES["heavy"]
