@@ -12,7 +12,8 @@ from pmfid.design.problem import Design, Problem
 from pmfid.design.rounds import sequential, simulated_experiment
 from pmfid.design.simulated import simulate, simulated_information
 from pmfid.design.solver import solve
-from pmfid.report.figures import COLOURS, MAGENTA, WIDTH, figure_style
+from pmfid.report.figures import COLOURS, MAGENTA, figure_style
+from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 from studies.design_case import NOMINAL, STARTS, case
 
@@ -134,7 +135,7 @@ def wrong_mass_figure(factor: float = 1.2) -> Figure:
         f"mass wrong by {100 * (factor - 1):+.0f} %": optimum(for_mass(problem, factor * NOMINAL["mass"])),
     }
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 5.4), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 5.4), layout="constrained")
         panels = figure.subplots(3, 1, sharex=True)
         for (name, design), (colour, style) in zip(
             designs.items(), ((COLOURS[0], "-"), (COLOURS[1], "--")), strict=True

@@ -21,7 +21,8 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
 from pmfid.monitor.monitor import guess, longest
 from pmfid.records.filling import doubt, fill_by_motion
-from pmfid.records.gaps import ALWAYS, fill_gaps, gaps_of, is_held
+from pmfid.records.gaps import fill_gaps, gaps_of, is_held
+from pmfid.records.tuning import TUNING
 from pmfid.simulation import prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -174,7 +175,7 @@ def information_left(bench: Bench, seed: int, loss: str) -> Floats:
     if not held and np.any(short):
         unknown[short] = np.sqrt(np.mean((line - run.u)[short] ** 2))
     for before, after in zip(gap.before, gap.after, strict=True):
-        if np.isnan(line[before + 1]) or (not held and after - before - 1 > ALWAYS):
+        if np.isnan(line[before + 1]) or (not held and after - before - 1 > TUNING.gaps_always):
             unknown[before + 1 : after] = ANY * np.std(run.u)
     true = truth(AXES[bench.axis])
     effects, whole = sensitivities(method, true, run.u), np.ones(there.size, bool)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import pmfid
-from pmfid.diagnostics.matter import NORMAL_95
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.pipeline.result import Result
 from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
 from pmfid.simulation.scenarios import slipping_belt
@@ -65,7 +65,7 @@ def off_line(bench: str, motion: str, increments: int, method: str, seed: int) -
     axis = BENCHES[bench]
     record = machine_record(axis, "nothing", motion, increments, 500 + seed)
     result, gain = estimated(axis, record, method=method), axis.drive.input_gain
-    half = NORMAL_95 * result.theta_std[-1]
+    half = TUNING.normal_95 * result.theta_std[-1]
     if result.interval_95 is not None and np.all(np.isfinite(result.interval_95[-1])):
         half = float(np.ptp(result.interval_95[-1])) / 2
     return result["input_gain"] / gain - 1, result.theta_std[-1] / gain, half / gain, ", ".join(result.status)
@@ -86,7 +86,7 @@ def write_off_line(seeds: int, results: Mapping[Task, Any]) -> list[str]:
                     str(len(runs)),
                     f"{100 * error.mean():+.3f} ± {100 * error.std():.3f}",
                     f"{100 * np.max(np.abs(error)):.3f}",
-                    f"{100 * np.mean(np.abs(error) < NORMAL_95 * std):.0f}",
+                    f"{100 * np.mean(np.abs(error) < TUNING.normal_95 * std):.0f}",
                     f"{100 * np.mean(np.abs(error) < half):.0f}",
                     flags or "–",
                 ]
@@ -140,7 +140,7 @@ def write_on_line(seeds: int, results: Mapping[Task, Any]) -> list[str]:
             cells = []
             for error, std in (runs[:, :2].T, runs[:, 2:].T):
                 cells += [f"{100 * error.mean():+.2f} ± {100 * error.std():.2f}", f"{100 * np.median(std):.2f}"]
-                cells.append(f"{100 * np.mean(np.abs(error) < NORMAL_95 * std):.0f}")
+                cells.append(f"{100 * np.mean(np.abs(error) < TUNING.normal_95 * std):.0f}")
             rows.append([bench, "drift" if drift else "step", *cells])
     head = ["machine", "slip", "before: error [%]", "std [%]", "covered [%]", "after: error [%]", "std [%]"]
     return [

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pmfid.diagnostics.drives import examine_estimate
-from pmfid.diagnostics.matter import NORMAL_95
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.diagnostics.verdict import model_spread
 from pmfid.encoder import Encoder
 from pmfid.estimators.auto import AUTO
@@ -99,8 +99,8 @@ def _wrong_row(friction: str, method: str, held_back: bool, results: Mapping[Tas
         if what == friction and (bench in HELD_BACK) == held_back
     ]
     error, std, spread = _stacked([run for run in runs if run is not None])
-    both, alone = (np.abs(error) <= NORMAL_95 * bar for bar in (np.hypot(std, spread), std))
-    length = np.median(NORMAL_95 * np.hypot(std, spread) / np.abs(error), axis=0)
+    both, alone = (np.abs(error) <= TUNING.normal_95 * bar for bar in (np.hypot(std, spread), std))
+    length = np.median(TUNING.normal_95 * np.hypot(std, spread) / np.abs(error), axis=0)
     return [
         "held back" if held_back else "others",
         friction,
@@ -123,7 +123,8 @@ def write_right(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "## Where the model is right",
         "",
         f"The same machines, motions and encoders, {seeds} seeds. Length: half the interval, median over the seeds, "
-        f"over {NORMAL_95} times the root mean square error over the seeds, so that 1 is an interval of just the size "
+        f"over {TUNING.normal_95} times the root mean square error over the seeds, so that 1 is an interval of "
+        "just the size "
         "of the error; of the cells of machine, motion and encoder half are below the first number and nine tenths "
         "below the second, by mass, viscous and Coulomb friction. Cells: part of them in which it is at most "
         f"{LONG:g}. Coverage as above.",
@@ -143,9 +144,9 @@ def _right_row(method: str, held_back: bool, results: Mapping[Task, Any]) -> lis
     lengths, inside = [], []
     for runs in cells.values():
         error, std, spread = _stacked(runs)
-        half = NORMAL_95 * np.hypot(std, spread)
+        half = TUNING.normal_95 * np.hypot(std, spread)
         inside.append(np.abs(error) <= half)
-        lengths.append(np.median(half, axis=0) / (NORMAL_95 * np.sqrt(np.mean(error**2, axis=0))))
+        lengths.append(np.median(half, axis=0) / (TUNING.normal_95 * np.sqrt(np.mean(error**2, axis=0))))
     length, covered = np.array(lengths), np.concatenate(inside)
     return [
         "held back" if held_back else "others",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import pmfid
-from pmfid.diagnostics.matter import NORMAL_95
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.simulation import Machine
 from studies.machines import MOTIONS, record_of, truth
@@ -80,7 +80,7 @@ def _row(method: str, motion: str, coarser: int, results: Mapping[Task, Any]) ->
     if not found:
         return [motion, f"`{method}`", f"{len(runs)}/{len(runs)}", "–", "–", "–", "–", "–"]
     error, std, spread = (np.array([run[i] for run in found]) for i in range(3))
-    both, alone = (np.abs(error) <= NORMAL_95 * bar for bar in (np.hypot(std, spread), std))
+    both, alone = (np.abs(error) <= TUNING.normal_95 * bar for bar in (np.hypot(std, spread), std))
     wrong = [run for run in found if _wrong(run)]
     return [
         motion,

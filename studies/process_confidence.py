@@ -11,7 +11,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import ndtr, ndtri
 
-from pmfid.diagnostics.processes import FALSE_ALARM, assess, flags_on
+from pmfid.diagnostics.processes import assess, flags_on
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.srivc import SRIVC, make_problem, spread
@@ -112,7 +113,7 @@ def _best_chance(noise: str, seed: int) -> float:
     rng = _generator("white", noise, seed)
     plant, samples = random_plant(rng, 3), LENGTHS[seed % len(LENGTHS)]
     size = loop_noise(plant, "white", noise, samples, rng)
-    return float(ndtr(size * np.sqrt(samples) - ndtri(1 - FALSE_ALARM)))
+    return float(ndtr(size * np.sqrt(samples) - ndtri(1 - TUNING.false_alarm)))
 
 
 def _order(kind: str, noise: str, seed: int, rng: np.random.Generator) -> tuple[bool, float, float]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import pmfid
-from pmfid.diagnostics.matter import NOISE_LIMIT, NORMAL_95, TOLERANCE
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.configuration import change_arguments
 from pmfid.simulation import Machine, multisine, prbs, stop_and_go
 from pmfid.types import Floats
@@ -185,7 +185,7 @@ class Told:
         """Is a parameter off by more than its bars and the tolerance allow?"""
         if self.error is None or self.std is None:
             return False
-        return bool(np.any(np.abs(self.error) > np.maximum(NOISE_LIMIT * self.std, TOLERANCE)))
+        return bool(np.any(np.abs(self.error) > np.maximum(TUNING.noise_limit * self.std, TUNING.matter_tolerance)))
 
 
 def work(wrong: str, seed: int) -> Told:
@@ -215,10 +215,12 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "",
         f"{seeds} machines for each row, from 1e-5 to 500 kg or kg m2, with motion and encoder at random; `identify` "
         f"without a setting, the model `Drive`. Empty: runs without a status. Matters: runs with a parameter off by "
-        f"more than {NOISE_LIMIT:g} standard deviations and {TOLERANCE:.0%}; silent: those without a status. Covered: "
+        f"more than {TUNING.noise_limit:g} standard deviations and {TUNING.matter_tolerance:.0%}; silent: those "
+        "without a status. Covered: "
         "runs in "
         "percent whose 95 % interval contains the parameter, by mass, viscous and Coulomb friction, and all three at "
-        f"once. Length: half the interval over {NORMAL_95} errors, both root mean squares over the runs. Under a "
+        f"once. Length: half the interval over {TUNING.normal_95} errors, both root mean squares over the runs. "
+        "Under a "
         "binary input a dead zone shows nowhere: every such interval holds one, and a note says so. Length leaves such "
         "inputs out but in the row of that dead zone, and the last row leaves that out. No constant was chosen on "
         "these seeds.",
@@ -233,7 +235,7 @@ def _row(name: str, told: Sequence[Told], every: bool = False) -> list[str]:
     error, half = (np.array([getattr(one, part) for one in found]).reshape(-1, 3) for part in ("error", "half"))
     inside, shown = np.abs(error) <= half, np.array([one.shown for one in found])
     shown |= not shown.any()
-    length = np.sqrt(np.mean(half[shown] ** 2, axis=0) / np.mean(error[shown] ** 2, axis=0)) / NORMAL_95
+    length = np.sqrt(np.mean(half[shown] ** 2, axis=0) / np.mean(error[shown] ** 2, axis=0)) / TUNING.normal_95
     counts = len(told), len(told) - len(found), len(empty), len(matters), len([one for one in empty if one.matters])
     return [
         name,

@@ -20,6 +20,7 @@ from pmfid.linear.solve import Solution
 from pmfid.simulation.process import simulate_process
 from studies.process_confidence import estimator_of, identified
 from studies.process_records import INPUTS, NOISES, open_record, random_plant
+from tests.tuned import set_tuning
 
 DT = 0.1
 LAG = ((2.0,), (1.0, 1.5))
@@ -222,7 +223,7 @@ def _scaled_theta(estimator: SRIVC, record: Experiment) -> np.ndarray:
 
 
 def test_an_iteration_that_has_not_settled_is_no_estimate(monkeypatch):
-    monkeypatch.setattr("pmfid.linear.solve.DESCENTS", 1)
+    set_tuning(monkeypatch, "pmfid.linear.solve", solve_descents=1)
     monkeypatch.setattr("pmfid.estimators.srivc.refine", lambda problem, start: Solution(start, False, 1))
     u = sweep(400)
     y = simulate_process((1.0,), (1.0, 0.3, 4.0, 0.5), u, DT) + 0.05 * coloured(np.random.default_rng(1), 400)

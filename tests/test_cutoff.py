@@ -14,7 +14,8 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.cutoff import TRIED, choose_cutoff
+from pmfid.estimators.cutoff import choose_cutoff
+from pmfid.estimators.tuning import TUNING
 from pmfid.pipeline.monitored.setup import set_up
 from pmfid.pipeline.result import Result
 from pmfid.simulation import Machine
@@ -53,7 +54,7 @@ def test_no_setting_of_the_estimator_is_needed(name: str) -> None:
     assert abs(error[0]) < 5e-3
     assert any("was chosen by this record" in note for note in result.notes)
     assert 1 / (result.estimator.cutoff * result.estimator.dt) == pytest.approx(
-        min(TRIED, key=lambda k: abs(k * result.estimator.cutoff * result.estimator.dt - 1))
+        min(TUNING.cutoff_tried, key=lambda k: abs(k * result.estimator.cutoff * result.estimator.dt - 1))
     )
 
 
@@ -81,7 +82,9 @@ def test_without_motion_it_is_the_record_that_is_refused() -> None:
     encoder, model = pmfid.Encoder(1e-3), pmfid.Drive(2.0)
     with pytest.raises(NotIdentifiableError, match="does not move"):
         pmfid.identify(rng.normal(size=900), still, model=model, encoder=encoder, dt=0.01)
-    assert choose_cutoff([model], encoder, 0.01, rng.normal(size=900), still) == pytest.approx(1 / (TRIED[0] * 0.01))
+    assert choose_cutoff([model], encoder, 0.01, rng.normal(size=900), still) == pytest.approx(
+        1 / (TUNING.cutoff_tried[0] * 0.01)
+    )
 
 
 def test_an_equation_that_nothing_simulates_has_a_cutoff_too() -> None:

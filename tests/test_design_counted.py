@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from pmfid.design.appraisal import SURELY, USUAL, best_input, choose
+from pmfid.design.appraisal import USUAL, best_input, choose
 from pmfid.design.calibration import DesignedRun, calibrate
 from pmfid.design.encoder_error import encoder_covariance, expected_covariance, inside, log_of_room, start_free, walk
 from pmfid.design.fisher import Criterion, affine
@@ -18,6 +18,7 @@ from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_e
 from pmfid.design.simulated import drive_of, simulate
 from pmfid.design.solver import evaluate, violations
 from pmfid.design.standard import standard_inputs
+from pmfid.design.tuning import TUNING
 from pmfid.simulation.drive import Machine, drive_machine
 from studies.design_case import case
 from studies.design_machines import MACHINES, NAMES, Claims, claims
@@ -129,7 +130,7 @@ def test_a_motion_that_stops_on_a_machine_near_by_is_not_chosen(name: str) -> No
     problem = MACHINES[name]
     choice = choose(evaluate(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u), starts=4)
     assert choice.name != USUAL
-    assert all(choice.std[each] <= SURELY * choice.usual[each] for each in problem.unknown)
+    assert all(choice.std[each] <= TUNING.appraisal_surely * choice.usual[each] for each in problem.unknown)
     for signs in product((-1, 1), repeat=3):
         truth = {each: (1 + 0.1 * sign) * problem.nominal[each] for each, sign in zip(NAMES, signs, strict=True)}
         moving = simulate(problem, choice.design.u, truth).moving[: -2 * problem.samples_per_interval]

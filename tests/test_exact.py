@@ -10,6 +10,7 @@ from pmfid.estimators import ls as exact
 from pmfid.simulation.process import PLANTS, simulate_process
 from pmfid.simulation.signals import prbs
 from studies.discretizations import plant_at_random, record_of
+from tests.tuned import set_tuning
 
 ENCODER = Encoder(1.0)  # not used by fit_output
 
@@ -18,7 +19,7 @@ ENCODER = Encoder(1.0)  # not used by fit_output
 @pytest.mark.parametrize(("n", "r"), [(n, r) for n in range(1, 5) for r in range(1, min(n, 3) + 1)])
 @pytest.mark.parametrize("fastest", [0.01, 0.1, 0.3])
 def test_exact_without_noise_after_six_passes(cls, n, r, fastest, monkeypatch):
-    monkeypatch.setattr(exact, "PASSES", 6)
+    set_tuning(monkeypatch, exact, ls_passes=6)
     plant = plant_at_random(n, r, fastest, seed=100 * n + 10 * r)
     u, y = record_of(plant, seed=1)
     estimator = cls(TransferFunction(n, n - r), ENCODER, plant.dt, plant.cutoff, discretization="exact")
@@ -27,7 +28,7 @@ def test_exact_without_noise_after_six_passes(cls, n, r, fastest, monkeypatch):
 
 @pytest.mark.parametrize("cls", [LS, BCLS])
 def test_drive_without_stops(cls, monkeypatch):
-    monkeypatch.setattr(exact, "PASSES", 6)
+    set_tuning(monkeypatch, exact, ls_passes=6)
     mass, viscous, coulomb, gain, dt = 1.07, 12.8, 0.8, 2.0, 0.01
     u = 3.0 + prbs(3000, clock=10, amplitude=1.5, rng=np.random.default_rng(3))
     y = simulate_process([1.0], [mass, viscous, 0.0], gain * u - coulomb, dt)

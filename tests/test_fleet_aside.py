@@ -13,6 +13,7 @@ from pmfid.fleet.aside import Aside
 from pmfid.fleet.history import History
 from pmfid.fleet.source import Part
 from studies.fleet_data import AXIS_TOML, machines, rows
+from tests.tuned import set_tuning
 
 AXES, SAMPLES = 6, 12_000
 
@@ -38,8 +39,8 @@ def plain(log: pl.DataFrame, config: Path) -> History:
 @pytest.fixture
 def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two files, of a minute each, with rows of all axes in turns; shards of one axis each."""
-    monkeypatch.setattr("pmfid.fleet.plan.BUDGET", SAMPLES + 2000)
-    monkeypatch.setattr("pmfid.fleet.aside.BATCH", 5000)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 2000)
+    set_tuning(monkeypatch, "pmfid.fleet.aside", aside_batch=5000)
     (tmp_path / "data").mkdir()
     turns = log.sort("t", "machine")
     half = turns.height // 2

@@ -24,6 +24,7 @@ from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from pmfid.report.fleet import write_fleet
 from studies.fleet_data import AXIS_TOML, DT, Change, Machine, machines, rows
+from tests.tuned import set_tuning
 
 AXES, SAMPLES, HALF = 12, 60_000, 300.0
 #: Axis -> what changes in it, by which factor, and when [s]. Of a third axis everything stays, but it is no machine of
@@ -155,8 +156,8 @@ def test_partitions_order_and_threads_leave_the_bytes(
 def test_shards_leave_the_bytes(
     log: pl.DataFrame, config: Path, plain: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pmfid.fleet.plan.BUDGET", 70_000)
-    monkeypatch.setattr("pmfid.fleet.segments.BATCH", 20_000)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=70_000)
+    set_tuning(monkeypatch, "pmfid.fleet.segments", segments_batch=20_000)
     found = fleet.estimate(log, axis=config, by="machine", period="1min")
     assert found.shards >= AXES > plain.shards
     assert found.periods.equals(plain.periods)

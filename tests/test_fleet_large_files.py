@@ -15,6 +15,7 @@ from pmfid.fleet.history import History
 from pmfid.fleet.plan import survey_part
 from pmfid.fleet.source import Columns, Part, parts_of
 from studies.fleet_data import AXIS_TOML, machines, rows
+from tests.tuned import set_tuning
 
 AXES, SAMPLES, WINDOW = 4, 7000, 3000
 
@@ -37,8 +38,8 @@ def config(tmp_path: Path) -> Path:
 @pytest.fixture
 def large(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """One file of one row group, windows of less than an axis, shards of one axis."""
-    monkeypatch.setattr("pmfid.fleet.plan.BUDGET", SAMPLES + 500)
-    monkeypatch.setattr("pmfid.fleet.source.WINDOW", WINDOW)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 500)
+    set_tuning(monkeypatch, "pmfid.fleet.source", source_window=WINDOW)
     path = tmp_path / "data" / "all.parquet"
     path.parent.mkdir()
     log.write_parquet(path, row_group_size=log.height)
@@ -54,7 +55,7 @@ def test_windows_say_the_same_of_a_file_as_one_look(large: Path, config: Path, m
     part = parts_of(large)[0]
     assert [one.many for one in part.windows()] == [WINDOW] * 9 + [AXES * SAMPLES - 9 * WINDOW]
     found = survey_part(part, columns)
-    monkeypatch.setattr("pmfid.fleet.source.WINDOW", 10**9)
+    set_tuning(monkeypatch, "pmfid.fleet.source", source_window=10**9)
     assert found.rows.equals(survey_part(part, columns).rows)
     assert found.rows["rows"].sum() == AXES * SAMPLES
 

@@ -9,7 +9,8 @@ import polars as pl
 import pytest
 
 from pmfid.fleet.data import Local, RowBudget
-from pmfid.fleet.plan import BUDGET, DAY, shards_of, slice_length
+from pmfid.fleet.plan import shards_of, slice_length
+from pmfid.fleet.tuning import TUNING
 
 
 def survey(*rows: tuple[str, str, int, float, float]) -> pl.DataFrame:
@@ -17,9 +18,11 @@ def survey(*rows: tuple[str, str, int, float, float]) -> pl.DataFrame:
 
 
 def test_the_days_of_a_part_in_one_block_are_added() -> None:
-    rows = survey(("a", "x", 3000, 0.0, DAY - 1), ("a", "x", 2000, DAY, 2 * DAY - 1))
+    rows = survey(
+        ("a", "x", 3000, 0.0, TUNING.plan_day - 1), ("a", "x", 2000, TUNING.plan_day, 2 * TUNING.plan_day - 1)
+    )
 
-    shards = shards_of(rows, DAY)
+    shards = shards_of(rows, TUNING.plan_day)
 
     assert sum(shard.rows for shard in shards) == 5000
 
@@ -31,7 +34,7 @@ def test_one_fast_axis_among_slow_ones_fits_a_shard() -> None:
     length = slice_length(rows, None)
 
     assert length == 180.0
-    assert max(shard.rows for shard in shards_of(rows, length)) <= BUDGET
+    assert max(shard.rows for shard in shards_of(rows, length)) <= TUNING.plan_budget
 
 
 def test_a_few_rows_close_together_shorten_no_slice() -> None:

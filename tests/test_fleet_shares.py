@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pmfid.estimators.results import Tracks
-from pmfid.fleet.segments import LONG, Share, lasting_status, settled_std, shares_of
+from pmfid.fleet.segments import Share, lasting_status, settled_std, shares_of
+from pmfid.fleet.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Counts
 
@@ -16,7 +17,7 @@ SETTLED, QUARTER, SPAN = 20, 250, 20_000
 def moves(rests: list[int], length: int = 100) -> Counts:
     """Counts of moves to and fro, after each of the rests [samples]."""
     steps = np.concatenate([np.r_[np.zeros(rest, int), np.full(length, (-1) ** k)] for k, rest in enumerate(rests)])
-    return np.r_[0, np.cumsum(steps), np.full(5 * LONG * SETTLED, steps.sum())]
+    return np.r_[0, np.cumsum(steps), np.full(5 * TUNING.segments_long * SETTLED, steps.sum())]
 
 
 def shares(counts: Counts) -> list[Share]:
@@ -24,7 +25,7 @@ def shares(counts: Counts) -> list[Share]:
 
 
 def test_motion_without_long_rests_is_cut_as_it_stands() -> None:
-    counts = moves([LONG * SETTLED - 1] * 30)[: -5 * LONG * SETTLED]
+    counts = moves([TUNING.segments_long * SETTLED - 1] * 30)[: -5 * TUNING.segments_long * SETTLED]
     places = np.concatenate([one.places for one in shares(counts)])
     assert np.array_equal(places, np.arange(places.size))
     assert all(one.repeats == 1 for one in shares(counts))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid.fleet.changes import MOST, compare_with_wander
+from pmfid.fleet.changes import compare_with_wander
 from pmfid.fleet.series import Series
+from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import CHANGED, DRIFTS, WANDERS, AxisVerdict, follow_axis, judge_axes, ranking, sentence
 from pmfid.types import Floats
 from tests.test_fleet_changes import NAMES, SEGMENT, series
@@ -85,7 +86,7 @@ def test_a_steady_drift_is_none_that_wanders(slope: float) -> None:
 
 def test_a_long_history_is_put_together_without_mixing_both_sides() -> None:
     rng = np.random.default_rng(6)
-    n, place = 8 * MOST + 3, 501
+    n, place = 8 * TUNING.changes_most + 3, 501
     factors = friction(sinusoid(rng, n))
     factors[place:, 0] *= 1.02
     one = seen(rng, factors)

@@ -24,8 +24,9 @@ from pmfid.estimators.known_step import RKnownStep
 from pmfid.estimators.motion import invert_information
 from pmfid.kernel.saved import configuration
 from pmfid.models.drive import Drive
-from pmfid.monitor.calibration import LENGTHS, calibrate, powers, simulated_counts
+from pmfid.monitor.calibration import calibrate, powers, simulated_counts
 from pmfid.monitor.scores import scores
+from pmfid.monitor.tuning import TUNING
 from pmfid.pipeline.designs import load_spec, make_problem
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.records.clock import sample_period
@@ -33,6 +34,7 @@ from pmfid.report.monitored import RunData, _velocity, run_figure
 from pmfid.status import Status
 from tests.test_front import CART
 from tests.test_states import forged, used
+from tests.tuned import set_tuning
 
 THETA = np.array([1.07, 12.8, 0.8])
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
@@ -47,7 +49,7 @@ def riv() -> RIV:
 
 def test_sums_that_a_record_is_too_short_for_say_nothing() -> None:
     mean, error = powers(np.ones((1, 5, 3)), np.ones((1, 5, 3)), 0.0)
-    short = [length > 5 for length in LENGTHS]
+    short = [length > 5 for length in TUNING.calibration_lengths]
     assert np.all(np.isinf(error[short]))
     np.testing.assert_array_equal(mean[short], 1.0)
     np.testing.assert_array_equal(mean[0], 1.0)
@@ -128,7 +130,7 @@ def test_a_low_cutoff_takes_no_memory() -> None:
 def test_the_noise_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     estimator = RKnownStep(Drive(2.0), Encoder(2e-4), 0.01, 30.0)
     whole = encoder_noise.noise_covariance(estimator, None)
-    monkeypatch.setattr(encoder_noise, "PART", 7)
+    set_tuning(monkeypatch, encoder_noise, recursive_part=7)
     np.testing.assert_allclose(encoder_noise.noise_covariance(estimator, None), whole, rtol=1e-12, atol=1e-18)
     shown = encoder_noise.compute_encoder_floor(estimator)
     monkeypatch.undo()

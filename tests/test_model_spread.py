@@ -12,10 +12,11 @@ import pytest
 
 import pmfid
 from pmfid.cli.tables import _parameters as terminal_table
-from pmfid.diagnostics.matter import NORMAL_95
-from pmfid.diagnostics.verdict import ODDS, believed_squares
-from pmfid.estimators.adequacy import DEAD_ZONE, Adequacy, examine
+from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
+from pmfid.diagnostics.verdict import believed_squares
+from pmfid.estimators.adequacy import Adequacy, examine
 from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.pipeline.result import UNKNOWN, DriveResult, format_interval, parameter_header, parameter_rows
 from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_machine, prbs
 from pmfid.types import Floats
@@ -88,14 +89,14 @@ def test_little_is_added_where_the_model_is_right(axis: Axis, motion: str) -> No
     """Beside a dead zone, which an input of one size does not show."""
     result = identified(axis, record_of(axis, Machine(axis.drive), motion, 1024, 11))
     std, spread = bars(result)
-    unseen = DEAD_ZONE * result.theta if motion == "prbs" else np.zeros(3)
+    unseen = ESTIMATOR_TUNING.dead_zone * result.theta if motion == "prbs" else np.zeros(3)
     assert np.all(spread < 1.001 * np.hypot(unseen, 2 * std)), str(result)
 
 
 def test_a_friction_is_not_below_nothing() -> None:
     result = identified(LIFT, record_of(LIFT, FRICTIONS["directional 15 %"](LIFT), "stop-and-go", 1024, 11))
     assert result.interval_95 is not None
-    assert result.theta[1] < NORMAL_95 * np.hypot(*bars(result))[1]
+    assert result.theta[1] < DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result))[1]
     assert result.interval_95[1, 0] == 0
 
 
@@ -105,7 +106,7 @@ def test_a_method_with_an_error_of_its_own_has_it_in_the_interval() -> None:
     result = identified(TABLE, record, method="ls")
     off = np.abs(result.theta - truth(TABLE))
     assert off[0] > 5 * result.theta_std[0]
-    assert np.all(off <= NORMAL_95 * np.hypot(*bars(result)))
+    assert np.all(off <= DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result)))
 
 
 def test_squares_that_a_parked_axis_misleads_have_it_in_the_interval() -> None:
@@ -117,7 +118,7 @@ def test_squares_that_a_parked_axis_misleads_have_it_in_the_interval() -> None:
     )
     off = np.abs(result.theta - truth(gantry))
     assert np.max(off / result.theta_std) > 10
-    assert np.all(off <= NORMAL_95 * np.hypot(*bars(result)))
+    assert np.all(off <= DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result)))
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,7 @@ def test_a_recursive_run_has_it_at_its_end(settings: dict[str, object]) -> None:
         for name in ("nothing", "quadratic 20 %")
     )
     assert np.all(np.isfinite(right))
-    unseen = DEAD_ZONE * LIFT.drive.viscous_friction
+    unseen = ESTIMATOR_TUNING.dead_zone * LIFT.drive.viscous_friction
     assert wrong[1] > 0.05 * LIFT.drive.viscous_friction > 5 * np.sqrt(max(right[1] ** 2 - unseen**2, 0.0))
 
 
@@ -180,7 +181,11 @@ def with_sizes(found: Adequacy, size: float, std: float) -> Adequacy:
     ("size", "std", "expected"),
     [
         (0.0, 1e-4, pytest.approx(0.0, abs=1e-2)),  # ruled out
-        (0.0, 1e3, pytest.approx(np.sqrt(ODDS / (1 + ODDS)), rel=1e-2)),  # cannot be shown
+        (
+            0.0,
+            1e3,
+            pytest.approx(np.sqrt(DIAGNOSTIC_TUNING.verdict_odds / (1 + DIAGNOSTIC_TUNING.verdict_odds)), rel=1e-2),
+        ),  # cannot be shown
         (0.6, 1e-2, pytest.approx(0.6, rel=1e-2)),  # asked for
     ],
     ids=["ruled out", "hidden", "asked for"],
@@ -221,7 +226,7 @@ def test_json_has_it_beside_what_it_had(result: DriveResult) -> None:
     printed = json.loads(json.dumps(result.to_json(), allow_nan=False))["parameters"]["mass"]
     assert list(printed) == ["value", "std", "unit", "model_spread", "interval_95"]
     std, spread = (float(bar[0]) for bar in bars(result))
-    half = NORMAL_95 * np.hypot(std, spread)
+    half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(std, spread)
     assert printed["interval_95"] == pytest.approx([printed["value"] - half, printed["value"] + half])
     assert (printed["std"], printed["model_spread"]) == (std, spread)
 

@@ -25,10 +25,11 @@ from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.rows import CsvSink, ParquetSink
-from pmfid.pipeline.monitored.run import MOST_ROWS, RunHistory
+from pmfid.pipeline.monitored.run import RunHistory
 from pmfid.pipeline.monitored.setup import cache_dir
 from pmfid.pipeline.monitored.stream import Stop, line_samples
 from pmfid.pipeline.monitored.timeline import Sample, Skipped
+from pmfid.pipeline.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import lines, resident, write_axis
@@ -364,12 +365,12 @@ class Known:
 
 def test_the_history_stays_small() -> None:
     history = RunHistory()
-    for k in range(5 * MOST_ROWS):
+    for k in range(5 * TUNING.most_rows):
         estimate = Known()
         if k == 12_345:
             estimate.innovation, estimate.status = -7.0, 64
         history(Sample(k * 0.01, 0.0, k), estimate, "watching")
-    assert MOST_ROWS / 2 <= len(history.rows) <= MOST_ROWS
+    assert TUNING.most_rows / 2 <= len(history.rows) <= TUNING.most_rows
     times = [row[0] for row in history.rows]
     assert np.allclose(np.diff(times), 0.01 * history.stride)
-    assert times[-1] > 0.99 * 5 * MOST_ROWS * 0.01
+    assert times[-1] > 0.99 * 5 * TUNING.most_rows * 0.01

@@ -10,10 +10,11 @@ import pytest
 from pmfid import RIV, Drive, Encoder
 from pmfid.cli.monitor_lines import sentence
 from pmfid.monitor.calibration import Calibration, calibrate
-from pmfid.monitor.cause import FRICTION, TRANSITION, ChangeEvidence, explain, new_gain
+from pmfid.monitor.cause import FRICTION, ChangeEvidence, explain, new_gain
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Blocks, Scale, make_scale, scores
+from pmfid.monitor.tuning import TUNING
 from pmfid.pipeline.monitored.run import event_object
 from pmfid.simulation import CART, Schedule, quantize, simulate_drive
 from pmfid.simulation.signals import prbs
@@ -75,7 +76,10 @@ def test_a_change_within_a_block_is_no_smaller_for_it() -> None:
 def test_a_change_did_not_begin_after_it_was_noticed() -> None:
     blocks, scale = changed(0.1 * THETA * np.eye(3)[0], 1.0)
     assert 199 <= explain(blocks, scale, THETA, NAMES, 2.0).start <= 203
-    assert explain(blocks, scale, THETA, NAMES, 2.0, latest=195 + TRANSITION).start <= 195 + TRANSITION
+    assert (
+        explain(blocks, scale, THETA, NAMES, 2.0, latest=195 + TUNING.cause_transition).start
+        <= 195 + TUNING.cause_transition
+    )
 
 
 def test_reversals_that_come_at_other_instants_are_no_part_of_the_change() -> None:

@@ -22,7 +22,8 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.monitored.rows import Nowhere
 from pmfid.pipeline.monitored.run import MonitoredRun, watch
 from pmfid.pipeline.monitored.stream import Stop, line_samples
-from pmfid.pipeline.monitored.timeline import MOST_STRAYS, REPEATED, Line, Sample, Skipped, Timeline
+from pmfid.pipeline.monitored.timeline import REPEATED, Line, Sample, Skipped, Timeline
+from pmfid.pipeline.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
 from studies.monitoring.pipe import write_axis
@@ -231,7 +232,7 @@ def test_a_gap_is_as_long_as_it_is(lost: int, before: int) -> None:
 
 def test_strays_without_end_are_refused() -> None:
     timeline = Timeline(DT)
-    for _ in range(MOST_STRAYS):
+    for _ in range(TUNING.most_strays):
         timeline.take(Line(0.0, 0.0, 0))
     with pytest.raises(UsageError, match="fits nowhere, the last 0 s: correct the time column"):
         timeline.take(Line(0.0, 0.0, 0))

@@ -15,7 +15,8 @@ import scipy.io
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.io import SUFFIXES
-from pmfid.records.record import MIN_SAMPLES, Record, read_record
+from pmfid.records.record import Record, read_record
+from pmfid.records.tuning import TUNING
 from tests.formats import WRITERS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -243,7 +244,7 @@ def test_csv_with_a_row_too_long(tmp_path: Path) -> None:
     assert "not every line from line 2 on has 3 columns" in message(path)
 
 
-@pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample,"), (MIN_SAMPLES - 1, "9 samples")])
+@pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample,"), (TUNING.min_samples - 1, "9 samples")])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_too_few_samples(tmp_path: Path, n: int, text: str, suffix: str) -> None:
     path = write(tmp_path / f"run{suffix}", columns(n))
@@ -256,7 +257,9 @@ def test_too_few_samples(tmp_path: Path, n: int, text: str, suffix: str) -> None
 
 
 def test_ten_samples_are_enough_to_read(tmp_path: Path) -> None:
-    assert len(read_record(write(tmp_path / "run.csv", columns(MIN_SAMPLES)), make_axis()).u) == MIN_SAMPLES
+    assert (
+        len(read_record(write(tmp_path / "run.csv", columns(TUNING.min_samples)), make_axis()).u) == TUNING.min_samples
+    )
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

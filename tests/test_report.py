@@ -17,7 +17,6 @@ from pmfid.errors import UsageError
 from pmfid.estimators.results import Track
 from pmfid.report.figures import (
     DOUBTFUL,
-    MAX_POINTS,
     comparison_figure,
     decimation,
     estimate_figure,
@@ -28,6 +27,7 @@ from pmfid.report.figures import (
     stretches,
 )
 from pmfid.report.html import Section, svg, write_report
+from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 
 N = 600
@@ -114,11 +114,11 @@ def test_status_has_a_row_for_each_bit_that_occurs() -> None:
     assert rows == ["no bit was set"]
 
 
-@pytest.mark.parametrize("n", [1, 5, MAX_POINTS, MAX_POINTS + 1, 9973, 300_000])
+@pytest.mark.parametrize("n", [1, 5, TUNING.max_points, TUNING.max_points + 1, 9973, 300_000])
 def test_decimation_keeps_the_extremes_and_the_ends(n: int) -> None:
     y = np.random.default_rng(n).standard_normal(n)
     i = decimation(y)
-    assert i.size == min(n, i.size) <= MAX_POINTS
+    assert i.size == min(n, i.size) <= TUNING.max_points
     assert (np.diff(i) > 0).all()
     assert (i[0], i[-1]) == (0, n - 1)
     assert (y[i].min(), y[i].max()) == (y.min(), y.max())
@@ -139,7 +139,7 @@ def test_stretches() -> None:
     assert stretches(t, np.zeros(6, bool)) == []
     alternating = np.arange(100_000) % 200 < 100
     spans = stretches(np.arange(100_000) * 1.0, alternating)
-    assert len(spans) <= MAX_POINTS / 2
+    assert len(spans) <= TUNING.max_points / 2
     assert spans[1][0] == pytest.approx(200, abs=50)
 
 

@@ -9,6 +9,7 @@ from itertools import chain, cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
@@ -69,10 +70,10 @@ def draw_motions(motions: Motions) -> Figure:
     """The inputs above, the positions below; the first solid, the others dashed."""
     from matplotlib.figure import Figure
 
-    from pmfid.report.figures import COLOURS, WIDTH, figure_style
+    from pmfid.report.figures import COLOURS, figure_style
 
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 5.0), layout="constrained")
         above, below = figure.subplots(2, 1, sharex=True)
         for colour, style, label in zip(
             cycle(COLOURS), chain(["-"], cycle(["--", "-.", ":"])), motions.u, strict=False
@@ -100,12 +101,14 @@ def draw(drawing: Drawing) -> Figure:
     """The picture: blue, red, green in the order of the curves, the nominal value in magenta, as in the paper."""
     from matplotlib.figure import Figure
 
-    from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, decimation, figure_style
+    from pmfid.report.figures import COLOURS, GREY, MAGENTA, decimation, figure_style
 
     rows = -(-len(drawing.panels) // drawing.columns)
     label, truth = drawing.truth
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.9 + (2.4 if drawing.columns == 1 else 1.9) * rows), layout="constrained")
+        figure = Figure(
+            figsize=(TUNING.figures_width, 0.9 + (2.4 if drawing.columns == 1 else 1.9) * rows), layout="constrained"
+        )
         grid = figure.subplots(rows, drawing.columns, sharex=True, sharey=True, squeeze=False)
         for (title, curves), axes in zip(drawing.panels.items(), grid.flat, strict=False):
             for colour, (name, y) in zip(cycle(COLOURS), curves.items(), strict=False):

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pmfid.service.board import Board
-from pmfid.service.board.panel import COARSEST, MOST, POINTS, Panel, row_bytes
+from pmfid.service.board.panel import Panel, row_bytes
+from pmfid.service.tuning import TUNING
 from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 from tests.service.fake_engine import FakePlant
@@ -82,7 +83,7 @@ def test_memory_is_what_the_budget_says() -> None:
     group = kindred(*(f"cell-{i}" for i in range(1000)))
     small, large = Panel(group, 50), Panel(group, 10**9)
     assert small.depth == 50
-    assert large.depth == MOST
+    assert large.depth == TUNING.panel_most
     kept = board_of(group, budget=8e6)._panels[0]._kept
     assert 7e6 < kept.nbytes <= 8e6
 
@@ -106,8 +107,8 @@ def test_a_trend_grows_to_a_day_and_then_moves_on() -> None:
         board.rows(rows_of(group, [0], [1], received=moment))
         interval, trend = board.trends(0, np.array([0, 1]))
         spans.append(interval * trend.shape[1])
-    assert interval == COARSEST
-    assert 0.4 * POINTS * COARSEST < max(spans) <= POINTS * COARSEST
+    assert interval == TUNING.panel_coarsest
+    assert 0.4 * TUNING.panel_points * TUNING.panel_coarsest < max(spans) <= TUNING.panel_points * TUNING.panel_coarsest
     assert np.isnan(trend[1]).all()
     assert np.isfinite(trend[0, -1])
 

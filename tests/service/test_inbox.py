@@ -6,9 +6,9 @@ from threading import Thread
 
 import numpy as np
 
-from pmfid.stream import engine as module
 from pmfid.stream.delivery import Block, Delivery, Table
 from pmfid.stream.engine import Inbox
+from pmfid.stream.tuning import TUNING
 from tests.service.engine import wait_for
 
 
@@ -28,7 +28,7 @@ def test_a_delay_is_made_up_for_in_portions_and_in_order() -> None:
     while len(inbox):
         portions.append(inbox.take_deliveries(0.0))
     assert [int(one.source) for portion in portions for one in portion] == list(range(30))
-    assert all((len(portion) - 1) * size < module.AT_ONCE <= len(portion) * size for portion in portions[:-1])
+    assert all((len(portion) - 1) * size < TUNING.at_once <= len(portion) * size for portion in portions[:-1])
     assert inbox.take_deliveries(0.0) == []
 
 

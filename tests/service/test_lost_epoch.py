@@ -12,7 +12,7 @@ from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.groups import Prepared
-from pmfid.stream.order import NOTHING_NEW
+from pmfid.stream.tuning import TUNING
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Bits, Collected, monitored
 from tests.service.fake_engine import FakePlant
@@ -50,7 +50,7 @@ def test_a_sender_that_lost_its_epoch_is_told_what_helps(
     engine = engine_of(prepared, outlet, axes=["x1"])
     engine.process(blocks(motion, 0, 600, epoch=9, first=20_000))
     engine.process(blocks(motion, 600, 700, epoch=epoch, first=0))
-    for _ in range(round(NOTHING_NEW / CART_DT / 100)):  # for two minutes
+    for _ in range(round(TUNING.nothing_new / CART_DT / 100)):  # for two minutes
         engine.process(blocks(motion, 600, 700, epoch=epoch, first=100))
     engine.tick(0.0)
     assert len(outlet.of("x1")) == 600, "none of them is believed"

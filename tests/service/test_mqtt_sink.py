@@ -19,6 +19,7 @@ from pmfid.service.sinks.mqtt import BrokerLink, MqttSink, MqttSinkSection
 from pmfid.service.sinks.queued import Queued
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401
 from tests.service.feed import Host, alarm, block, kindred, notice, until
+from tests.tuned import set_tuning
 
 pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed: pip install 'pmfid[serve]'")
 GROUP = kindred(2)
@@ -77,7 +78,7 @@ def test_rows_are_messages_of_their_axes() -> None:
 
 
 def test_many_axes_share_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt, "BATCH", 4)
+    set_tuning(monkeypatch, mqtt, mqtt_batch=4)
     link = Link()
     sink_of(link, estimates="batch", qos=1).put([block(kindred(5), 1, samples=2)])
     messages = [json.loads(payload) for _, payload, _, _ in link.got[1:]]
@@ -197,9 +198,9 @@ def broker(tmp_path: Path, stopped_brokers: None) -> Broker:  # noqa: F811
 
 @pytest.fixture
 def started(tmp_path: Path, broker: Broker, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Queued]]:
-    monkeypatch.setattr(queued, "FIRST_PAUSE", 0.05)
-    monkeypatch.setattr(queued, "LONGEST_PAUSE", 0.1)
-    monkeypatch.setattr(queued, "IDLE", 0.05)
+    set_tuning(monkeypatch, queued, queued_first_pause=0.05)
+    set_tuning(monkeypatch, queued, queued_longest_pause=0.1)
+    set_tuning(monkeypatch, queued, queued_idle=0.05)
     running: list[Queued] = []
 
     def start(host: Host, **keys: object) -> Queued:

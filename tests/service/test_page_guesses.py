@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import pytest
 
+from pmfid.service.tuning import TUNING
 from pmfid.service.web import security
-from pmfid.service.web.security import FREE, WINDOW, Brake
+from pmfid.service.web.security import Brake
 from tests.service.chromium import chromium, tab
 from tests.service.fake_engine import FakePlant
 from tests.service.loopback import Served, served
+from tests.tuned import set_tuning
 
 
 @dataclass
@@ -29,10 +31,10 @@ def page() -> Iterator[Served]:
 
 
 def test_who_guesses_is_asked_to_wait_and_who_knows_gets_in(page: Served) -> None:
-    answers = [page.ask("/api/plant", token=f"guess-{k}") for k in range(FREE + 5)]
-    assert [status for status, _, _ in answers] == [401] * FREE + [429] * 5
+    answers = [page.ask("/api/plant", token=f"guess-{k}") for k in range(TUNING.security_free + 5)]
+    assert [status for status, _, _ in answers] == [401] * TUNING.security_free + [429] * 5
     _, headers, body = answers[-1]
-    assert 0 < int(headers["retry-after"]) <= WINDOW
+    assert 0 < int(headers["retry-after"]) <= TUNING.security_window
     assert b"too many wrong tokens" in body
     assert b"guess" not in body
     assert page.counted("refused", reason="guesses") == 5
@@ -47,11 +49,11 @@ def test_guesses_of_every_form_count(page: Served) -> None:
     head = f"GET /api/plant HTTP/1.1\r\nHost: {page.host}\r\nConnection: close\r\n"
     forms = ["Basic YTpi", "Bearer", "Bearer x\r\nAuthorization: Bearer y", f"Digest {page.token}", "x" * 5000]
     found = [page.raw(f"{head}Authorization: {form}\r\n\r\n".encode()).split()[1] for form in 3 * forms]
-    assert found == [b"401"] * FREE + [b"429"] * (3 * len(forms) - FREE)
+    assert found == [b"401"] * TUNING.security_free + [b"429"] * (3 * len(forms) - TUNING.security_free)
 
 
 def test_a_person_with_a_wrong_token_too_often_can_still_type_the_right_one(page: Served) -> None:
-    for k in range(FREE):
+    for k in range(TUNING.security_free):
         page.ask("/api/plant", token=f"guess-{k}")
     with chromium() as browser, tab(browser) as there:
         there.goto(f"{page.page.url}#token=wrong")
@@ -65,26 +67,28 @@ def test_a_person_with_a_wrong_token_too_often_can_still_type_the_right_one(page
 def test_the_time_to_wait_ends_and_begins_again() -> None:
     clock = Clock()
     one = Brake(clock)
-    assert [one.wrong("192.0.2.7") for _ in range(FREE)] == [0.0] * FREE
+    assert [one.wrong("192.0.2.7") for _ in range(TUNING.security_free)] == [0.0] * TUNING.security_free
     clock.now = 20.0
-    assert one.wrong("192.0.2.7") == WINDOW - 20.0
+    assert one.wrong("192.0.2.7") == TUNING.security_window - 20.0
     assert one.wrong("192.0.2.8") == 0.0, "another address"
-    clock.now = WINDOW
-    assert [one.wrong("192.0.2.7") for _ in range(FREE + 1)] == [0.0] * FREE + [WINDOW]
+    clock.now = TUNING.security_window
+    assert [one.wrong("192.0.2.7") for _ in range(TUNING.security_free + 1)] == [0.0] * TUNING.security_free + [
+        TUNING.security_window
+    ]
 
 
 def test_an_address_of_the_same_network_is_the_same_one() -> None:
     one = Brake(Clock())
-    assert max(one.wrong(f"2001:db8::{k:x}") for k in range(FREE)) == 0.0
+    assert max(one.wrong(f"2001:db8::{k:x}") for k in range(TUNING.security_free)) == 0.0
     assert one.wrong("2001:db8::ffff%eth0") > 0
     assert one.wrong("2001:db8:0:1::1") == 0.0
     assert one.wrong("") == 0.0
 
 
 def test_memory_is_bounded_and_the_latest_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(security, "ADDRESSES", 100)
+    set_tuning(monkeypatch, security, security_addresses=100)
     one = Brake(Clock())
-    for _ in range(FREE):
+    for _ in range(TUNING.security_free):
         one.wrong("192.0.2.7")
     for k in range(5000):
         one.wrong(f"10.0.{k // 256}.{k % 256}")

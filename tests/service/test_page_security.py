@@ -14,13 +14,15 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.service.board import Board
+from pmfid.service.tuning import TUNING
 from pmfid.service.web import connection, security
 from pmfid.service.web.config import PageConfig
-from pmfid.service.web.security import LARGEST_BODY, READ, WRITE, Tokens, load_tokens
+from pmfid.service.web.security import READ, WRITE, Tokens, load_tokens
 from pmfid.service.web.server import serve
 from pmfid.stream.commands import Counters
 from tests.service.fake_engine import FakePlant
 from tests.service.loopback import Served, received, served, until
+from tests.tuned import set_tuning
 
 READER = "a-token-that-only-reads-0123456789"
 SCRIPT = "<script>alert(1)</script>"
@@ -33,7 +35,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     file.chmod(0o600)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(connection, "ConnectionLimits", partial(connection.ConnectionLimits, request=0.6, stuck=0.3))
-        patch.setattr(security, "FREE", 10_000)  # test_page_guesses.py is about more wrong tokens
+        set_tuning(patch, security, security_free=10_000)  # test_page_guesses.py is about more wrong tokens
         plant = FakePlant(12)
         plant.run(5)
         with served(plant, read_token_file=str(file), browsers=3) as found:
@@ -187,7 +189,7 @@ def test_a_body_without_a_length_is_counted_while_it_comes(page: Served) -> None
     assert sent < 16e6
 
 
-@pytest.mark.parametrize("length", ["-1", "1e3", "99999999999999999999999", "0x10", str(LARGEST_BODY + 1)])
+@pytest.mark.parametrize("length", ["-1", "1e3", "99999999999999999999999", "0x10", str(TUNING.largest_body + 1)])
 def test_odd_lengths_are_refused(page: Served, length: str) -> None:
     answer = page.raw(_head(page, "/api/axis/gantry-y/reference", f"Content-Length: {length}"))
     assert answer.split()[1] in (b"400", b"413")

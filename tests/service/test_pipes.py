@@ -15,7 +15,7 @@ from pydantic import Field
 
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
-from pmfid.pipeline.monitored.stream import FIRST_LINES, LONGEST_LINE
+from pmfid.pipeline.tuning import TUNING
 from pmfid.service.sources.execd import ExecdSection, ExecdSource
 from pmfid.service.sources.serial import SerialSection, SerialSource
 from pmfid.service.wire.splitter import LineSplitter
@@ -82,7 +82,7 @@ def test_the_header_may_come_by_the_port(device: Device, tmp_path: Path) -> None
     port = serial_source(engine, tmp_path, port=device.port, axis="x1")
     thread = engine.running(port)
     assert wait_for(lambda: port.opened)
-    device.write(b"Drive 7 ready\n1,2,3\n" + b"5,5,5\n" * FIRST_LINES)
+    device.write(b"Drive 7 ready\n1,2,3\n" + b"5,5,5\n" * TUNING.first_lines)
     assert wait_for(lambda: engine.items)
     device.write(b"u;x;t\n1;2;3\n")
     assert wait_for(lambda: times(engine.items) == [3.0])
@@ -157,9 +157,9 @@ def test_an_axis_or_header_that_is_not_there_ends_at_once(
 def test_lines_longer_than_any_are_left_out() -> None:
     splitter = LineSplitter()
     assert splitter.feed(b"a\nb") == [b"a"]
-    assert splitter.feed(b"c" * (LONGEST_LINE + 1)) == []
+    assert splitter.feed(b"c" * (TUNING.longest_line + 1)) == []
     assert splitter.feed(b"d" * 10 + b"\ne\n") == [b"e"]
-    assert splitter.feed(b"x" * (LONGEST_LINE + 1) + b"\nf\n") == [b"f"]
+    assert splitter.feed(b"x" * (TUNING.longest_line + 1) + b"\nf\n") == [b"f"]
 
 
 # --- Telegraf ---------------------------------------------------------------------------------------------------------

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 from pmfid.service.sinks import queued
 from pmfid.service.sinks.queued import OutcomeQueue, Queued, QueueLimits, size_of
+from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
+from tests.tuned import set_tuning
 
 GROUP = kindred(10)
 
@@ -28,8 +30,8 @@ def host(tmp_path: Path) -> Host:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pauses that a test can wait for."""
-    monkeypatch.setattr(queued, "FIRST_PAUSE", 0.005)
-    monkeypatch.setattr(queued, "LONGEST_PAUSE", 0.02)
+    set_tuning(monkeypatch, queued, queued_first_pause=0.005)
+    set_tuning(monkeypatch, queued, queued_longest_pause=0.02)
 
 
 def started(sink: Faulty, host: Host, limits: QueueLimits | None = None) -> Queued:
@@ -219,7 +221,7 @@ def test_pauses_grow_to_a_limit_and_begin_anew_after_a_steady_time(host: Host, m
 
     tries(9)
     tries(1)  # it had worked for a moment only
-    now[0] += queued.STEADY + 1
+    now[0] += TUNING.queued_steady + 1
     tries(2)
     assert pauses == [0.5, 1, 2, 4, 8, 16, 32, 60, 60, 60, 0.5, 1]
 
@@ -265,8 +267,8 @@ def test_closing_does_not_wait_for_a_pause(host: Host) -> None:
 
 
 def test_a_sink_is_looked_after_while_nothing_comes(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queued, "IDLE", 0.01)
-    monkeypatch.setattr(queued, "FIRST_PAUSE", 0.005)
+    set_tuning(monkeypatch, queued, queued_idle=0.01)
+    set_tuning(monkeypatch, queued, queued_first_pause=0.005)
     sink = Faulty()
     outlet = started(sink, host)
     assert until(lambda: sink.opened), "at the start"

@@ -28,13 +28,13 @@ from pmfid.service.plant import SINKS, load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
-from pmfid.stream import notices as module
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Notice
+from pmfid.stream.tuning import TUNING
 from studies.service.processes import service
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.feed import Faulty, Host, kindred, notice, until
@@ -44,6 +44,7 @@ from tests.service.test_mqtt_sink import Link, sink_of
 from tests.service.test_page_browser import at_overview
 from tests.service.test_serve import Acting, Events, events, folder  # noqa: F401 a fixture
 from tests.service.web_servers import web_server
+from tests.tuned import set_tuning
 
 LIMIT = 60.0
 
@@ -248,7 +249,7 @@ def test_an_axis_that_begins_anew_stays_silent_until_it_sends(watched: Watched) 
 
 
 def test_many_axes_at_once_share_an_alarm(prepared: Prepared) -> None:
-    axes = [f"c{k}" for k in range(module.MOST + 1)]
+    axes = [f"c{k}" for k in range(TUNING.notices_most + 1)]
     watched = Watched(prepared, axes)
     watched.run(1, *axes)
     watched.run(LIMIT + 5)
@@ -360,7 +361,7 @@ def test_the_metrics_have_it_in_words(watched: Watched) -> None:
 
 
 def test_a_queue_knows_whether_its_sink_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pmfid.service.sinks.queued.FIRST_PAUSE", 0.01)
+    set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     sink, begun = Faulty(), time.monotonic()
     outlet = Queued(sink, Counters(), lambda told: None)
     outlet.start()

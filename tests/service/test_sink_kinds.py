@@ -13,6 +13,7 @@ from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
 from pmfid.service.plant import SINKS
 from tests.service.feed import Host, alarm, block, kindred, until
+from tests.tuned import set_tuning
 
 NEEDED: dict[str, dict[str, object]] = {
     "file": {"path": "rows.jsonl"},
@@ -61,7 +62,7 @@ def test_no_sink_brings_a_heavy_library_before_it_is_used() -> None:
 def test_a_folder_that_nothing_can_be_written_to_is_told_once_and_costs_only_what_is_dropped(
     kind: str, keys: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pmfid.service.sinks.queued.FIRST_PAUSE", 0.001)
+    set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.001)
     host = Host(tmp_path)
     outlet = (
         SINKS[kind]().model_validate({"kind": kind, **keys, "queue_rows": 30, "queue_notices": 5}).outlet("a", host)

@@ -20,6 +20,7 @@ from pmfid.service.sinks.sqlite import SqliteSection, SqliteSink
 from pmfid.stream.outcome import EstimateRows, Notice
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.kills import killed_after
+from tests.tuned import set_tuning
 
 
 def of(path: Path, query: str) -> list[tuple[Any, ...]]:
@@ -131,7 +132,7 @@ def test_all_or_none_on_a_full_disk_and_all_when_there_is_room(tmp_path: Path) -
 
 
 def test_a_sink_that_cannot_write_tells_and_goes_on_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pmfid.service.sinks.queued.FIRST_PAUSE", 0.01)
+    set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     host = Host(tmp_path)
     blocked = tmp_path / "folder"
     blocked.write_text("a file where a folder is wanted")

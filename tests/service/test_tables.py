@@ -20,6 +20,7 @@ from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.intake import take_expected
 from pmfid.stream.order import Order
 from tests.service.collected import Collected
+from tests.tuned import set_tuning
 
 AXES = tuple(f"x{k}" for k in range(6))
 SIZE, TURNS = 8, 60
@@ -89,8 +90,8 @@ def told(engine: StreamEngine, outlet: Collected) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_table_is_its_blocks_one_by_one(prepared: Prepared, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock, "RATE_TIME", 0.3)
-    monkeypatch.setattr(clock, "RATE_SAMPLES", 20)
+    set_tuning(monkeypatch, clock, rate_time=0.3)
+    set_tuning(monkeypatch, clock, rate_samples=20)
     given = deliveries(Random(seed))
     random, outlets, engines = Random(seed), (Collected(), Collected()), list[StreamEngine]()
     batches = list[list[Delivery]]()
@@ -132,8 +133,8 @@ def test_what_an_order_knows_goes_with_its_axis_when_others_go_and_over_a_restar
 
 
 def test_a_clock_whose_rate_comes_right_and_goes_wrong_again_is_told_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock, "RATE_TIME", 0.3)
-    monkeypatch.setattr(clock, "RATE_SAMPLES", 20)
+    set_tuning(monkeypatch, clock, rate_time=0.3)
+    set_tuning(monkeypatch, clock, rate_samples=20)
     both, alone = Order(CART_DT, 0), Order(CART_DT, 0)
     told, at_once, time = list[dict[str, object]](), 0, 0.0
     for k in range(3 * TURNS):

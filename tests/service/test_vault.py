@@ -27,6 +27,7 @@ from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.vault import Vault
+from tests.tuned import set_tuning
 
 Told = list[dict[str, Any]]
 
@@ -266,7 +267,7 @@ def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_
 def test_an_alarm_that_a_sink_got_is_in_no_checkpoint_for_long_though_nothing_else_comes(
     prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keeping, "REST", 0.0)
+    set_tuning(monkeypatch, keeping, keeping_rest=0.0)
     keeper, engine = Checkpoints(Vault(tmp_path), 0.0, Counters(), Told().append), engine_of(prepared)
     waiting = [Notice("x1", 7, 0.0, {"event": "alarm"})]
     engine.unwritten = lambda: {"hook": list(waiting)}
@@ -283,7 +284,7 @@ def test_an_alarm_that_a_sink_got_is_in_no_checkpoint_for_long_though_nothing_el
 def test_the_engine_does_not_wait_for_new_memory(
     prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keeping, "LARGE", 0)
+    set_tuning(monkeypatch, keeping, keeping_large=0)
     keeper, makers = Checkpoints(Vault(tmp_path), 0.0, Counters(), Told().append), list[str]()
     grow = StateBuffer.grow
 

@@ -19,6 +19,7 @@ from pmfid.service.sinks import RefusedError
 from pmfid.service.sinks.webhook import EVENTS, WebhookSection, WebhookSink
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.web_servers import bad_server, web_server
+from tests.tuned import set_tuning
 
 TOKEN = "Bearer s3cret-of-the-hall"
 
@@ -59,7 +60,7 @@ def test_behind_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path)
 
 
 def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pmfid.service.sinks.queued.FIRST_PAUSE", 0.01)
+    set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     host = Host(tmp_path)
     # the second is tried three times, the third is refused for what it says
     with web_server(200, 500, 503, 200, 422, 422, 200) as server:

@@ -15,6 +15,7 @@ from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from studies.fleet_data import AXIS_TOML, DT, Change, Machine, machines, rows
+from tests.tuned import set_tuning
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
@@ -56,7 +57,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that there are several."""
-    monkeypatch.setattr("pmfid.fleet.plan.BUDGET", 40_000)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=40_000)
 
 
 def estimated(data: object, config: Path, out: Path | None = None, engine: fleet.Engine | None = None) -> History:

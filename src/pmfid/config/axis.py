@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pmfid.config.model import ModelConfig, Name, Positive
 from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig, Sections, axis_kind
 from pmfid.config.toml_file import FileSection, load_sections
-from pmfid.diagnostics.matter import TOLERANCE
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.estimators.facts import INPUT_GAIN, check_known
@@ -65,7 +65,10 @@ class EstimatorConfig(FileSection):
     )
     precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
     tolerance: float = Field(
-        TOLERANCE, ge=0, lt=1, description="the relative error of a parameter that is of no matter, for example 0.01"
+        TUNING.matter_tolerance,
+        ge=0,
+        lt=1,
+        description="the relative error of a parameter that is of no matter, for example 0.01",
     )
 
     @property

@@ -15,6 +15,7 @@ from pmfid.design.problem import Design, InfeasibleError, Problem
 from pmfid.design.simulated import simulated_information
 from pmfid.design.solver import Setting, evaluate, price_of_robustness, setting, solve
 from pmfid.design.standard import StandardInput, standard_inputs
+from pmfid.design.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
 
@@ -24,11 +25,6 @@ __all__ = ["USUAL", "Choice", "best_input", "choose", "stds"]
 USUAL = "trapezoid"
 #: Standard motions that a design is compared with: machines are made for them.
 PROFILES = (USUAL, "s_curve", "minimum_time")
-#: The expected deviations are themselves known to a few percent.
-SURELY = 0.95
-#: Least speeds over the one of the limits: the first two leave whole counts per sample, the others keep a machine
-#: moving that is heavier, or has more friction, than its data sheet says.
-FASTER = (1.23, 1.57, 2.5, 4.0, 6.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +68,11 @@ def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floa
 
     def better(name: str) -> bool:
         own = stds(problem, covariances[name])
-        return all(own[each] <= SURELY * usual[each] for each in problem.unknown)
+        return all(own[each] <= TUNING.appraisal_surely * usual[each] for each in problem.unknown)
 
     fit = [name for name in covariances if name == USUAL or better(name)] or list(covariances)
     values = [value(name) for name in fit]
-    return next(name for name, own in zip(fit, values, strict=True) if own >= SURELY**2 * max(values))
+    return next(name for name, own in zip(fit, values, strict=True) if own >= TUNING.appraisal_surely**2 * max(values))
 
 
 def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
@@ -91,7 +87,7 @@ def _others(
 ) -> Iterator[tuple[str, Floats]]:
     """Names and inputs (K,) within the same limits."""
     problem = design.problem
-    for factor in FASTER if problem.limits.min_speed > 0 else ():
+    for factor in TUNING.appraisal_faster if problem.limits.min_speed > 0 else ():
         limits = replace(problem.limits, min_speed=factor * problem.limits.min_speed)
         try:
             faster = solve(
@@ -105,10 +101,6 @@ def _others(
             yield name, standard_inputs(problem, seed, (name,))[name].u
         except InfeasibleError:  # the limits leave less room than this profile needs
             continue
-
-
-#: Part of the claimed information below which a design is warned of.
-SURVIVES = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +302,7 @@ def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     if worth.surviving is None:
         return ["the design was not checked with stiction, which the simulation has for symmetric friction only"]
     careful = design.problem.limits.min_speed > 0
-    if worth.surviving >= SURVIVES and careful:
+    if worth.surviving >= TUNING.appraisal_survives and careful:
         return []
     part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
     return [f"{part}; raise min_speed" if careful else f"{part}; min_speed is 0: set it above"]

@@ -8,25 +8,13 @@ import numpy as np
 
 from pmfid.design.fisher import Affine, Criterion
 from pmfid.design.oracle import Oracle
+from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["Climber"]
 
 #: Part of the way to the vertex, first for all, then between the neighbours of the best.
 STEPS = np.array([1.0, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02, 0.005])
-#: Shifts of the motion, in fortieths of the horizon.
-SHIFTS = (1, -1, 4, -4, 16, -16)
-#: Relative gain below which a step, or another local optimum, counts for nothing.
-TOLERANCE = 1e-4
-SAME = 1e-5
-#: How far ahead of a full step the next gradient may be taken, in steps.
-FURTHEST = 8.0
-#: Relative gain of a full step that is only a drift.
-DRIFT = 0.05
-
-
-#: How sharply the worst of several cases counts.
-SHARPNESS = 100.0
 
 
 @dataclass
@@ -67,7 +55,7 @@ class Climber:
         self._known += [(*local, value, u) for local in met]
         return value, u
 
-    def ascend(self, u: Floats, tolerance: float = TOLERANCE, steps: int = 60) -> tuple[float, Floats]:
+    def ascend(self, u: Floats, tolerance: float = TUNING.ascent_tolerance, steps: int = 60) -> tuple[float, Floats]:
         """(log value, input) where no vertex promises a relative gain of more than the tolerance."""
         s = [maps.weigh_sensitivities(u) for maps in self.maps]
         value = float(self._blend(np.array([self.criterion.log_value(F) for F in self._informations(s)])))
@@ -81,11 +69,11 @@ class Climber:
                 break
             change = [maps.weigh_sensitivities(vertex) - here for maps, here in zip(self.maps, s, strict=True)]
             part, new = self._line(s, change)
-            if new > value + SAME * bool(ahead):
+            if new > value + TUNING.ascent_same * bool(ahead):
                 u, value = u + part * (vertex - u), new
                 s = [here + part * there for here, there in zip(s, change, strict=True)]
-                drift = drift + 1 if part == 1.0 and gain < DRIFT else 0
-                ahead = min(2.0 * ahead + 1.0, FURTHEST) if drift > 1 else 0.0
+                drift = drift + 1 if part == 1.0 and gain < TUNING.ascent_drift else 0
+                ahead = min(2.0 * ahead + 1.0, TUNING.ascent_furthest) if drift > 1 else 0.0
             elif ahead:
                 ahead, drift = 0.0, 0
             else:
@@ -102,7 +90,8 @@ class Climber:
         if not self.worst:
             return np.asarray(values.mean(axis=0))
         return np.asarray(
-            values.min(axis=0) - np.log(np.exp(-SHARPNESS * _subtract_least(values)).mean(axis=0)) / SHARPNESS
+            values.min(axis=0)
+            - np.log(np.exp(-TUNING.ascent_sharpness * _subtract_least(values)).mean(axis=0)) / TUNING.ascent_sharpness
         )
 
     def _slope(self, s: list[Floats]) -> Floats:
@@ -111,7 +100,7 @@ class Climber:
         weights = np.ones(1)
         if len(s) > 1:
             values = np.array([self.criterion.log_value(F) for F in informations])
-            weights = np.exp(-SHARPNESS * _subtract_least(values)) if self.worst else np.ones(len(s))
+            weights = np.exp(-TUNING.ascent_sharpness * _subtract_least(values)) if self.worst else np.ones(len(s))
             weights /= weights.sum()
         slope = np.zeros(self.oracle.shape.inputs)
         for maps, here, F, weight in zip(self.maps, s, informations, weights, strict=True):
@@ -145,17 +134,17 @@ class Climber:
         if np.allclose(vertex, u, rtol=0.0, atol=1e-6 * np.abs(u).max()):
             return None
         other, u = self.ascend(vertex)
-        return (other, u) if other > value + SAME else None
+        return (other, u) if other > value + TUNING.ascent_same else None
 
     def _shifts(self) -> list[int]:
         size = self.oracle.shape.inputs
-        return list(dict.fromkeys(s for n in SHIFTS if 0 < abs(s := n * max(1, round(size / 40))) < size))
+        return list(dict.fromkeys(s for n in TUNING.ascent_shifts if 0 < abs(s := n * max(1, round(size / 40))) < size))
 
     def _recall(self, value: float, u: Floats) -> tuple[float, Floats] | None:
         """Where the search from this local optimum has ended before."""
         scale = 0.02 * float(np.abs(u).max())
         for seen, where, best, best_u in self._known:
-            if abs(seen - value) < TOLERANCE and np.abs(where - u).max() < scale:
+            if abs(seen - value) < TUNING.ascent_tolerance and np.abs(where - u).max() < scale:
                 return (best, best_u) if best > value else (value, u)
         return None
 
@@ -166,16 +155,7 @@ def _subtract_least(values: Floats) -> Floats:
     return np.asarray(np.subtract(values, least, out=np.zeros(values.shape), where=values != least))
 
 
-#: A motion may have so much more than its share.
-ENOUGH = 1e-6
-ROUNDS = 2000
-#: Weights below this take no part.
-NEGLIGIBLE = 1e-6
-#: New motions at most, and starts of the search for each.
-MOTIONS, SEARCHES = 30, 4
-
-
-def proportions(rule: Criterion, informations: Floats, rounds: int = ROUNDS) -> Floats:
+def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.ascent_rounds) -> Floats:
     """Weights (m,), summing to 1, with the largest value of the criterion at sum weights[i] informations[i] (m, p, p).
 
     Multiplicative steps (Silvey, Titterington and Torsney 1978).
@@ -184,11 +164,11 @@ def proportions(rule: Criterion, informations: Floats, rounds: int = ROUNDS) -> 
     for _ in range(rounds):
         mean = np.tensordot(weights, informations, 1)
         shares = np.tensordot(informations, rule.gradient(mean), 2)
-        if shares.max() < 1.0 + ENOUGH:
+        if shares.max() < 1.0 + TUNING.ascent_enough:
             break
         weights = weights * np.maximum(shares, 0.0) ** 0.9
         weights /= weights.sum()
-    return np.where(weights < NEGLIGIBLE, 0.0, weights)
+    return np.where(weights < TUNING.ascent_negligible, 0.0, weights)
 
 
 def share(rule: Criterion, mean: Floats) -> Floats:
@@ -208,7 +188,7 @@ def best_mixture(
     """
     rng = np.random.default_rng(seed)
     inputs = list(inputs)
-    for _ in range(MOTIONS):
+    for _ in range(TUNING.ascent_motions):
         informations = np.array([maps.information(u) for u in inputs])
         weights = proportions(rule, informations)
         mean = np.tensordot(weights, informations, 1)
@@ -223,7 +203,7 @@ def best_mixture(
 def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.Generator) -> Floats:
     """Input with the largest trace(weight F(u)) that a few local searches find: full steps climb a convex function."""
     climber = Climber((_rotate_maps(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
-    return max((climber.start(rng) for _ in range(SEARCHES)), key=lambda found: found[0])[1]
+    return max((climber.start(rng) for _ in range(TUNING.ascent_searches)), key=lambda found: found[0])[1]
 
 
 def _rotate_maps(maps: Affine, weight: Floats) -> Affine:

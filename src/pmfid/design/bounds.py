@@ -16,12 +16,10 @@ from pmfid.design.fisher import Affine, Criterion, affine
 from pmfid.design.oracle import EmptyError, Oracle
 from pmfid.design.polytope import EQUAL, input_set, polytope
 from pmfid.design.problem import Problem
+from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["Box", "WeightFrame", "frame"]
-
-#: Added to every range: the linear solver works to 1e-7.
-SLACK = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +62,8 @@ class Box:
         """Narrows range j to what the inputs allow, and returns the two inputs at its ends."""
         row, offset = where.matrix[j], where.offset[j]
         ends = [extreme(row), extreme(-row)]
-        self.upper[j] = min(self.upper[j], row @ ends[0] + offset + SLACK)
-        self.lower[j] = max(self.lower[j], row @ ends[1] + offset - SLACK)
+        self.upper[j] = min(self.upper[j], row @ ends[0] + offset + TUNING.bounds_slack)
+        self.lower[j] = max(self.lower[j], row @ ends[1] + offset - TUNING.bounds_slack)
         return ends
 
 
@@ -81,14 +79,6 @@ def frame(maps: Affine, weight: Floats, directions: Floats, u: Floats) -> Weight
     constant = float(here @ here - z @ z + np.sum(weight * maps.prior))
     matrix = basis @ M
     return WeightFrame(weight, matrix, z - matrix @ u, constant)
-
-
-#: Share of the chords' gap that is worth narrowing; another round must take away a part of the excess. More rounds are
-#: lost on a part that has to be halved all the same.
-WORTH, PROGRESS, ROUNDS = 0.9, 0.15, 2
-#: Vertices that a node remembers, for mixtures.
-REMEMBERED = 80
-LEAST_GAIN = 0.02
 
 
 @dataclass(eq=False)
@@ -162,7 +152,7 @@ class _BoundSearch:
         box = Box(np.full(size, -np.inf), np.full(size, np.inf))
         for j in range(size):
             seen += box.measure(j, self.oracle.maximise_relaxed, where)
-        node = _Node(rows, where, box, seen=seen[-REMEMBERED:])
+        node = _Node(rows, where, box, seen=seen[-TUNING.bounds_remembered :])
         self._bound(node)
         return node
 
@@ -175,7 +165,7 @@ class _BoundSearch:
         where, box = node.frame, node.box
         vertex = self.oracle.maximise_relaxed(where.matrix.T @ box.slope)
         node.z = where.matrix @ vertex + where.offset
-        node.bound = min(node.bound, box.chords(node.z) + where.constant + SLACK_OF_BOUND)
+        node.bound = min(node.bound, box.chords(node.z) + where.constant + TUNING.slack_of_bound)
         node.seen.append(vertex)
 
     def _close(self, node: _Node) -> None:
@@ -191,13 +181,13 @@ class _BoundSearch:
             node.bound = -np.inf
 
     def _narrow(self, node: _Node) -> None:
-        for _ in range(ROUNDS):
+        for _ in range(TUNING.bounds_rounds):
             before = node.bound
             if before <= self.target or time.thread_time() > self.until:
                 return
             self._measure(node)
             self._bound(node)
-            if node.bound - 1.0 > (1.0 - PROGRESS) * (before - 1.0):
+            if node.bound - 1.0 > (1.0 - TUNING.bounds_progress) * (before - 1.0):
                 return
 
     def _measure(self, node: _Node) -> None:
@@ -205,14 +195,14 @@ class _BoundSearch:
         where, box = node.frame, node.box
         gaps = box.gaps(node.z)
         order = np.argsort(-gaps)
-        much = int(np.searchsorted(np.cumsum(gaps[order]), WORTH * gaps.sum())) + 1
+        much = int(np.searchsorted(np.cumsum(gaps[order]), TUNING.bounds_worth * gaps.sum())) + 1
         slope = box.slope
         least = self.target - where.constant + float(box.lower @ box.upper - slope @ where.offset)
-        row = self.oracle.restrict(where.matrix.T @ slope, least - SLACK_OF_BOUND, np.inf)
+        row = self.oracle.restrict(where.matrix.T @ slope, least - TUNING.slack_of_bound, np.inf)
         for j in order[:much]:
             node.seen += box.measure(j, self.oracle.maximise_relaxed, where)
         self.oracle.release(row)
-        del node.seen[:-REMEMBERED]
+        del node.seen[: -TUNING.bounds_remembered]
 
     def _turn(self, node: _Node) -> None:
         """A new tangent, at the best mixture of what has been seen, where the present one is too high."""
@@ -226,7 +216,7 @@ class _BoundSearch:
         first, second = np.argsort(-weights)[:2]
         node.apart = (node.seen[first], node.seen[second])
         mean = np.tensordot(weights, informations, 1)
-        if self.rule.value(mean) / self.value < truth - LEAST_GAIN:
+        if self.rule.value(mean) / self.value < truth - TUNING.least_gain:
             other = self._make_node(node.rows, share(self.rule, mean) / self.value, list(node.seen))
             self._narrow(other)
             if other.bound < node.bound:
@@ -246,10 +236,6 @@ class _BoundSearch:
             row = (where.matrix[j], side.lower[j] - where.offset[j], side.upper[j] - where.offset[j])
             halves.append(_Node([*node.rows, row], where, side, node.bound, seen=[]))
         return halves
-
-
-#: What the tolerances of the linear solver may add to a bound, in units of the incumbent's value.
-SLACK_OF_BOUND = 1e-6
 
 
 def _find_split(where: WeightFrame, box: Box, one: Floats, other: Floats) -> tuple[int, float]:

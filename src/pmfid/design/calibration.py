@@ -14,18 +14,14 @@ from scipy.optimize import least_squares
 
 from pmfid.design.encoder_error import is_counted, what_is_open
 from pmfid.design.problem import Problem
-from pmfid.design.simulated import STEP, drive_of
+from pmfid.design.simulated import drive_of
+from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.simulation.drive import simulate_drive
 from pmfid.types import Floats
 
 __all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
 
-MAX_EVALUATIONS = 200
-#: Root mean square of the residual over that of the motion, from which the fit is refused.
-WORST_FIT = 0.2
-#: Deviations that hold 95 % of a normal distribution.
-NORMAL = 1.96
 #: Least values over the nominal ones; 0 for the others.
 LEAST = {"mass": 1e-3, "offset": -np.inf}
 
@@ -138,7 +134,11 @@ def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
         raise UsageError("there is no run to estimate from; give at least one")
     objective = _Objective(problem, runs)
     found = least_squares(
-        objective, objective.start, objective.jacobian, bounds=(objective.lower, np.inf), max_nfev=MAX_EVALUATIONS
+        objective,
+        objective.start,
+        objective.jacobian,
+        bounds=(objective.lower, np.inf),
+        max_nfev=TUNING.max_evaluations,
     )
     J = objective.jacobian(found.x)
     _check(problem, objective, found.x, J)
@@ -149,7 +149,7 @@ def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
 def _estimate_by_squares(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
     inflation = objective.inflation(q)
     information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
-    apart = NORMAL * np.sqrt(np.linalg.inv(information).diagonal())
+    apart = TUNING.calibration_normal * np.sqrt(np.linalg.inv(information).diagonal())
     interval = np.column_stack([q - apart, q + apart]) * objective.scale[:, None]
     scale = np.outer(objective.scale, objective.scale)
     return RunsEstimate(objective.parameters(q), information / scale, _name_intervals(problem, interval), inflation)
@@ -209,7 +209,7 @@ class _Objective:
         for i in range(q.size):
             low, high = (np.array(q, float) for _ in range(2))
             # as a part of the nominal value: of an estimate at its bound, 0, a part would be nothing
-            low[i], high[i] = max(q[i] - STEP, self.lower[i]), q[i] + STEP
+            low[i], high[i] = max(q[i] - TUNING.simulated_step, self.lower[i]), q[i] + TUNING.simulated_step
             columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
         return np.vstack([np.column_stack(columns), self.root])
 
@@ -242,7 +242,7 @@ def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> Non
         np.linalg.norm(np.concatenate([centre(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
     )
     left = float(np.linalg.norm(objective.data(q)))
-    if left > WORST_FIT * motion:
+    if left > TUNING.worst_fit * motion:
         raise NotIdentifiableError(
             f"the simulated position does not follow the runs, {left / max(motion, 1e-300):.0%} of the motion is left; "
             "check the sign and size of input_gain, that the run starts at rest, and for a load that the model lacks"

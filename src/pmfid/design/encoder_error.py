@@ -13,17 +13,13 @@ from scipy.optimize import linprog
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Problem
 from pmfid.design.simulated import both_ways, simulate
+from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["Density", "inside", "walk"]
 
 #: z (..., p) -> log density (...), -inf outside.
 Density = Callable[[Floats], Floats]
-
-#: Largest stretch (Goodman and Weare 2010).
-LONGEST = 2.0
-#: How often a start outside may be moved half the way to the middle.
-HALVINGS = 60
 
 
 def inside(density: Density, middle: Floats, scatter: Floats) -> Floats:
@@ -32,7 +28,7 @@ def inside(density: Density, middle: Floats, scatter: Floats) -> Floats:
     scatter: (..., walkers, p).
     """
     z = middle + scatter
-    for _ in range(HALVINGS):
+    for _ in range(TUNING.encoder_error_halvings):
         outside = ~np.isfinite(density(z))
         if not outside.any():
             break
@@ -53,7 +49,9 @@ def walk(density: Density, z: Floats, steps: int, rng: np.random.Generator) -> F
         for this in range(2):
             here, other = halves[this], halves[1 - this]
             partner = np.take_along_axis(other, rng.integers(half, size=here.shape[:-1])[..., None], axis=-2)
-            stretch = (1.0 + (LONGEST - 1.0) * rng.random(here.shape[:-1])) ** 2 / LONGEST
+            stretch = (
+                1.0 + (TUNING.encoder_error_longest - 1.0) * rng.random(here.shape[:-1])
+            ) ** 2 / TUNING.encoder_error_longest
             trial = partner + stretch[..., None] * (here - partner)
             log = density(trial)
             with np.errstate(invalid="ignore"):  # both outside: stays
@@ -67,9 +65,6 @@ def walk(density: Density, z: Floats, steps: int, rng: np.random.Generator) -> F
 #: q (p,) -> for each run the simulated less the measured position, in counts, (N,).
 Distances = Callable[[Floats], list[Floats]]
 
-#: Steps towards the middle, and the part of it by which the last one still narrows the range.
-STEPS, SETTLED = 20, 1e-4
-
 
 def middle_of(distances: Distances, q: Floats, steps: Floats, lower: Floats) -> Floats:
     """Parameters (p,) at which the widest range of distances is the least, by linear programs.
@@ -77,12 +72,12 @@ def middle_of(distances: Distances, q: Floats, steps: Floats, lower: Floats) -> 
     The neighbourhood shrinks if the last program promised too much.
     """
     now, reach = widest(distances(q)), 8.0
-    for _ in range(STEPS):
+    for _ in range(TUNING.encoder_error_steps):
         trial = least_range(distances, q, steps, lower, reach)
         new = widest(distances(trial))
         if new < now:
             gain, q, now = now - new, trial, new
-            if gain < SETTLED * now:
+            if gain < TUNING.encoder_error_settled * now:
                 break
         else:
             reach /= 4.0
@@ -125,16 +120,6 @@ def least_range(distances: Distances, q: Floats, steps: Floats, lower: Floats, r
     return q if found.x is None else np.asarray(np.maximum(q + steps @ found.x[:p], lower))
 
 
-#: Distance from the middle along an axis [standard deviations] that is still possible if the ridge goes on.
-BEYOND = 4.0
-#: Each step along a ridge is longer than the last by this factor, or half as long if the last one left the ridge;
-LONGER, MOST_STEPS = 1.5, 60
-#: longest way back to the middle of the ridge [standard deviations];
-BACK = 30.0
-#: steps shorter than this part of the first end it.
-SHORTEST = 1 / 8
-
-
 @dataclass(frozen=True, eq=False)
 class Allowed:
     """What is possible, and how much: room within counts of width 2 half [counts] for the distances of q (p,), at
@@ -174,16 +159,16 @@ def spread_along_ridges(allowed: Allowed, samples: Floats, middle: Floats, rng: 
 def _follow_ridge(allowed: Allowed, middle: Floats, steps: Floats, k: int, sign: float) -> list[Floats]:
     """Places (p,) on the ridge along column k of steps (p, p), from the middle outwards; empty if the ridge ends within
     the samples."""
-    others, doubt = np.delete(steps, k, axis=1), allowed.doubt(middle) + BEYOND**2 / 2.0
-    first = sign * BEYOND * steps[:, k]
+    others, doubt = np.delete(steps, k, axis=1), allowed.doubt(middle) + TUNING.encoder_error_beyond**2 / 2.0
+    first = sign * TUNING.encoder_error_beyond * steps[:, k]
     place, step, found = middle, first, []
-    for _ in range(MOST_STEPS):
+    for _ in range(TUNING.most_steps):
         ahead = np.maximum(place + step, allowed.lower)
-        trial = least_range(allowed.distances, ahead, others, allowed.lower, BACK)
+        trial = least_range(allowed.distances, ahead, others, allowed.lower, TUNING.encoder_error_back)
         if allowed.room(trial) > 0.0 and allowed.doubt(trial) < doubt:
-            place, step = trial, LONGER * (trial - place)
+            place, step = trial, TUNING.encoder_error_longer * (trial - place)
             found.append(trial)
-        elif not found or np.linalg.norm(step) < SHORTEST * np.linalg.norm(first):
+        elif not found or np.linalg.norm(step) < TUNING.encoder_error_shortest * np.linalg.norm(first):
             break
         else:
             step = step / 2.0
@@ -201,23 +186,11 @@ def _draw_places(allowed: Allowed, chain: Floats, count: int, rng: np.random.Gen
     return np.column_stack([np.interp(at, way, column) for column in chain.T])
 
 
-#: Start phases on the lattice of the encoder, evenly spread, for least squares.
-PHASES = 128
-#: Number of machines drawn around the nominal one, the standard deviation of their parameters as a part of the nominal
-#: values, and the deviation that bounds the parameters of a machine at rest.
-MACHINES, WRONG, FAR = 32, 0.06, 1.0
-#: Deviations by which a parameter is wrong at most; machines with all of them that wrong are looked at as well.
-FURTHEST = 2.0
-#: Condition of an information from which on it leaves a parameter open.
-WORST = 1e12
-#: Walkers for each of these, steps until they have spread, and steps that count.
-WALKERS, SPREAD, WALKER_STEPS = 12, 80, 120
-
-
 def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """Mean square error (p, p) of unknown + nuisance, in their own units, of `calibrate` after one run of u (n,).
 
-    The mean over machines that differ from the nominal values by as much as is not known, at most WRONG, each from
+    The mean over machines that differ from the nominal values by as much as is not known, at most
+    encoder_error_wrong, each from
     another start phase: what their counts leave open is as in `counted`, with sensitivities of the simulated motion. A
     motion that is the best for the nominal values may come to rest on another machine, and tell a hundredth: so the
     corners of what is not known are among the machines.
@@ -242,24 +215,38 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
         return np.asarray(log_of_room(z @ move - error, 0.5) - 0.5 * np.sum((z @ held) * z, axis=-1))
 
     rng = np.random.default_rng(0)
-    start = inside(density, np.zeros(size), 0.1 * rng.standard_normal((len(machines), WALKERS, size)))
-    path = walk(density, start, SPREAD + WALKER_STEPS, rng)[SPREAD:] @ root.swapaxes(1, 2)
+    start = inside(
+        density, np.zeros(size), 0.1 * rng.standard_normal((len(machines), TUNING.encoder_error_walkers, size))
+    )
+    path = walk(density, start, TUNING.encoder_error_spread + TUNING.walker_steps, rng)[
+        TUNING.encoder_error_spread :
+    ] @ root.swapaxes(1, 2)
     apart = (path - path.mean(axis=(0, 2), keepdims=True)).reshape(-1, size)
     return np.asarray(apart.T @ apart / len(apart) * np.outer(problem.scale, problem.scale))
 
 
 def _bound_prior(prior: Floats) -> Floats:
     """The prior (p, p) of the scaled parameters, plus a weak bound for a machine that rests."""
-    return np.asarray(prior + np.eye(len(prior)) / FAR**2)
+    return np.asarray(prior + np.eye(len(prior)) / TUNING.encoder_error_far**2)
 
 
 def _machines(problem: Problem, prior: Floats) -> list[dict[str, float]]:
     """Parameters around the nominal ones, with what the prior (p, p) knows of the scaled ones: normal, and corners."""
     nominal = np.array([problem.nominal[name] for name in problem.names])
-    least = (WRONG * np.abs(nominal) / problem.scale) ** -2.0 if np.all(nominal) else np.full(len(nominal), WRONG**-2.0)
+    least = (
+        (TUNING.encoder_error_wrong * np.abs(nominal) / problem.scale) ** -2.0
+        if np.all(nominal)
+        else np.full(len(nominal), TUNING.encoder_error_wrong**-2.0)
+    )
     spread = np.linalg.cholesky(np.linalg.inv(prior + np.diag(least)))
-    draws = np.random.default_rng(0).standard_normal((MACHINES // 2, len(nominal))).clip(-FURTHEST, FURTHEST)
-    corners = np.array(list(product((-FURTHEST, FURTHEST), repeat=len(nominal))))
+    draws = (
+        np.random.default_rng(0)
+        .standard_normal((TUNING.encoder_error_machines // 2, len(nominal)))
+        .clip(-TUNING.encoder_error_furthest, TUNING.encoder_error_furthest)
+    )
+    corners = np.array(
+        list(product((-TUNING.encoder_error_furthest, TUNING.encoder_error_furthest), repeat=len(nominal)))
+    )
     values = nominal + np.vstack([draws, -draws, corners]) @ spread.T * problem.scale
     lower = np.where([name == "offset" for name in problem.names], -np.inf, 0.1 * np.abs(nominal))
     return [dict(zip(problem.names, np.maximum(each, lower).tolist(), strict=True)) for each in values]
@@ -287,7 +274,7 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
         return encoder_covariance(problem, u)
     maps = affine(problem)
     F, scale = start_free(maps.weigh_sensitivities(u)) + maps.prior, np.outer(problem.scale, problem.scale)
-    if np.linalg.cond(F) > WORST:
+    if np.linalg.cond(F) > TUNING.encoder_error_worst:
         return None
     if problem.drive.friction == "symmetric":
         return np.asarray(_white_covariance(problem, u, maps.prior) * scale)
@@ -322,10 +309,10 @@ def squares_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
         return None
     s, prior, F = ready
     x = simulate(problem, u).x / float(problem.resolution or 1.0)
-    phases = (np.arange(PHASES)[:, None] + 0.5) / PHASES
+    phases = (np.arange(TUNING.encoder_error_phases)[:, None] + 0.5) / TUNING.encoder_error_phases
     error = np.sqrt(12.0) * (np.floor(x + phases) - x - phases)  # over its deviation
     score = error @ s.T
-    middle = score.T @ score / PHASES + prior
+    middle = score.T @ score / TUNING.encoder_error_phases + prior
     scale = np.outer(problem.scale, problem.scale)
     return np.asarray(np.linalg.solve(F, np.linalg.solve(F, middle).T) * scale)
 
@@ -337,7 +324,7 @@ def _ready(problem: Problem, u: ArrayLike) -> tuple[Floats, Floats, Floats] | No
     maps = affine(problem)
     s = centred_sensitivities(maps.weigh_sensitivities(u))
     F = s @ s.T + maps.prior
-    return None if np.linalg.cond(F) > WORST else (s, maps.prior, F)
+    return None if np.linalg.cond(F) > TUNING.encoder_error_worst else (s, maps.prior, F)
 
 
 def is_counted(problem: Problem) -> bool:
@@ -355,21 +342,6 @@ def centred_sensitivities(sensitivity: Floats) -> Floats:
     """(p, N + 1) from (p, N): with the sample at the start, and without what a shift of the position can do as well."""
     s = np.column_stack([np.zeros(len(sensitivity)), sensitivity])
     return np.asarray(s - s.mean(axis=1, keepdims=True))
-
-
-#: Half a count, and how often what is missing to explain all counts is added to it.
-HALF, MISSING = 0.5, 2.0
-#: Room that the right model leaves at least, in counts times samples: less in one run of a hundred.
-LEAST_ROOM = 0.25
-COUNT_WALKERS = 48
-#: One in CHECKED walkers is checked.
-CHECKED = 4
-#: Counts that the map may be wrong by.
-LOST = 0.05
-#: Rounds of the walk, each on a map around the last one's middle: steps to spread, steps that count.
-ROUNDS = ((100, 60), (60, 60), (60, 240))
-#: Quantiles of the interval that holds 95 %.
-WITHIN = (0.025, 0.975)
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,13 +371,13 @@ def what_is_open(
     middle = middle_of(distances, start, steps, lower)
     errors = distances(middle)
     narrowest = widest(errors) / 2.0
-    unexplained = max(0.0, narrowest - HALF)
+    unexplained = max(0.0, narrowest - TUNING.encoder_error_half)
     # a set that all but vanished is the mark of a model that is all but refuted, and no accuracy
-    least_room = LEAST_ROOM / max(e.size for e in errors)
-    half = max(HALF + MISSING * unexplained, narrowest + least_room)
+    least_room = TUNING.least_room / max(e.size for e in errors)
+    half = max(TUNING.encoder_error_half + TUNING.encoder_error_missing * unexplained, narrowest + least_room)
     rng = np.random.default_rng(seed)
-    samples = middle + 0.1 * rng.standard_normal((COUNT_WALKERS, len(start))) @ steps.T
-    for spread, counted in ROUNDS:
+    samples = middle + 0.1 * rng.standard_normal((TUNING.count_walkers, len(start))) @ steps.T
+    for spread, counted in TUNING.encoder_error_rounds:
         quadratic = _Quadratic.fit_around(distances, middle, steps, lower)
         # at a bound the map is not around the middle itself, and may just lose it
         wide = max(half, widest(quadratic(middle)) / 2.0 + least_room)
@@ -421,11 +393,16 @@ def what_is_open(
         steps = np.asarray(np.linalg.cholesky(covariance), float)
         middle = flat[np.argmax(density(flat))]
     # the map is smooth; a motion that comes to rest is not: what it promises is held against some motions themselves
-    true = float(np.median([widest(distances(q)) for q in samples[::CHECKED]])) / 2.0
-    if true - wide > LOST:
+    true = float(np.median([widest(distances(q)) for q in samples[:: TUNING.encoder_error_checked]])) / 2.0
+    if true - wide > TUNING.encoder_error_lost:
         unexplained = max(unexplained, true - wide)
     flat = spread_along_ridges(Allowed(distances, half, lower, root), flat, middle, rng)
-    return Open(flat.mean(axis=0), np.atleast_2d(np.cov(flat.T)), np.quantile(flat, WITHIN, axis=0).T, unexplained)
+    return Open(
+        flat.mean(axis=0),
+        np.atleast_2d(np.cov(flat.T)),
+        np.quantile(flat, TUNING.encoder_error_within, axis=0).T,
+        unexplained,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from pmfid.design.problem import Problem
+from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
 from pmfid.models.drive import Drive
 from pmfid.types import Floats
@@ -307,9 +308,6 @@ CRITERIA = {
     "c": "1 / (c' inverse(S) c): variance of one combination of the parameters",
 }
 
-#: Information below is none.
-TINY = 1e-200
-
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
@@ -338,7 +336,7 @@ class Criterion:
             slope = _slope(self.name, S, self.combination)
         except np.linalg.LinAlgError:
             size = float(np.trace(S))
-            ridge = 1e-9 * (size if size > TINY else 1.0)
+            ridge = 1e-9 * (size if size > TUNING.fisher_tiny else 1.0)
             slope = _slope(self.name, S + ridge * np.eye(self.size), self.combination)
         return np.asarray(G @ slope @ G.T)
 
@@ -409,7 +407,7 @@ def _evaluate_along(S: Floats, combination: Floats) -> Floats:
 def _slope(name: str, S: Floats, combination: Floats | None) -> Floats:
     """d log value / d S. Raises LinAlgError if S is singular, and with `trace` where it is nothing."""
     p = len(S)
-    if name == "trace" and np.trace(S) > TINY:
+    if name == "trace" and np.trace(S) > TUNING.fisher_tiny:
         return np.asarray(np.eye(p) / np.trace(S))
     if name == "D":
         return np.asarray(np.linalg.inv(S) / p)

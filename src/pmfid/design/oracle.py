@@ -9,15 +9,11 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
 from pmfid.design.polytope import Polytope, input_set, model, nearest
+from pmfid.design.tuning import TUNING
 from pmfid.errors import PmfidError, UsageError
 from pmfid.types import Floats
 
 __all__ = ["EmptyError", "Oracle", "SolverError"]
-
-#: A point that misses the energy limit by less is taken to meet it.
-ENERGY_TOLERANCE = 1e-9
-#: Tangents that one answer may add, and that are kept in all.
-MAX_CUTS, KEPT = 5, 60
 
 
 class SolverError(PmfidError):
@@ -62,8 +58,8 @@ class Oracle:
     def maximise(self, objective: Floats) -> Floats:
         """An input (K,) that maximises objective' u. Raises SolverError if HiGHS finds no optimum."""
         u = self._vertex(objective)
-        for _ in range(MAX_CUTS):
-            if not u @ u > self.shape.radius**2 * (1 + ENERGY_TOLERANCE):
+        for _ in range(TUNING.max_cuts):
+            if not u @ u > self.shape.radius**2 * (1 + TUNING.energy_tolerance):
                 return u
             self._cut(u)
             u = self._vertex(objective)
@@ -119,7 +115,7 @@ class Oracle:
     def _cut(self, u: Floats) -> None:
         """Cuts off a point outside the ball by the tangent below it."""
         normal = u / np.linalg.norm(u)
-        if self._highs.getNumRow() >= self._rows + KEPT:
+        if self._highs.getNumRow() >= self._rows + TUNING.oracle_kept:
             self.release(self._rows)
         self.restrict(normal, -np.inf, self.shape.radius)
 

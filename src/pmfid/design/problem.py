@@ -11,6 +11,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmfid.design.tuning import TUNING
 from pmfid.errors import PmfidError, UsageError, did_you_mean
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
@@ -18,10 +19,6 @@ from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
 
 __all__ = ["check_ends", "check_grid", "check_noise", "check_pair", "check_parameters", "check_positive"]
-
-
-#: Sizes of what machines are made of, in SI units.
-LEAST, MOST = 1e-20, 1e20
 
 
 class Posed(Protocol):
@@ -103,7 +100,7 @@ def check_parameters(problem: Posed) -> None:
         for name, value in case.items():
             if not math.isfinite(value) or (name == "mass" and value <= 0) or (name != "offset" and value < 0):
                 raise UsageError(f"{name} must be given, finite and {_SIGN.get(name, 'at least 0')}, got {value}")
-            if abs(value) > MOST or (name == "mass" and value < LEAST):
+            if abs(value) > TUNING.problem_most or (name == "mass" and value < TUNING.problem_least):
                 raise UsageError(f"{name} = {value:g}: no machine has that; give it in SI units")
     if not problem.unknown or len(set(problem.names)) < len(problem.names):
         raise UsageError(
@@ -166,7 +163,7 @@ def check_noise(problem: Posed) -> None:
         value = getattr(problem, name)
         if value is not None and not (math.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be positive and finite, got {value}")
-        if value is not None and not LEAST**2 < value < MOST**2:
+        if value is not None and not TUNING.problem_least**2 < value < TUNING.problem_most**2:
             raise UsageError(f"{name} = {value:g}: no encoder has that; check the unit")
     if problem.prior is not None:
         _check_prior(problem.prior, len(problem.names))

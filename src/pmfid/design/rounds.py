@@ -12,12 +12,11 @@ from pmfid.design.calibration import DesignedRun, RunsEstimate, calibrate
 from pmfid.design.problem import Design, InfeasibleError, Problem
 from pmfid.design.simulated import simulate
 from pmfid.design.solver import solve
+from pmfid.design.tuning import TUNING
 from pmfid.errors import UsageError
 
 __all__ = ["Commissioning", "Experiment", "Round", "redesign", "sequential", "simulated_experiment"]
 
-#: Counts that the model may miss by before no deviation counts as reached.
-TOLERATED = 0.5
 
 #: Makes the run of a design: on a machine, from a file, or simulated.
 Experiment = Callable[[Design], DesignedRun]
@@ -197,7 +196,7 @@ def redesign(
 
 def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
     """Whether every wanted standard deviation is reached, and the model misses no count by more than another half."""
-    if known.unexplained > TOLERATED:
+    if known.unexplained > TUNING.rounds_tolerated:
         return False
     std = known.std(problem.names)
     return all(std[name] <= value for name, value in wanted.items())

@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.design.problem import Problem
+from pmfid.design.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.simulation.drive import DriveParameters, Motion, simulate_drive
 from pmfid.types import Floats
 
 __all__ = ["both_ways", "drive_of", "simulate", "simulated_information"]
-
-#: Change of a parameter as a part of its nominal value: far above rounding, far below what bends the motion.
-STEP = 1e-4
 
 
 def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> Motion:
@@ -38,7 +36,9 @@ def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | N
     return simulate_drive(drive_of(problem, parameters or {}), held, dt, x0, v0)
 
 
-def simulated_information(problem: Problem, u: ArrayLike, *, side: int = 0, step: float = STEP) -> Floats:
+def simulated_information(
+    problem: Problem, u: ArrayLike, *, side: int = 0, step: float = TUNING.simulated_step
+) -> Floats:
     """Fisher information (p, p) of one run over unknown + nuisance, in their own units, without the prior.
 
     u: (n,); step: change of each parameter as a part of its nominal value, > 0; side: 1 to change them upwards, -1
@@ -56,7 +56,7 @@ def simulated_information(problem: Problem, u: ArrayLike, *, side: int = 0, step
     return np.asarray(sensitivity.T @ sensitivity / problem.variance)
 
 
-def both_ways(name: str, nominal: float, step: float = STEP) -> tuple[float, float]:
+def both_ways(name: str, nominal: float, step: float = TUNING.simulated_step) -> tuple[float, float]:
     """The values below and above the nominal one for a difference quotient; friction stays at 0 or above."""
     change = step * (abs(nominal) or 1.0)
     return (nominal - change if name == "offset" else max(nominal - change, 0.0)), nominal + change

@@ -19,13 +19,11 @@ from pmfid.design.fisher import Affine, Criterion, affine, check_identifiable, c
 from pmfid.design.oracle import Oracle
 from pmfid.design.polytope import UNITS, Polytope, input_set, model, nearest, polytope
 from pmfid.design.problem import Design, InfeasibleError, Problem, Relaxation
+from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.types import Floats
 
 __all__ = ["Setting", "evaluate", "setting", "violations"]
-
-#: A limit may be missed by so much, relative to the terms that it compares.
-PRECISION = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +105,10 @@ def violations(shape: Polytope, u: Floats) -> dict[str, float]:
     excess = np.maximum(inputs.lower - values, values - inputs.upper)
     size = np.abs(inputs.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
     broken: dict[str, float] = {}
-    for i in np.flatnonzero(excess > PRECISION * size):
+    for i in np.flatnonzero(excess > TUNING.solver_precision * size):
         broken[inputs.names[i]] = max(float(excess[i]), broken.get(inputs.names[i], 0.0))
     over = float(np.linalg.norm(u)) - shape.radius
-    return broken | ({"energy": over} if over > PRECISION * shape.radius else {})
+    return broken | ({"energy": over} if over > TUNING.solver_precision * shape.radius else {})
 
 
 def _parks(problem: Problem, v: Floats) -> bool:
@@ -118,10 +116,6 @@ def _parks(problem: Problem, v: Floats) -> bool:
     sense = np.array(problem.sense)
     inside = v[1:-1][(sense[:-1] != 0) & (sense[1:] != 0)]
     return bool(len(inside)) and bool(np.abs(inside).min() < 1e-6 * max(1e-300, np.abs(v).max()))
-
-
-#: A smaller change is none.
-LEAST = 1e-9
 
 
 def raise_infeasible(problem: Problem) -> NoReturn:
@@ -144,7 +138,7 @@ def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
     found = list(_energy(problem, shape))
     for name in UNITS:
         amounts = _least_widening(problem, shape, (name,))
-        if amounts is not None and amounts[0] > LEAST:
+        if amounts is not None and amounts[0] > TUNING.solver_least:
             found.append(_make_relaxation(problem, name, amounts[0]))
     found = [way for way in found if way.needed >= 0]
     return tuple(sorted(found, key=lambda way: abs(way.needed - way.value) / max(abs(way.value), 1e-9)))
@@ -157,7 +151,9 @@ def _together(problem: Problem) -> tuple[Relaxation, ...]:
     if amounts is None:
         return ()
     return tuple(
-        _make_relaxation(problem, name, amount) for name, amount in zip(names, amounts, strict=True) if amount > LEAST
+        _make_relaxation(problem, name, amount)
+        for name, amount in zip(names, amounts, strict=True)
+        if amount > TUNING.solver_least
     )
 
 
@@ -242,9 +238,6 @@ def _energy(problem: Problem, shape: Polytope) -> list[Relaxation]:
 #: (starts done, starts in all, best value so far)
 Progress = Callable[[int, int, float], None]
 
-#: Relative difference of the criterion that counts as having reached the best.
-REACHED = 1e-3
-
 
 def solve(
     problem: Problem,
@@ -323,7 +316,7 @@ def solve(
             f"no input within the limits tells {', '.join(problem.names)} in one run; give the motion more time or "
             "intervals, take a parameter out of unknown, or give prior information"
         )
-    least = np.log(design.value) + np.log1p(-REACHED)
+    least = np.log(design.value) + np.log1p(-TUNING.solver_reached)
     reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))
     bound = None
     if certify is not None and problem.average != "mean":  # the nominal case bounds the worst one

@@ -14,6 +14,7 @@ from pmfid.design.fisher import motion
 from pmfid.design.oracle import Oracle
 from pmfid.design.polytope import InputSet, input_set, nearest, polytope, violation
 from pmfid.design.problem import InfeasibleError, Problem
+from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["RISES", "SIGNALS", "Leg", "input_wish", "legs", "velocity_wish"]
@@ -25,10 +26,6 @@ RISES: dict[str, tuple[float | None, ...]] = {
     "s_curve": (None,),
 }
 SIGNALS = ("pulses", "prbs", "multisine", "chirp")
-#: Periods of the pulses in the whole motion, intervals for which a value of the PRBS is held.
-PULSES, CLOCK = 4, 3
-#: The highest frequency of multisine and chirp, as a part of the rate of the intervals.
-HIGHEST = 0.2
 
 
 @dataclass(frozen=True)
@@ -70,14 +67,16 @@ def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.ran
     n = problem.intervals
     middle, size = (high + low) / 2, (high - low) / 2
     if name == "pulses":
-        signal = np.where((np.arange(n) * 2 * PULSES // n) % 2 == 0, 1.0, -1.0)
+        signal = np.where((np.arange(n) * 2 * TUNING.standard_pulses // n) % 2 == 0, 1.0, -1.0)
     elif name == "prbs":
-        signal = np.repeat(rng.integers(0, 2, size=-(-n // CLOCK)) * 2.0 - 1.0, CLOCK)[:n]
+        signal = np.repeat(rng.integers(0, 2, size=-(-n // TUNING.standard_clock)) * 2.0 - 1.0, TUNING.standard_clock)[
+            :n
+        ]
     elif name == "multisine":
-        signal = _multisine(n, max(1, int(HIGHEST * n)))
+        signal = _multisine(n, max(1, int(TUNING.standard_highest * n)))
     else:
         tau = np.arange(n) / n
-        signal = np.cos(2 * np.pi * tau * (1 + (HIGHEST * n - 1) * tau / 2))
+        signal = np.cos(2 * np.pi * tau * (1 + (TUNING.standard_highest * n - 1) * tau / 2))
     return np.asarray(middle + size * signal)
 
 
@@ -87,14 +86,6 @@ def _multisine(samples: int, tones: int) -> Floats:
     phase = -np.pi * k * (k - 1) / tones
     total = np.cos(2 * np.pi * np.outer(np.arange(samples) / samples, k) + phase).sum(axis=1)
     return np.asarray(total / np.abs(total).max())
-
-
-#: Violation of a limit, relative, that rounding explains.
-ROUNDING = 1e-7
-#: Parts of what can be reached that legs with a free end try to cover.
-SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
-#: Peak velocity [m/s] beyond which no profile is looked for.
-FASTEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,11 +183,11 @@ class _Maker:
 def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Floats, bool]:
     """The first of these velocity profiles that the limits allow, else the nearest to the first."""
     path = legs(maker.problem)
-    shares = SHARES if any(leg.free for leg in path) else SHARES[:1]
+    shares = TUNING.standard_shares if any(leg.free for leg in path) else TUNING.standard_shares[:1]
     wishes = [_velocities(maker, path, rise, share) for share in shares for rise in rises]
     for wish in wishes:
         u = maker.input_of(wish)
-        if violation(maker.inputs, u) <= ROUNDING:
+        if violation(maker.inputs, u) <= TUNING.standard_rounding:
             return u, False
     return nearest(maker.inputs, maker.input_of(wishes[0])), True
 
@@ -229,7 +220,7 @@ def _peak(maker: _Maker, wish: Floats, leg: Leg, rise: float | None, target: flo
         return leg.direction * (maker.position_at(leg.last, trial) - target)
 
     high = 1.0
-    while find_excess(high) < 0 and high < FASTEST:
+    while find_excess(high) < 0 and high < TUNING.standard_fastest:
         high *= 4
     return float(brentq(find_excess, 0.0, high, xtol=1e-15)) if find_excess(0.0) < 0 < find_excess(high) else 0.0
 
@@ -238,7 +229,7 @@ def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
     """The signal over the whole range of the input, bent to the other limits."""
     low, high = maker.problem.limits.pair("input") or _range(maker)
     wish = input_wish(maker.problem, name, low, high, np.random.default_rng(maker.seed))
-    if violation(maker.inputs, wish) <= ROUNDING:
+    if violation(maker.inputs, wish) <= TUNING.standard_rounding:
         return wish, False
     return nearest(maker.inputs, wish), True
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from pmfid._stage import first_order
 from pmfid.diagnostics.drives import recent
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import hold_last_input, like
 from pmfid.estimators.iv import IV
@@ -30,11 +31,6 @@ from pmfid.models.equation import (
 )
 from pmfid.types import Floats
 
-#: Encoder noise of the velocity, as a part of its standard deviation, that moves no sample to another bin to speak of.
-QUIET_ENCODER = 0.003
-#: Part of the filter's memory with one direction of motion, from which on friction is that of one velocity.
-ONE_WAY = 0.95
-MOST_BINS, FEWEST_BINS = 24, 6
 FRICTION = (VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD)
 
 
@@ -108,7 +104,7 @@ class Balance:
     @property
     def noisy(self) -> bool:
         """Would the encoder's error move samples to another bin?"""
-        return self.encoder_noise > QUIET_ENCODER * float(np.std(self.measured))
+        return self.encoder_noise > TUNING.quiet_encoder * float(np.std(self.measured))
 
     @property
     def encoder_noise(self) -> float:
@@ -182,8 +178,8 @@ class Balance:
 def one_way_friction(balance: Balance) -> Friction | None:
     """Of the samples with one direction of motion; None where these are too few."""
     # the filtered velocity may still have the sign from before a reversal
-    one_way = np.sign(balance.velocity) * balance.direction >= ONE_WAY
-    if np.count_nonzero(one_way) < 2 * FEWEST_BINS:
+    one_way = np.sign(balance.velocity) * balance.direction >= TUNING.one_way
+    if np.count_nonzero(one_way) < 2 * TUNING.fewest_bins:
         return None
     velocity = balance.velocity[one_way]
     force = (balance.target - balance.part(MASS, OFFSET, STIFFNESS))[one_way]
@@ -214,7 +210,7 @@ def encoder_response(balance: Balance) -> tuple[Floats, Floats]:
 
 def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
     """Means of a force (n,) over x (n,); standard errors for samples correlated over `lags` (Newey and West 1987)."""
-    bins = int(np.clip(x.size // (2 * lags + 1), FEWEST_BINS, MOST_BINS))
+    bins = int(np.clip(x.size // (2 * lags + 1), TUNING.fewest_bins, TUNING.most_bins))
     edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))[1:-1]
     index, rows = np.searchsorted(edges, x, side="right"), []
     for k in np.unique(index):
@@ -225,10 +221,6 @@ def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
         spread = max(long_run_covariance(within, window)[0, 0] for window in (lags, lags // 4))
         rows.append((float(x[inside].mean()), mean, float(np.sqrt(max(spread, 0.0))) / size))
     return Binned(*np.array(rows).T)
-
-
-#: Filter time constants over which correlations are shown.
-SHOWN_LAGS = 10.0
 
 
 def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: ArrayLike) -> Balance | None:
@@ -251,7 +243,7 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     columns = twin.columns_at(plausible, u, counts)
     used = np.flatnonzero(columns.used)
     chosen = used[recent(estimator, used.size)]
-    if not (np.all(np.isfinite(speed)) and chosen.size > 4 * FEWEST_BINS):
+    if not (np.all(np.isfinite(speed)) and chosen.size > 4 * TUNING.fewest_bins):
         return None
     measured, x = np.diff(y, append=y[-1]) / dt, np.r_[0.0, np.cumsum(speed[:-1])] * dt
     drift = (y - x)[chosen]
@@ -283,7 +275,7 @@ class Correlations:
 def correlations(balance: Balance) -> Correlations:
     """Over 10 filter time constants, or a quarter of a short record."""
     n = balance.t.size
-    lags = max(2, min(round(SHOWN_LAGS / (balance.estimator.cutoff * balance.estimator.dt)), n // 4))
+    lags = max(2, min(round(TUNING.shown_lags / (balance.estimator.cutoff * balance.estimator.dt)), n // 4))
     response = encoder_response(balance)[1]
     reach = response.size - 1
     power = np.correlate(response, response, "full")[reach:] / float(response @ response)
@@ -307,29 +299,13 @@ def _correlation(a: Floats, b: Floats, lags: int) -> Floats:
     return np.asarray(np.r_[cross[-lags:], cross[: lags + 1]] / power)
 
 
-#: Standard deviations from which on a difference is taken for real: there are many bins and lags to choose from.
-SIGNIFICANT = 4.5
-#: A force that is real but a smaller part of the model's friction is not worth a warning.
-RELEVANT_FORCE = 0.03
-#: The same for a correlated part of the residual, as a part of the input force.
-RELEVANT_PART = 0.005
-#: Fit of the velocity [%] below which the model does not follow.
-GOOD_FIT = 90.0
-#: A velocity error is the model's from this multiple of the encoder's own error on.
-ABOVE_ENCODER = 3.0
-#: Correlation at lags that the filter no longer explains.
-CORRELATED = 0.2
-#: Filter time constants after which the filter alone leaves no correlation.
-FILTER_LAGS = 5.0
-
-
 def simulation_sentence(balance: Balance) -> str:
     """How well the simulated velocity follows, and how far the position drifts."""
     error = rms(balance.measured - balance.simulated)
     text = f"Fit of the simulated velocity: {balance.fit:.1f} %. "
-    if balance.fit < GOOD_FIT and error > ABOVE_ENCODER * balance.encoder_noise:
+    if balance.fit < TUNING.good_fit and error > TUNING.above_encoder * balance.encoder_noise:
         text += "Look here: the model does not follow the measured motion, beyond what the encoder explains. "
-    elif balance.fit < GOOD_FIT:
+    elif balance.fit < TUNING.good_fit:
         text += "The encoder's own error accounts for what is missing. "
     else:
         text += "The model follows the measured motion. "
@@ -355,9 +331,9 @@ def residual_sentence(balance: Balance) -> str:
 
 def _dependence(balance: Balance, found: Binned, name: str, cause: str) -> str:
     size = f"{found.change:.2g} N, {100 * found.change / balance.friction_size:.2g} % of the model's friction"
-    if found.score <= SIGNIFICANT:
+    if found.score <= TUNING.significant:
         return f"No dependence on {name} is beyond chance (the means differ by {size})."
-    if found.change < RELEVANT_FORCE * balance.friction_size:
+    if found.change < TUNING.relevant_force * balance.friction_size:
         return f"The residual hardly changes with {name} (by {size})."
     return f"Look here: the residual changes with {name} by {size}: {cause}."
 
@@ -365,7 +341,7 @@ def _dependence(balance: Balance, found: Binned, name: str, cause: str) -> str:
 def _constant(balance: Balance) -> list[str]:
     mean = float(balance.residual.mean())
     error = np.sqrt(long_run_covariance(balance.residual[:, None] - mean, balance.lags)[0, 0]) / balance.t.size
-    if abs(mean) < max(SIGNIFICANT * error, RELEVANT_FORCE * balance.friction_size):
+    if abs(mean) < max(TUNING.significant * error, TUNING.relevant_force * balance.friction_size):
         return []
     roles = balance.estimator.equation.roles
     known = roles[OFFSET] is not None or roles[COULOMB_FORWARD] != roles[COULOMB_BACKWARD]
@@ -379,7 +355,9 @@ def friction_sentence(balance: Balance) -> str:
     if balance.friction is None:
         return text + "The axis reverses too often here: too few samples to show it."
     left = balance.friction.left
-    real = np.abs(left.mean) > np.maximum(SIGNIFICANT * left.error, RELEVANT_FORCE * balance.friction_size)
+    real = np.abs(left.mean) > np.maximum(
+        TUNING.significant * left.error, TUNING.relevant_force * balance.friction_size
+    )
     if not np.any(real):
         return text + "It lies on the model's line."
     worst, slowest = int(np.argmax(real * np.abs(left.mean))), int(np.argmin(np.where(real, np.abs(left.x), np.inf)))
@@ -399,16 +377,19 @@ def correlation_sentence(balance: Balance) -> str:
     found, dt = correlations(balance), balance.estimator.dt
     part = rms(balance.residual) / max(rms(balance.target), 1e-300)
     text = "The filter alone correlates neighbouring samples: the dashed line is what it makes of the encoder's error. "
-    first = min(found.own.size - 1, round(FILTER_LAGS / (balance.estimator.cutoff * dt)))
+    first = min(found.own.size - 1, round(TUNING.filter_lags / (balance.estimator.cutoff * dt)))
     lasting = float(found.own[first:].mean())  # the mean: steps of a coarse encoder come back at an even speed
     size = f"a mean correlation of {lasting:.2g} from {first * dt:.2g} s to {(found.own.size - 1) * dt:.2g} s"
-    if lasting > max(CORRELATED, SIGNIFICANT * found.own_error) and lasting * part > RELEVANT_PART:
+    if (
+        lasting > max(TUNING.balance_correlated, TUNING.significant * found.own_error)
+        and lasting * part > TUNING.relevant_part
+    ):
         text += f"Look here: the residual keeps {size}: slow forces are not in the model. "
     else:
         text += f"Beyond it the residual forgets itself ({size}). "
     k = int(np.argmax(np.abs(found.cross)))
     peak, lag = abs(float(found.cross[k])), (k - found.cross.size // 2) * dt
-    if peak <= SIGNIFICANT * found.cross_error or peak * part <= RELEVANT_PART:
+    if peak <= TUNING.significant * found.cross_error or peak * part <= TUNING.relevant_part:
         return text + f"It does not follow the input (correlation at most {peak:.2g})."
     order = f"{lag:.2g} s after" if lag > 0 else f"{-lag:.2g} s ahead of" if lag < 0 else "in step with"
     cause = "the input follows the residual, as under control" if lag < 0 else "the model misses a part of the dynamics"

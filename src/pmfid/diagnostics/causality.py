@@ -18,18 +18,9 @@ import numpy as np
 from scipy.special import fdtrc
 
 from pmfid._stage import first_order
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.linear.residuals import Noise, fit_noise, whiten_columns
 from pmfid.types import Flags, Floats, Places
-
-#: Lags of the input: least and greatest number, samples for each further lag; number of future lags.
-LEAST, MOST, SAMPLES_PER_LAG, AHEAD = 8, 40, 15, 10
-#: Own past from which the input is predicted, in the end and at first; choices of samples for the first prediction;
-#: passes; samples that a prediction holds for; what is a jump, in robust standard deviations.
-OWN_PAST, SHORT_PAST, TRIALS, ROBUST_PASSES, BLOCK, JUMP = 20, 5, 60, 4, 500, 4.5
-#: Passes of noise and regression.
-PASSES = 3
-#: Less of a column than this is left by the others: none, but rounding.
-APART = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +108,12 @@ def _estimate_noise(columns: Floats, place: Places) -> Noise | None:
     """The noise that the other columns leave in the first, by regression and noise fit in turn; None: there is none."""
     error, known = columns[:, 0], columns[:, 1:]
     left = error - known @ (known.T @ error)
-    if not _rms(left) > APART:
+    if not _rms(left) > TUNING.causality_apart:
         return None
     noise = fit_noise(left, place)
-    for _ in range(PASSES - 1):
+    for _ in range(TUNING.causality_passes - 1):
         whitened = whiten_columns(noise, columns, place)[settled := _mark_settled(place, noise.coefficients.size)]
-        left = error - known @ np.linalg.lstsq(whitened[:, 1:], whitened[:, 0], rcond=APART)[0]
+        left = error - known @ np.linalg.lstsq(whitened[:, 1:], whitened[:, 0], rcond=TUNING.causality_apart)[0]
         noise = fit_noise(left[settled], place[settled])
     return noise
 
@@ -141,13 +132,13 @@ def _mark_settled(place: Places, order: int) -> Flags:
 def _columns(parts: Sequence[ResidualStretch], source: int) -> tuple[Floats, Flags, Places]:
     """Past inputs (N, l), rows with a past of their own (N,), places (N,) on one line."""
     samples = sum(part.rows.size for part in parts)
-    lags = int(np.clip(samples // SAMPLES_PER_LAG, LEAST, MOST))
+    lags = int(np.clip(samples // TUNING.samples_per_lag, TUNING.causality_least, TUNING.causality_most))
     columns, kept, place, start = [], [], [], 0
     for part in parts:
         columns.append(_past(part.inputs[source], lags, samples)[part.rows])
         kept.append(part.rows >= lags)
         place.append(start + part.rows)
-        start += part.inputs.shape[1] + MOST + lags
+        start += part.inputs.shape[1] + TUNING.causality_most + lags
     return np.vstack(columns), np.concatenate(kept), np.concatenate(place).astype(np.int64)
 
 
@@ -164,40 +155,40 @@ def _past(u: Floats, lags: int, samples: int) -> Floats:
 
 
 def _ahead(part: ResidualStretch) -> Floats:
-    """(N, AHEAD) what is new in the input at the rows and later, NaN where it has not been recorded."""
+    """(N, causality_ahead) what is new in the input at the rows and later, NaN where it has not been recorded."""
     news = calm(part.inputs[0])
-    late = part.rows[:, None] + np.arange(AHEAD)
+    late = part.rows[:, None] + np.arange(TUNING.causality_ahead)
     return np.where(late < news.size, news[np.minimum(late, news.size - 1)], np.nan)
 
 
 def calm(u: Floats) -> Floats:
     """(M,) what a linear prediction from its own past leaves of u, jumps left out, of the prediction and of the result;
     all of it where most of u is predicted exactly. Block by block: a sweep needs a prediction for each frequency."""
-    past = min(OWN_PAST, u.size // 10)
+    past = min(TUNING.own_past, u.size // 10)
     if past < 1 or not np.std(u) > 0:
         return u - np.mean(u)
     windows = np.lib.stride_tricks.sliding_window_view((u - np.mean(u)) / np.std(u), past + 1)
-    blocks = np.array_split(windows, max(1, round(windows.shape[0] / BLOCK)))
+    blocks = np.array_split(windows, max(1, round(windows.shape[0] / TUNING.causality_block)))
     return np.concatenate([np.zeros(past), *[_calm_block(block) for block in blocks]])
 
 
 def _calm_block(windows: Floats) -> Floats:
     columns, target = np.c_[windows[:, :-1], np.ones(windows.shape[0])], windows[:, -1]
     left = target - columns @ _robust(columns, target)
-    limit = JUMP * 1.4826 * float(np.median(np.abs(left)))
-    return np.asarray(left if limit < APART else np.where(np.abs(left) <= limit, left, 0.0))
+    limit = TUNING.causality_jump * 1.4826 * float(np.median(np.abs(left)))
+    return np.asarray(left if limit < TUNING.causality_apart else np.where(np.abs(left) <= limit, left, 0.0))
 
 
 def _robust(columns: Floats, target: Floats) -> Floats:
     """Coefficients that jumps do not move, not even many: from the few samples, of many choices, that predict the most
     with a short past (least median of squares, Rousseeuw 1984) to least squares without the jumps."""
-    short = columns[:, -min(SHORT_PAST + 1, columns.shape[1]) :]
-    chosen = [_fit_subset(short, target, trial) for trial in range(TRIALS)]
+    short = columns[:, -min(TUNING.short_past + 1, columns.shape[1]) :]
+    chosen = [_fit_subset(short, target, trial) for trial in range(TUNING.causality_trials)]
     left: Floats = min(chosen, key=lambda errors: float(np.median(np.abs(errors))))
     found: Floats = np.zeros(columns.shape[1])
-    for _ in range(ROBUST_PASSES):
+    for _ in range(TUNING.robust_passes):
         size: Floats = np.abs(left)
-        kept = size <= max(JUMP * 1.4826 * float(np.median(size)), APART)
+        kept = size <= max(TUNING.causality_jump * 1.4826 * float(np.median(size)), TUNING.causality_apart)
         found = np.asarray(np.linalg.lstsq(columns[kept], target[kept], rcond=1e-9)[0])
         left = np.asarray(target - columns @ found)
     return np.asarray(found)
@@ -223,7 +214,7 @@ def _remove_projection(columns: Floats, Q: Floats) -> Floats:
     size = np.linalg.norm(columns, axis=0)
     left = columns - Q @ (Q.T @ columns)
     left = left - Q @ (Q.T @ left)
-    return np.asarray(left[:, np.linalg.norm(left, axis=0) > APART * size])
+    return np.asarray(left[:, np.linalg.norm(left, axis=0) > TUNING.causality_apart * size])
 
 
 def _basis(columns: Floats) -> Floats:
@@ -231,4 +222,4 @@ def _basis(columns: Floats) -> Floats:
     size = np.linalg.norm(columns, axis=0)
     Q, R = np.linalg.qr(columns[:, size > 0] / size[size > 0])
     U, values, _ = np.linalg.svd(R)
-    return np.asarray(Q @ U[:, : values.size][:, values > APART])
+    return np.asarray(Q @ U[:, : values.size][:, values > TUNING.causality_apart])

@@ -9,25 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import CONTRADICTED, MISSED, Adequacy, examine, force_moves
+from pmfid.estimators.adequacy import Adequacy, examine, force_moves
 from pmfid.estimators.base import Estimator, Simulating
-from pmfid.estimators.batch import BEYOND, TINY
 from pmfid.estimators.configuration import hold_last_input, like
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.likelihood import climb, cost
 from pmfid.estimators.ls import BCLS, LS
-from pmfid.estimators.motion import WORST_FIT, Difference, least, rms
+from pmfid.estimators.motion import Difference, least, rms
 from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.recursive import RLS
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import Finding, codes, sort_findings
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, Equation
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
-
-#: A change of the counts that exceeds the usual ones by this factor is no motion.
-JUMP = 30
 
 
 def counts_per_sample(counts: Counts) -> float:
@@ -45,7 +43,7 @@ def count_jump(counts: Counts) -> str:
     change = np.abs(np.diff(counts))
     worst = int(np.argmax(change))
     usual = float(np.quantile(_motion(counts, change), 0.99))
-    if not change[worst] > JUMP * (usual + 1):
+    if not change[worst] > TUNING.drives_jump * (usual + 1):
         return ""
     return (
         f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
@@ -63,7 +61,7 @@ def _motion(counts: Counts, change: Counts) -> Counts:
 
 
 #: Doubled log-likelihoods that differ by less are alike.
-ALIKE = MISSED**2
+ALIKE = ESTIMATOR_TUNING.adequacy_missed**2
 #: Options of a model that make an input late.
 OPTIONS = (DEAD_TIME, LAG)
 
@@ -163,9 +161,6 @@ def _gain(found: Adequacy, size: float, cost_there: float | None) -> float:
     return 2 * (cost(error, found.noise)[0] - cost_there)
 
 
-#: Least delay [samples] that is reported without a score that names it: a smaller one imitates other effects, as
-#: friction within a sample.
-LEAST = 0.05
 #: What each is called, for people.
 CALLED = {DEAD_TIME: "dead time", LAG: "first-order lag"}
 
@@ -189,7 +184,10 @@ def _ways(found: Adequacy) -> list[Lateness]:
         return lateness(found) or [Lateness({DEAD_TIME: found.dead_time}, 0.0, False)]
     if equation.at_once != equation:
         return lateness(found)
-    most, least = max((float(found.gain[k]) for k in found.missed), default=0.0), LEAST * found.difference.dt
+    most, least = (
+        max((float(found.gain[k]) for k in found.missed), default=0.0),
+        TUNING.drives_least * found.difference.dt,
+    )
     large = [way for way in lateness(found) if way.gain > most and sum(way.times.values()) > least]
     return [way for way in large if found.follows or way.follows]
 
@@ -214,18 +212,8 @@ def _cure(way: Lateness, equation: Equation) -> str:
     return " and ".join([f'{name} = "{ESTIMATE}"' for name in way.times] + dropped)
 
 
-#: A correlation this many standard deviations from zero is taken for real.
-SIGNIFICANT = 4.5
 #: What is said where the model is wrong.
 UNMODELLED = "the counts show an unmodelled effect, or a parameter that changes"
-#: Counts per sample below which the encoder's error is no white noise.
-COARSE = 1.0
-#: With fewer samples, or none that moves, there is nothing to judge a model by.
-FEWEST = 50
-#: With forgetting, the last part of the record is judged: its length in memories.
-MEMORIES = 3.0
-#: A method's own error, relative, that is worth a word of its own.
-BIASED = 0.01
 
 
 def judge(
@@ -248,7 +236,7 @@ def judge(
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
-    limit = 10 * BIASED if "unmodelled" in codes(residual) else 2 * BIASED
+    limit = 10 * TUNING.drives_biased if "unmodelled" in codes(residual) else 2 * TUNING.drives_biased
     return sort_findings(
         [
             *_jump(estimator, counts),
@@ -304,7 +292,7 @@ def _bias(
         own = abs(value - known)
         if own > np.hypot(deviation, bar) and own > limit * abs(known):
             yield Finding("biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}")
-        elif own > max(deviation, bar) and limit <= 2 * BIASED:
+        elif own > max(deviation, bar) and limit <= 2 * TUNING.drives_biased:
             percent = 100 * own / abs(known)
             yield Finding(
                 "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
@@ -348,7 +336,7 @@ def _positive(estimator: Estimator) -> set[str]:
 
 def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
     per_sample = counts_per_sample(counts)
-    if "known-step" in estimator.method and per_sample < COARSE:
+    if "known-step" in estimator.method and per_sample < TUNING.drives_coarse:
         yield Finding(
             "coarse_motion",
             f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise; use iv",
@@ -364,7 +352,9 @@ def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
 
 def recent(estimator: Estimator, samples: int) -> slice:
     """The samples of a record that an estimate depends on: its last three memories."""
-    return slice(-round(min(samples, MEMORIES / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)
+    return slice(
+        -round(min(samples, TUNING.drives_memories / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None
+    )
 
 
 def examine_estimate(
@@ -383,7 +373,7 @@ def examine_estimate(
         return None
     part = recent(estimator, u.size)
     u, counts = u[part], counts[part]
-    if u.size < FEWEST or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
+    if u.size < TUNING.drives_fewest or not np.any(np.diff(like(OE, estimator, prefilter_zeros=None).position(counts))):
         return None
     if not np.any(like(LS, estimator, model=estimator.model.simple, prefilter_zeros=None).columns(u, counts).used):
         return None
@@ -411,7 +401,7 @@ def _model(
         return
     if found is None:
         return
-    if found.left > WORST_FIT:
+    if found.left > ESTIMATOR_TUNING.worst_fit:
         yield Finding(
             "not_followed",
             f"no motion of the model follows the measured one, {found.left:.0%} of it is left: check input_gain, the "
@@ -442,9 +432,9 @@ def _find_hidden_effects(
         twin = like(IV, estimator, prefilter_zeros=None)
         spread = found.spread(force_moves(found, twin, twin.columns_at(at, *record)))
     best = found.q[: theta.size] * found.difference.scale[: theta.size]
-    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + own_spread**2), TINY)
+    apart = np.abs(theta - best) / np.maximum(np.sqrt(std**2 + own_spread**2), ESTIMATOR_TUNING.tiny)
     worst = int(np.argmax(apart))
-    if isinstance(estimator, Simulating) and apart[worst] > CONTRADICTED:
+    if isinstance(estimator, Simulating) and apart[worst] > ESTIMATOR_TUNING.adequacy_contradicted:
         yield Finding(
             "biased",
             f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "
@@ -458,7 +448,7 @@ def _find_hidden_effects(
             "its standard error: a finer encoder or a richer motion would show it",
         )
     if np.any(found.unseen[: std.size] > std):
-        part = float(np.max(found.unseen[: std.size] / np.maximum(np.abs(theta), TINY)))
+        part = float(np.max(found.unseen[: std.size] / np.maximum(np.abs(theta), ESTIMATOR_TUNING.tiny)))
         yield Finding(
             "model_spread",
             "what this motion cannot show at all, as a dead zone under an input of one size, would move the parameters "
@@ -481,14 +471,14 @@ def _feedback(
     error = columns.z - columns.phi @ theta
     if error.size == 0:
         return
-    if not np.max(np.abs(error)) < BEYOND:
+    if not np.max(np.abs(error)) < ESTIMATOR_TUNING.batch_beyond:
         yield Finding(
             "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
         )
         return
     given = hold_last_input(u)
     change, last = np.diff(given, prepend=given[0])[columns.used], recent(estimator, error.size)
-    if correlation_score(error[last], change[last]) > SIGNIFICANT:
+    if correlation_score(error[last], change[last]) > TUNING.significant:
         yield Finding(
             "feedback",
             "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "

@@ -8,25 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.estimators.configuration import check_arrays, check_size, hold_last_input
 from pmfid.estimators.motion import Difference, rms
 from pmfid.estimators.output_error import OE
-from pmfid.estimators.search import READ, choose_start, fit_start, start_samples
+from pmfid.estimators.search import choose_start, fit_start, start_samples
 from pmfid.estimators.srivc import make_problem, process_of
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.linear.experiment import Experiment, RecordStretch
 from pmfid.linear.responses import simulate
 from pmfid.linear.solve import ProcessProblem, visit
 from pmfid.types import Floats, Numbers
-
-#: Seconds after which a run is begun again, and how many times longer than the reading of its start they must be; of
-#: what is slower or faster the same numbers of tenths, tens or hundreds of seconds.
-HORIZONS = (1.0, 2.0, 5.0, 10.0)
-WORTH = 4.0
-#: Runs of one horizon that are looked at.
-MOST_RUNS = 200
-#: The square of a number must not leave the format.
-BEYOND = 1e120
 
 
 @dataclass(frozen=True)
@@ -137,16 +130,17 @@ def _restart_simulations(
 def firsts_of(n: int, samples: int) -> list[int]:
     """First samples of runs over `samples` each within n, one after the other; of very many some, evenly spread."""
     firsts = np.arange(0, n - samples + 1, samples)
-    return firsts[:: -(-firsts.size // MOST_RUNS)].tolist() if firsts.size else []
+    return firsts[:: -(-firsts.size // TUNING.most_runs)].tolist() if firsts.size else []
 
 
 def measure_horizons(
     duration: float, read: float, runs: Callable[[float], Sequence[tuple[Floats, Floats]]]
 ) -> tuple[Horizon, ...]:
-    """Errors of runs that restart after each of HORIZONS. A horizon must fit into the `duration` [s] of the record and
+    """Errors of runs that restart after each of free_run_horizons. A horizon must fit into the `duration` [s] of the
+    record and
     be longer than the reading of the start, `read` [s]. runs: measured and simulated outputs of runs over a time."""
     found = []
-    for seconds in _seconds(duration, WORTH * read):
+    for seconds in _seconds(duration, TUNING.free_run_worth * read):
         parts = runs(seconds)
         if parts:
             error = np.concatenate([measured - simulated for measured, simulated in parts])
@@ -156,23 +150,19 @@ def measure_horizons(
 
 
 def _seconds(duration: float, least: float) -> list[float]:
-    usual = least <= HORIZONS[2] and duration >= HORIZONS[1]
+    usual = least <= TUNING.free_run_horizons[2] and duration >= TUNING.free_run_horizons[1]
     unit = 1.0 if usual else 10.0 ** math.ceil(math.log10(least))
-    return [unit * seconds for seconds in HORIZONS if least <= unit * seconds <= duration]
+    return [unit * seconds for seconds in TUNING.free_run_horizons if least <= unit * seconds <= duration]
 
 
 def finite(run: FreeRun) -> FreeRun:
     """The same. Raises UsageError where the simulation has left the range of numbers."""
-    if not np.max(np.abs(run.error)) < BEYOND:
+    if not np.max(np.abs(run.error)) < TUNING.beyond:
         raise UsageError(
             "the simulated output leaves the range of numbers: check the units of the parameters, of the input and of "
             "the resolution against those that they were identified with"
         )
     return run
-
-
-#: Samples that the start of a stretch is read from, for each of its unknowns, at least.
-SAMPLES = 4
 
 
 def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: float | None) -> FreeRun:
@@ -190,7 +180,7 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
         )
     plain = replace(experiment, reference=None)
     n = poles.size
-    read = max(READ / method.cutoff, SAMPLES * n * plain.period)
+    read = max(ESTIMATOR_TUNING.search_read / method.cutoff, TUNING.free_run_samples * n * plain.period)
     parts = _simulate_stretches(method, theta, [plain], read)
     horizons = measure_horizons(
         float(plain.times[-1] - plain.times[0]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.base import Estimator
 from pmfid.findings import Finding, sort_findings
 from pmfid.types import Floats
@@ -49,11 +50,6 @@ FLAGS = {
     "drift": "input and output are of two clocks: log both by one",
 }
 
-#: Relative error of a parameter that is of no matter.
-TOLERANCE = 0.01
-#: Standard deviations within which 95 % of a normal variable are, to either side; standard errors within which an error
-#: is noise.
-NORMAL_95, NOISE_LIMIT = 1.96, 3.0
 #: What says that the parameters may be further off than their standard deviations.
 OF_MODEL = frozenset({"unmodelled", "dead_time", "model_spread", "feedback", "biased", "std_too_small"})
 #: What costs nothing where the model explains the record.
@@ -79,8 +75,8 @@ def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, 
     """Of an estimate theta (p,) with standard deviations std (p,); spread (p,): by how much unmodelled
     effects that the record shows may move it. NaN: not known, and then the effects matter."""
     p = len(estimator.equation.names)
-    half, size = NORMAL_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
-    beyond = ~(half <= np.maximum(tolerance * size, NOISE_LIMIT * std[:p]))
+    half, size = TUNING.normal_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
+    beyond = ~(half <= np.maximum(tolerance * size, TUNING.noise_limit * std[:p]))
     with np.errstate(divide="ignore", invalid="ignore"):
         part = half / size
     worst = int(np.argmax(np.where(np.isnan(part), -1.0, part * np.where(beyond, 1.0, 1e-9))))

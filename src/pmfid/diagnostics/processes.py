@@ -15,6 +15,7 @@ from pmfid.diagnostics.causality import (
     find_feedback,
     find_unmodelled_response,
 )
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.findings import Finding, make_notes
@@ -22,8 +23,6 @@ from pmfid.linear.experiment import Experiment, Grid, RecordStretch, transition
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
 from pmfid.linear.residuals import (
-    DEVIATE,
-    LAGS,
     Noise,
     correlate_at_lag,
     covariance,
@@ -36,14 +35,8 @@ from pmfid.linear.residuals import (
 )
 from pmfid.linear.responses import Structure, companion, simulate
 from pmfid.linear.solve import ProcessPoint, ProcessProblem, descend, first_guess, refine, visit
+from pmfid.linear.tuning import TUNING as LINEAR_TUNING
 from pmfid.types import Floats
-
-#: The other hold is better where so few records with the right one would say so, at the worst.
-HOLD_CHANCE = 1e-4
-#: Two values of a parameter are far apart from this number of standard errors on.
-FAR = 2.0
-#: A model is judged once a step would lower its sum of squares by less than this part.
-SETTLED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -73,7 +66,7 @@ def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | No
             return Hold()
     samples = sum(stretch.rows.size for stretch in white.stretches)
     gained = samples * np.log(max(mine.cost, 1e-300) / max(other.cost, 1e-300))
-    worth = chdtri(1, 2 * HOLD_CHANCE)
+    worth = chdtri(1, 2 * TUNING.hold_chance)
     return Hold(bool(gained > worth), bool(abs(gained) <= worth and far))
 
 
@@ -82,7 +75,7 @@ def _far_apart(mine: ProcessPoint, other: ProcessPoint) -> bool:
     size = np.maximum(np.linalg.norm(mine.zeta, axis=0), 1e-300)
     scaled = mine.zeta / size
     variances = np.diag(np.linalg.inv(scaled.T @ scaled)) / size**2 * mine.cost / mine.error.size
-    return bool(np.any((mine.theta - other.theta) ** 2 > FAR**2 * variances))
+    return bool(np.any((mine.theta - other.theta) ** 2 > TUNING.processes_far**2 * variances))
 
 
 def _swap_hold(problem: ProcessProblem) -> ProcessProblem:
@@ -95,13 +88,7 @@ def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> 
     if problem.structure.offset:
         theta[problem.structure.linear - 1] *= float(np.sum(noise.whitener))
     start = visit(problem, theta, np.zeros((len(problem.stretches), problem.structure.n)))
-    return descend(problem, start, SETTLED).point
-
-
-#: A record of noise alone passes but so often.
-NOISE_CHANCE = 1e-2
-#: An estimate is moved that far by the colour of the noise in so small a part of the cases.
-ELSEWHERE = 1e-3
+    return descend(problem, start, TUNING.processes_settled).point
 
 
 def depends_on_input(problem: ProcessProblem, point: ProcessPoint) -> bool:
@@ -150,7 +137,7 @@ def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
             factor = float(np.sum(noise.whitener)) if structure.offset and white is not problem else 1.0
             scale = np.r_[np.ones(structure.size - 1), factor]
             start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
-            full = descend(white, start, SETTLED).point
+            full = descend(white, start, TUNING.processes_settled).point
             surplus = structure.n > 1 and not _reduces_residual(
                 _settle_fit(replace(white, structure=smaller)).cost, full.cost, point.error.size, 2
             )
@@ -164,12 +151,12 @@ def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
     size = np.sqrt(np.diagonal(cov))
     scaled = difference / size
     distance = scaled @ np.linalg.pinv(cov / np.outer(size, size), hermitian=True) @ scaled
-    return bool(distance > chdtri(difference.size, ELSEWHERE))
+    return bool(distance > chdtri(difference.size, TUNING.processes_elsewhere))
 
 
 def _settle_fit(problem: ProcessProblem) -> ProcessPoint:
-    found = refine(problem, first_guess(problem, 1.0), SETTLED)
-    return found.point if found.settled else descend(problem, found.point, SETTLED).point
+    found = refine(problem, first_guess(problem, 1.0), TUNING.processes_settled)
+    return found.point if found.settled else descend(problem, found.point, TUNING.processes_settled).point
 
 
 def pair_inputs(problem: ProcessProblem, error: Floats) -> list[ResidualStretch]:
@@ -182,16 +169,7 @@ def pair_inputs(problem: ProcessProblem, error: Floats) -> list[ResidualStretch]
 def _reduces_residual(whole: float, left: float, samples: int, unknowns: int) -> bool:
     """Is a sum of squares `left` less than `whole` by more than `unknowns` parameters gain by chance?"""
     ratio = samples * np.log(max(whole, 1e-300) / max(left, 1e-300))
-    return bool(ratio > chdtri(unknowns, NOISE_CHANCE / samples))
-
-
-#: The square of a number must not leave the format.
-BEYOND = 1e120
-#: Part of the right models in open loop that a test of unmodelled effects or of feedback may reject.
-FALSE_ALARM = 1e-4
-#: A wrong hold puts at most this multiple of the difference of the two responses at their first sample into the
-#: residual.
-WRONG_HOLD = 2.0
+    return bool(ratio > chdtri(unknowns, TUNING.noise_chance / samples))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +178,9 @@ class Assessment:
 
     fit: percent, 100 (1 - |y - simulated| / |y - mean y|), initial conditions fitted; simulated, residual: for each
     stretch, on its measured samples; samples: their numbers within
-    the record; records: its number. autocorrelation: (LAGS + 1,) of the
-    residual, from lag 0; cross: (2 LAGS + 1,) of the residual with the input of `lags` samples before, or with the
-    reference where there is one; bounds of both: 99 % of an independent residual lie within.
+    the record; records: its number. autocorrelation: (residuals_lags + 1,) of the
+    residual, from lag 0; cross: (2 residuals_lags + 1,) of the residual with the input of `lags` samples before, or
+    with the reference where there is one; bounds of both: 99 % of an independent residual lie within.
     unmodelled: does the input of now and before explain some of the residual? feedback: do inputs yet to come? Then the
     input has the noise in it, as a controller feeds it back (`causality.py`). depends: does the output depend on the
     input by more than chance? second: would a pole and a zero less do as well, and does the
@@ -229,8 +207,9 @@ class Assessment:
 
     @property
     def lags(self) -> NDArray[np.int64]:
-        """(2 LAGS + 1,) of `cross`; negative: inputs after the residual, where only feedback correlates them."""
-        return np.arange(-LAGS, LAGS + 1)
+        """(2 residuals_lags + 1,) of `cross`; negative: inputs after the residual, where only feedback correlates
+        them."""
+        return np.arange(-LINEAR_TUNING.residuals_lags, LINEAR_TUNING.residuals_lags + 1)
 
     @property
     def white(self) -> bool:
@@ -255,7 +234,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
         ]
     measured = [stretch.y[stretch.rows] for stretch in problem.stretches]
     residual = [y - x for y, x in zip(measured, simulated, strict=True)]
-    if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < BEYOND:
+    if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < TUNING.beyond:
         raise NotIdentifiableError(
             "the simulated output leaves the range of numbers: the records do not identify the transfer function; "
             "excite the process more, or use fewer poles and zeros"
@@ -290,8 +269,8 @@ def _doubts(
         parts.append(ResidualStretch(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
     known = point.zeta[np.concatenate(kept)]
     return (
-        find_unmodelled_response(parts, known).chance < FALSE_ALARM,
-        find_feedback(parts, known, _direct(problem, point)).chance < FALSE_ALARM,
+        find_unmodelled_response(parts, known).chance < TUNING.false_alarm,
+        find_feedback(parts, known, _direct(problem, point)).chance < TUNING.false_alarm,
         depends_on_input(problem, point),
         second_look(problem, point),
         look_at_hold(problem, point, estimate_residual_noise(parts, known)),
@@ -307,7 +286,7 @@ def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]
     stretch = problem.stretches[0]
     grid = Grid(float(np.median(stretch.grid.steps)), 2)
     change = transition(companion(a), np.eye(a.size)[-1], grid).change
-    size = WRONG_HOLD * float(b[: a.size] @ change[: b.size]) * (1.0 if stretch.held else -1.0)
+    size = TUNING.wrong_hold * float(b[: a.size] @ change[: b.size]) * (1.0 if stretch.held else -1.0)
     return (min(0.0, size), max(0.0, size))
 
 
@@ -324,19 +303,37 @@ def _correlations(grids: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, F
     power = sum(float(e @ e) for e, _, _ in grids) / count
     input_power = sum(float(np.mean(u**2)) * float(np.sum(there)) for _, u, there in grids) / count
     size = max(power, 1e-300)
-    auto = np.array([sum(correlate_at_lag(e, e, lag) for e, _, _ in grids) for lag in range(LAGS + 1)]) / count / size
-    cross = np.array([sum(correlate_at_lag(u, e, lag) for e, u, _ in grids) for lag in range(-LAGS, LAGS + 1)]) / count
+    auto = (
+        np.array(
+            [sum(correlate_at_lag(e, e, lag) for e, _, _ in grids) for lag in range(LINEAR_TUNING.residuals_lags + 1)]
+        )
+        / count
+        / size
+    )
+    cross = (
+        np.array(
+            [
+                sum(correlate_at_lag(u, e, lag) for e, u, _ in grids)
+                for lag in range(-LINEAR_TUNING.residuals_lags, LINEAR_TUNING.residuals_lags + 1)
+            ]
+        )
+        / count
+    )
     cross = cross / np.sqrt(size * max(input_power, 1e-300))
-    u_auto = np.array([sum(correlate_at_lag(u, u, lag) for _, u, _ in grids) for lag in range(LAGS + 1)])
+    u_auto = np.array(
+        [sum(correlate_at_lag(u, u, lag) for _, u, _ in grids) for lag in range(LINEAR_TUNING.residuals_lags + 1)]
+    )
     u_auto = u_auto / max(u_auto[0], 1e-300)
     # Ljung (1999, eq. 16.66): the variance of the cross-correlation is the sum of the products of both autocorrelations
     spread = max(1.0 + 2 * float(auto[1:] @ u_auto[1:]), 0.1)
-    return auto, cross, (DEVIATE / np.sqrt(count), DEVIATE * float(np.sqrt(spread / count)))
-
-
-#: A pole with a standard deviation of more than this part of its size is not known. A real one has at most half of it:
-#: bars are measured over two standard deviations, and it does not move beyond 0.
-UNKNOWN = 0.4
+    return (
+        auto,
+        cross,
+        (
+            LINEAR_TUNING.residuals_deviate / np.sqrt(count),
+            LINEAR_TUNING.residuals_deviate * float(np.sqrt(spread / count)),
+        ),
+    )
 
 
 def flags_on(checks: Assessment, process: Process, referenced: bool = False, held: bool = False) -> tuple[str, ...]:
@@ -345,7 +342,7 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
     right half-plane that no controller is known to hold (held); uncertain: a pole is not known to half its size, not
     needed, or elsewhere with the colour of the noise in mind; model_spread: the other hold explains the record as well,
     and moves a parameter beyond a standard error that is none of these."""
-    unknown = np.any(np.hypot(*process.poles_std.T) > UNKNOWN * np.abs(process.poles))
+    unknown = np.any(np.hypot(*process.poles_std.T) > TUNING.processes_unknown * np.abs(process.poles))
     uncertain = checks.second.surplus or checks.second.moved or bool(unknown)
     found = {
         "feedback": checks.feedback and not referenced,
@@ -388,10 +385,6 @@ MOVED = (
     "some of the noise for dynamics; record longer, or use a smaller n and m"
 )
 UNKNOWN_POLE = "a pole is not known to half its size: record longer, excite it more, or use a smaller n and m"
-#: Less of the output explained [%] is worth a sentence.
-POOR_FIT = 10.0
-#: An output further off than FAR robust standard deviations, in less than a part FEW of the samples, is an outlier.
-FAR_OUTLIER, FEW = 10.0, 0.01
 
 
 def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
@@ -415,14 +408,14 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
     """What there is to doubt in numbers that are there."""
     residual = np.concatenate(checks.residual)
     spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-    far = int(np.sum(np.abs(residual - np.median(residual)) > FAR_OUTLIER * spread)) if spread > 0 else 0
+    far = int(np.sum(np.abs(residual - np.median(residual)) > TUNING.far_outlier * spread)) if spread > 0 else 0
     found = []
     unknown = [name for name, value, s in zip(estimator.names, theta, std, strict=True) if s > abs(value)]
     if unknown:
         found.append(f"not known to its own size: {', '.join(unknown)}; fewer poles or zeros may do")
-    if 0 < far <= FEW * residual.size:
+    if 0 < far <= TUNING.processes_few * residual.size:
         found.append(f"{far} samples of the output are far off the others, and may decide everything: leave them empty")
-    if 0 <= checks.fit < POOR_FIT:
+    if 0 <= checks.fit < TUNING.poor_fit:
         found.append(f"the model explains {checks.fit:.2g} % of the output, no more")
     if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
         found.append("the residual has a mean: give offset = true in [model]")
@@ -474,6 +467,6 @@ def search_notes(search: Search) -> list[str]:
             "what the best structure leaves is not white noise, not even after the whitening filter: the "
             "criterion may then prefer too many poles and zeros; take the smallest structure that fits nearly as well"
         )
-    if best.fit < POOR_FIT:
+    if best.fit < TUNING.poor_fit:
         found.append(f"the best structure explains {max(best.fit, 0.0):.2g} % of the output, no more: it may be chance")
     return found

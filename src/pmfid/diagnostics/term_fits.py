@@ -11,55 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.diagnostics.free_run import drive_run
-from pmfid.diagnostics.term_trials import (
-    APART,
-    HUNDRED,
-    Trial,
-    candidates,
-    carry_parameters,
-    drop_neighbours,
-    free_pitch,
-)
-from pmfid.diagnostics.term_trials import FEWEST as FEWEST_PITCHES
+from pmfid.diagnostics.term_trials import Trial, candidates, carry_parameters, drop_neighbours, free_pitch
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import Change
 from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.instruments import Instruments
-from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, SHRINKING, Best, climb, log_likelihood
+from pmfid.estimators.likelihood import Best, climb, log_likelihood
 from pmfid.estimators.motion import Difference, first_speed, least, rms
-from pmfid.estimators.output_error import HOPELESS, OE, IntervalML
-from pmfid.estimators.search import (
-    FEWEST,
-    FOLDS,
-    SHORTEST,
-    find_least_from_start,
-    fit_at_speeds,
-    predicted_elsewhere,
-    read_start,
-)
+from pmfid.estimators.output_error import OE, IntervalML
+from pmfid.estimators.search import find_least_from_start, fit_at_speeds, predicted_elsewhere, read_start
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, MOST_LATE, Equation
 from pmfid.types import Floats
-
-#: Parts of a sample in which the motions of a search are simulated at most: with 2 the likelihoods of a cart under a
-#: random binary input are within 0.1 of those with 16, and with 1 within 4.
-MOST_PARTS = 2
-#: Relative tolerance of least squares on the way.
-ROUGHLY = 1e-4
-#: Noise [counts] above the floor, but below this value, may belong to a local maximum of the likelihood.
-SUSPICIOUS = 0.25
-#: A step up the likelihood that gains less is the last one.
-SETTLED = 0.1
-#: The same where a pitch is only to be compared with others, and noise [counts] at which the edges tell them apart.
-COARSELY, LOOSE = 1e-3, 0.1
-#: Pitches that are gone on from: those whose motions are alike the likelihood tells apart.
-MOST_PITCHES = 2
-#: Lags to start from [samples].
-LAGS = (0.5, 2.0)
-#: Part of a sample that a cutoff may be rounded by.
-ROUNDING = 1e-6
-#: Windows of each part that the others predict it with.
-WINDOWS = 4
 
 
 @dataclass(frozen=True)
@@ -97,15 +62,17 @@ class Bench:
                     found.append(self._fit_pitch(change_arguments(trial.model, {"cogging": travel / number}), trial))
             tried += [*numbers, *(travel / pitch for _, pitch in found)]
             # moves that are all alike hardly tell a pitch of the travel more or less
-            own = travel / max(found)[1] if found else FEWEST_PITCHES
+            own = travel / max(found)[1] if found else TUNING.term_trials_fewest
             numbers = [
-                one for one in (own - 1, own + 1) if one >= FEWEST_PITCHES and min(abs(one - k) for k in tried) > APART
+                one
+                for one in (own - 1, own + 1)
+                if one >= TUNING.term_trials_fewest and min(abs(one - k) for k in tried) > TUNING.term_trials_apart
             ]
         return [
             (2 * (likely - trial.log_likelihood), pitch)
             for likely, pitch in _different(sorted(found, reverse=True), travel)
             if likely > trial.log_likelihood
-        ][:MOST_PITCHES]
+        ][: TUNING.most_pitches]
 
     def scan_pitches(self, trial: Trial) -> list[float]:
         """Pitches [unit of y] of cogging forces at the peaks of the scans, not fitted."""
@@ -119,22 +86,26 @@ class Bench:
         theta = carry_parameters(trial.model.equation, trial.theta, model.equation)
         difference, q = _high_pass(method, self._estimate_by_positions(model, theta), trial.difference)
         filtered = free_pitch(replace(difference, parts=1), model)
-        q = least(filtered, np.r_[read_start(difference, q, method.cutoff), filtered.number / HUNDRED], [COARSELY])
+        q = least(
+            filtered,
+            np.r_[read_start(difference, q, method.cutoff), filtered.number / TUNING.term_trials_hundred],
+            [TUNING.term_fits_coarsely],
+        )
         best, direct = Best(filtered, q, q, None), replace(filtered, pole=0.0)
-        if rms(filtered(q)) <= HOPELESS * direct.explained:
-            closer = least(direct, q, [ROUGHLY])
+        if rms(filtered(q)) <= ESTIMATOR_TUNING.output_error_hopeless * direct.explained:
+            closer = least(direct, q, [TUNING.term_fits_roughly])
             if rms(direct(closer)) <= direct.explained:
-                best = Best(direct, closer, closer, LOOSE)
+                best = Best(direct, closer, closer, TUNING.term_fits_loose)
         return log_likelihood(best, method.cutoff), float(filtered.model_at(best.q).cogging or math.nan)
 
     def tune_pitch(self, trial: Trial) -> Trial:
         """The trial with the likeliest pitch of its cogging force, near the present one."""
         free = free_pitch(trial.difference, trial.model)
-        q = np.r_[trial.best.q, free.number / HUNDRED]
+        q = np.r_[trial.best.q, free.number / TUNING.term_trials_hundred]
         if trial.best.noise is None:
-            q, noise = least(free, q, [ROUGHLY]), None
+            q, noise = least(free, q, [TUNING.term_fits_roughly]), None
         else:
-            _, q, noise = climb(free, q, None, SETTLED)
+            _, q, noise = climb(free, q, None, TUNING.term_fits_settled)
         model = free.model_at(q)
         best = replace(trial.best, difference=free.fix_pitch(q), q=q[:-1], noise=noise)
         method = like(IntervalML, trial.method, model=model)
@@ -250,7 +221,10 @@ class Bench:
         theta = trial.theta[: len(equation.names)]
         difference = replace(method.make_difference(theta, trial.difference.u, trial.difference.y), parts=1)
         scaled = np.maximum(theta / difference.scale[:-2], difference.lower[:-2])
-        length = max(shortest_part(method), n * (FOLDS - 1) // FOLDS // WINDOWS)
+        length = max(
+            shortest_part(method),
+            n * (ESTIMATOR_TUNING.search_folds - 1) // ESTIMATOR_TUNING.search_folds // TUNING.term_fits_windows,
+        )
         return predicted_elsewhere(difference, scaled, method.cutoff, length)
 
 
@@ -260,7 +234,7 @@ def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
     if own == before or not any(own) or (own == [True, False] and not any(before)):
         return []
     total, dt = sum(_late_of(trial.model.equation, trial.theta).values()), trial.method.dt
-    times = [total] if any(before) and total > 0 else [part * dt for part in LAGS]
+    times = [total] if any(before) and total > 0 else [part * dt for part in TUNING.term_fits_lags]
     shares = [(1.0, 0.1), (0.5, 0.5), (0.1, 1.0)] if all(own) else [(float(own[0]), float(own[1]))]
     return [(dead * time, lag * time) for time in times for dead, lag in shares]
 
@@ -295,13 +269,16 @@ def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tupl
 
 def shortest_part(method: IntervalML) -> int:
     """Samples of a part of a record that can be predicted: in less there is little but its start."""
-    return max(FEWEST, math.ceil(SHORTEST / (method.cutoff * method.dt) - ROUNDING))
+    return max(
+        ESTIMATOR_TUNING.search_fewest,
+        math.ceil(ESTIMATOR_TUNING.search_shortest / (method.cutoff * method.dt) - TUNING.term_fits_rounding),
+    )
 
 
 def choose_cutoff(samples: int, dt: float) -> float | None:
     """Least cutoff [rad/s] at which a part of `samples` samples, every dt [s], can be predicted; None: there is
     none."""
-    return SHORTEST / (samples * dt) if samples >= FEWEST else None
+    return ESTIMATOR_TUNING.search_shortest / (samples * dt) if samples >= ESTIMATOR_TUNING.search_fewest else None
 
 
 def make_trial(
@@ -319,17 +296,21 @@ def _follow_record(method: IntervalML, theta: Floats, record: Difference) -> tup
     theta (p,): of many models all but one are to be thrown away."""
     filtered, q = _high_pass(method, theta, record)
     placed = any(not term.shape.of_speed for term in filtered.equation.shaped if term.shape)
-    q = find_least_from_start(filtered, q, method.cutoff, [ROUGHLY]) if placed else least(filtered, q, [ROUGHLY])
+    q = (
+        find_least_from_start(filtered, q, method.cutoff, [TUNING.term_fits_roughly])
+        if placed
+        else least(filtered, q, [TUNING.term_fits_roughly])
+    )
     direct = replace(filtered, pole=0.0)
-    if rms(filtered(q)) > HOPELESS * direct.explained:
+    if rms(filtered(q)) > ESTIMATOR_TUNING.output_error_hopeless * direct.explained:
         return filtered, q
-    closer = least(direct, q, [ROUGHLY])
+    closer = least(direct, q, [TUNING.term_fits_roughly])
     return (direct, closer) if rms(direct(closer)) <= direct.explained else (filtered, q)
 
 
 def _quick(difference: Difference) -> Difference:
     """The same with no more parts of a sample than tell models from each other."""
-    return replace(difference, parts=min(difference.parts, MOST_PARTS))
+    return replace(difference, parts=min(difference.parts, TUNING.most_parts))
 
 
 def _high_pass(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
@@ -345,11 +326,14 @@ def _climb_to_top(
 ) -> Trial:
     """A trial at a maximum of the likelihood near q (q,). If the maximum may be a local one, a noise that shrinks leads
     to it; hasty: never."""
-    found = climb(difference, q, None, SETTLED)
-    if not hasty and GIVEN_AWAY * NOISE_FLOOR < found[2] < SUSPICIOUS:
+    found = climb(difference, q, None, TUNING.term_fits_settled)
+    if (
+        not hasty
+        and ESTIMATOR_TUNING.given_away * ESTIMATOR_TUNING.noise_floor < found[2] < TUNING.term_fits_suspicious
+    ):
         place = q
-        for noise in SHRINKING:
-            place = climb(difference, place, noise, SETTLED)[1]
-        found = min(found, climb(difference, place, None, SETTLED), key=lambda one: one[0])
+        for noise in ESTIMATOR_TUNING.likelihood_shrinking:
+            place = climb(difference, place, noise, TUNING.term_fits_settled)[1]
+        found = min(found, climb(difference, place, None, TUNING.term_fits_settled), key=lambda one: one[0])
     best = Best(difference, q, found[1], found[2], status)
     return Trial(model, method, best, log_likelihood(best, method.cutoff))

@@ -9,13 +9,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.adequacy import Adequacy, PeriodicForce, filter_forces, information_of, score_variance, weigh
 from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.likelihood import Best
 from pmfid.estimators.ls import LS
 from pmfid.estimators.motion import Difference, remove_nuisance, rms
 from pmfid.estimators.output_error import IntervalML
-from pmfid.estimators.uncertainty import TINY
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
@@ -27,9 +28,6 @@ from pmfid.models.equation import (
     Equation,
 )
 from pmfid.types import Floats
-
-#: A step of parameters for a derivative.
-SMALL = 1e-4
 
 
 @dataclass(frozen=True)
@@ -72,12 +70,14 @@ def inflation(before: Trial, after: Trial) -> float:
     difference, p = best.difference, best.difference.parameters
     sensitivity = -difference.jacobian(best.q)
     own = remove_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
-    steps = SMALL * np.maximum(np.abs(before.theta), SMALL * float(np.max(np.abs(before.theta))))
+    steps = TUNING.term_trials_small * np.maximum(
+        np.abs(before.theta), TUNING.term_trials_small * float(np.max(np.abs(before.theta)))
+    )
     begin = carry_parameters(old, before.theta, new)
     moves = [(carry_parameters(old, before.theta + step, new) - begin) / float(np.sum(step)) for step in np.diag(steps)]
     shared = own @ np.column_stack(moves)
-    shared /= np.maximum(np.linalg.norm(shared, axis=0), TINY)
-    own /= np.maximum(np.linalg.norm(own, axis=0), TINY)
+    shared /= np.maximum(np.linalg.norm(shared, axis=0), ESTIMATOR_TUNING.tiny)
+    own /= np.maximum(np.linalg.norm(own, axis=0), ESTIMATOR_TUNING.tiny)
     alone = own - shared @ np.linalg.lstsq(shared, own)[0]
     directions = np.linalg.svd(alone, full_matrices=False)[0][:, : max(1, p - len(moves))]
     information, slope = information_of(best)
@@ -122,21 +122,8 @@ def carry_parameters(before: Equation, theta: Floats, after: Equation) -> Floats
     return np.asarray(np.r_[found, [further.get(name, 0.0) for name, _ in after.further]])
 
 
-#: Least and greatest number of pitches in the travel: fewer resemble other forces, more are not looked for.
-FEWEST, MOST = 4.0, 150.0
-#: Counts, and samples at the usual speed, that a pitch has at least.
-COUNTS, SAMPLES = 8.0, 4.0
-#: Distance of the numbers of pitches that are tried, and how many are tried at a time.
-APART, AT_A_TIME = 0.5, 40
-#: Peaks that are gone on from in each scan, and pitches of the travel between two of them.
-PEAKS, BETWEEN = 2, 0.9
 #: Around a peak they are tried this much apart.
 CLOSER = np.arange(-0.4, 0.5, 0.1)
-#: Cutoffs of the balance, as parts of the filters' cutoff: with fast filters the encoder's error hides a slow force,
-#: with slow filters friction hides a fast one.
-SLOWER = (1.0, 1 / 3)
-#: Pitches that are looked at on the way are counted in hundreds, so that they are moved by a hundredth of one.
-HUNDRED = 100.0
 
 
 def pitches(best: Best) -> Floats:
@@ -144,8 +131,14 @@ def pitches(best: Best) -> Floats:
     difference = replace(best.difference, parts=1)
     travel, v = float(np.ptp(difference.y)), difference.motion(best.q)[1]
     usual = rms(v[v != 0]) if np.any(v) else 0.0
-    shortest = max(COUNTS * difference.resolution, SAMPLES * usual * difference.dt)
-    return np.arange(FEWEST, min(MOST, travel / max(shortest, 1e-300)), APART)
+    shortest = max(
+        TUNING.term_trials_counts * difference.resolution, TUNING.term_trials_samples * usual * difference.dt
+    )
+    return np.arange(
+        TUNING.term_trials_fewest,
+        min(TUNING.term_trials_most, travel / max(shortest, 1e-300)),
+        TUNING.term_trials_apart,
+    )
 
 
 def candidates(method: IntervalML, u: Floats, counts: NDArray[np.int64], best: Best) -> list[float]:
@@ -155,7 +148,7 @@ def candidates(method: IntervalML, u: Floats, counts: NDArray[np.int64], best: B
     if not numbers.size:
         return []
     found = list(_peaks(numbers, lambda tried: _predict_gains(best, tried)))
-    for part in SLOWER:
+    for part in TUNING.term_trials_slower:
         own = like(LS, method, model=method.model.simple, cutoff=part * method.cutoff)
         found += _peaks(numbers, lambda tried, own=own: scan_balance(own, u, counts, tried))  # type: ignore[misc]
     return drop_neighbours(found)
@@ -164,20 +157,20 @@ def candidates(method: IntervalML, u: Floats, counts: NDArray[np.int64], best: B
 def _peaks(numbers: Floats, gain_of: Callable[[Floats], Floats]) -> Iterator[float]:
     """The largest, each looked at more closely."""
     gain = gain_of(numbers)
-    for _ in range(PEAKS):
+    for _ in range(TUNING.term_trials_peaks):
         k = int(np.argmax(gain))
         if not gain[k] > 0:
             return
         near = numbers[k] + CLOSER
         yield float(near[int(np.argmax(gain_of(near)))])
-        gain[np.abs(numbers - numbers[k]) < BETWEEN] = 0.0
+        gain[np.abs(numbers - numbers[k]) < TUNING.term_trials_between] = 0.0
 
 
 def drop_neighbours(numbers: Sequence[float]) -> list[float]:
     """The numbers without those close to an earlier one."""
     kept = list[float]()
     for number in numbers:
-        if all(abs(number - other) > APART for other in kept):
+        if all(abs(number - other) > TUNING.term_trials_apart for other in kept):
             kept.append(number)
     return kept
 
@@ -197,7 +190,7 @@ def _predict_gains(best: Best, numbers: Floats) -> Floats:
 
 
 def _parts(numbers: Floats) -> list[Floats]:
-    return [numbers[first : first + AT_A_TIME] for first in range(0, numbers.size, AT_A_TIME)]
+    return [numbers[first : first + TUNING.at_a_time] for first in range(0, numbers.size, TUNING.at_a_time)]
 
 
 def scan_balance(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floats) -> Floats:
@@ -228,8 +221,8 @@ def _moving(counts: NDArray[np.int64], near: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Pitched(Difference):
-    """A `Difference` as a function of q = (theta, x0, v0, number / HUNDRED) as well: how many pitches of the cogging
-    force the travel has. model: of the equation, at any pitch."""
+    """A `Difference` as a function of q = (theta, x0, v0, number / term_trials_hundred) as well: how many pitches of
+    the cogging force the travel has. model: of the equation, at any pitch."""
 
     model: Drive | None = None
 
@@ -242,7 +235,7 @@ class Pitched(Difference):
         """The model at the pitch of q (q + 1,)."""
         if self.model is None:
             raise TypeError("a difference with a pitch needs the model that has it")
-        return change_arguments(self.model, {"cogging": float(np.ptp(self.y) / (HUNDRED * q[-1]))})
+        return change_arguments(self.model, {"cogging": float(np.ptp(self.y) / (TUNING.term_trials_hundred * q[-1]))})
 
     @property
     def number(self) -> float:
@@ -254,7 +247,7 @@ class Pitched(Difference):
 
     @property
     def lower(self) -> Floats:
-        return np.asarray(np.r_[super().lower, FEWEST / 2 / HUNDRED])
+        return np.asarray(np.r_[super().lower, TUNING.term_trials_fewest / 2 / TUNING.term_trials_hundred])
 
 
 def free_pitch(difference: Difference, model: Drive) -> Pitched:

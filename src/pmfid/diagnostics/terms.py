@@ -17,31 +17,16 @@ import numpy as np
 
 from pmfid.diagnostics.term_fits import Bench
 from pmfid.diagnostics.term_trials import Trial, inflation, pitches
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import DIRECTIONAL, MISSED, NEARLY, Adequacy, Change, PeriodicForce, setting
+from pmfid.estimators.adequacy import DIRECTIONAL, Adequacy, Change, PeriodicForce, setting
 from pmfid.estimators.configuration import change_arguments
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG
 
-#: Least score that is worth a trial if the model does not explain every count: unmodelled effects then scatter the
-#: scores.
-WEAK = 1.0
 #: What the score of a force cannot tell from it: a lag is a dead time to first order.
 OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"lag": ESTIMATE},)})
-#: Terms that are fitted in each step where none explains every count, and steps.
-MOST_TRIED, MOST_STEPS = 4, 8
-#: Pitches that are tried together with another term where no single one suffices.
-MOST_PAIRED = 2
-#: Number of candidates in each step, about, without periodic forces and pitches.
-USUAL = 8
-#: A gain that every further parameter of a term has to bring.
-PER_PARAMETER = 4.0
-#: Gains of two terms that differ by less, in the units of chance, are the same: three standard deviations.
-ALIKE = 9.0
-#: A pitch that explains more than this part of what the best one explains leaves open which it is.
-HARDLY = 0.5
-#: Free runs over other parts are worse from this part on: below is what the last steps of a fit leave.
-NO_WORSE = 0.002
 
 
 @dataclass(frozen=True)
@@ -184,7 +169,7 @@ class _Search:
     def run(self) -> Terms:
         """Adds a term in each step, and removes terms that others have made superfluous."""
         seen, without = list[Drive](), tuple[FittedCandidate, ...]()
-        while len(self.steps) < MOST_STEPS and self.trials[-1].model not in seen:
+        while len(self.steps) < TUNING.most_steps and self.trials[-1].model not in seen:
             seen.append(self.trials[-1].model)
             tried = self._try_candidates()
             self.steps.append(tried)
@@ -217,7 +202,7 @@ class _Search:
             swapped = self.bench.fit_model(change_arguments(chosen.model, change), chosen)
         except (NotIdentifiableError, UsageError):
             return True
-        return 2 * (chosen.log_likelihood - swapped.log_likelihood) / kept.inflation >= ALIKE
+        return 2 * (chosen.log_likelihood - swapped.log_likelihood) / kept.inflation >= TUNING.terms_alike
 
     def _take(self, trial: Trial, error: float) -> None:
         self.trials.append(trial)
@@ -226,12 +211,12 @@ class _Search:
     def _try_candidates(self) -> tuple[FittedCandidate, ...]:
         """The candidates of a model, fitted, with a verdict on each; the best first."""
         trial = self.trials[-1]
-        number = USUAL + len(self.places)
+        number = TUNING.terms_usual + len(self.places)
         candidates = propose_candidates(trial, trial.weigh_forces(self.places))
         looking = self.looking and trial.model.cogging is None and not trial.best.clean
         number += pitches(trial.best).size if looking else 0
         again = () if trial.best.clean else (*_otherwise_late(trial), *_list_retries(trial, self.steps, candidates))
-        judged = self._judge_steps(self._fit_candidates(trial, candidates[:MOST_TRIED], again, number))
+        judged = self._judge_steps(self._fit_candidates(trial, candidates[: TUNING.most_tried], again, number))
         if looking and not any(step.kept for step in judged):
             judged = self._judge_steps(
                 [*judged, *self._fit_candidates(trial, self._propose_pitches(trial), (), number)]
@@ -248,11 +233,14 @@ class _Search:
         fitted = list[FittedCandidate]()
         for candidate in (*candidates, *again):
             known = any(step.explains_all and step.gain > step.needed for step in fitted)
-            near = candidate in candidates and candidate.explains >= NEARLY * candidates[0].explains
+            near = (
+                candidate in candidates
+                and candidate.explains >= ESTIMATOR_TUNING.adequacy_nearly * candidates[0].explains
+            )
             if known and (candidate.scanned or not near):
                 break
             fitted.append(_fit_candidate(self.bench, trial, candidate, number))
-            self.done((len(self.steps) + len(fitted) / (len(candidates) + len(again) + 1)) / (MOST_STEPS + 1))
+            self.done((len(self.steps) + len(fitted) / (len(candidates) + len(again) + 1)) / (TUNING.most_steps + 1))
         return fitted
 
     def _pairs(self, trial: Trial, tried: Sequence[FittedCandidate], number: int) -> list[FittedCandidate]:
@@ -277,7 +265,7 @@ class _Search:
 
     def _propose_peaks(self, trial: Trial) -> list[Candidate]:
         """Cogging forces at the peaks of the scans."""
-        places = [PeriodicForce("cogging", pitch) for pitch in self.bench.scan_pitches(trial)[:MOST_PAIRED]]
+        places = [PeriodicForce("cogging", pitch) for pitch in self.bench.scan_pitches(trial)[: TUNING.most_paired]]
         return [Candidate({one.key: one.period}, one.says, 0.0, 1.0, 0.0, math.inf, True) for one in places]
 
     def _propose_pitches(self, trial: Trial) -> list[Candidate]:
@@ -331,7 +319,10 @@ class _Search:
         except (NotIdentifiableError, UsageError):  # nothing follows the record without it
             return FittedCandidate(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
         candidate = replace(candidate, inflation=inflation(found, whole))
-        needed, loss = _compute_needed_gain(whole, found, USUAL + len(self.places)), _gain(whole, found, candidate)
+        needed, loss = (
+            _compute_needed_gain(whole, found, TUNING.terms_usual + len(self.places)),
+            _gain(whole, found, candidate),
+        )
         error = self.bench.elsewhere(found)
         gone = loss < needed or is_worse(self.errors[-1], error)
         return FittedCandidate(candidate, found, loss, needed, self.errors[-1], DROPPED if gone else KEPT, error)
@@ -339,7 +330,7 @@ class _Search:
 
 def is_worse(error: float, before: float) -> bool:
     """Is an error of free runs larger than the error of the model without a term?"""
-    return error > (1 + NO_WORSE) * before
+    return error > (1 + TUNING.no_worse) * before
 
 
 def removable(first: Drive, last: Drive) -> list[Change]:
@@ -351,7 +342,7 @@ def removable(first: Drive, last: Drive) -> list[Change]:
 
 def _next_to(step: FittedCandidate, kept: FittedCandidate) -> str:
     """The verdict on a term in comparison with the kept one."""
-    return EITHER if _measure_deficit(step, kept) < ALIKE and not _is_special_case(kept, step) else LESS
+    return EITHER if _measure_deficit(step, kept) < TUNING.terms_alike and not _is_special_case(kept, step) else LESS
 
 
 def _measure_deficit(step: FittedCandidate, best: FittedCandidate) -> float:
@@ -365,7 +356,10 @@ def _simplest_first(found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
     """The best first, but for one that has fewer parameters, is a part of it, and explains as much but for chance."""
     ordered = sorted(found, key=lambda step: step.size, reverse=True)
     for step in ordered[1:]:
-        if _is_special_case(step, ordered[0]) and _measure_deficit(step, ordered[0]) < ALIKE + PER_PARAMETER:
+        if (
+            _is_special_case(step, ordered[0])
+            and _measure_deficit(step, ordered[0]) < TUNING.terms_alike + TUNING.per_parameter
+        ):
             return [step, *(one for one in ordered if one is not step)]
     return ordered
 
@@ -420,8 +414,8 @@ def _deserves_trial(trial: Trial, found: Adequacy, k: int) -> bool:
     """Is a force worth a trial? If the model explains every count, the score must be beyond chance. Otherwise
     unmodelled effects scatter the scores, and the likelihood decides."""
     if trial.best.clean:
-        return bool(abs(found.z[k]) >= MISSED)
-    return bool(abs(found.z[k]) >= WEAK and found.gain[k] >= MISSED**2)
+        return bool(abs(found.z[k]) >= ESTIMATOR_TUNING.adequacy_missed)
+    return bool(abs(found.z[k]) >= TUNING.terms_weak and found.gain[k] >= ESTIMATOR_TUNING.adequacy_missed**2)
 
 
 def _gain(trial: Trial, before: Trial, candidate: Candidate) -> float:
@@ -429,7 +423,11 @@ def _gain(trial: Trial, before: Trial, candidate: Candidate) -> float:
 
 
 def _compute_needed_gain(found: Trial, before: Trial, number: int) -> float:
-    return MISSED**2 + 2 * math.log(number) + PER_PARAMETER * (found.parameters - before.parameters - 1)
+    return (
+        ESTIMATOR_TUNING.adequacy_missed**2
+        + 2 * math.log(number)
+        + TUNING.per_parameter * (found.parameters - before.parameters - 1)
+    )
 
 
 def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int) -> FittedCandidate:
@@ -461,4 +459,4 @@ def is_unclear(step: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
         return False
     own = step.candidate
     others = [one for one in found if one.candidate.key == own.key == "cogging" and one.candidate.change != own.change]
-    return any(one.trial and one.size > HARDLY * step.size for one in others)
+    return any(one.trial and one.size > TUNING.terms_hardly * step.size for one in others)

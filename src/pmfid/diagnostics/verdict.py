@@ -10,24 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.diagnostics.drives import examine_estimate, judge, recent
-from pmfid.diagnostics.matter import NOISE_LIMIT, Matter, matter_of, weigh_findings
+from pmfid.diagnostics.matter import Matter, matter_of, weigh_findings
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import NEARLY, Adequacy, filter_force, force_moves
+from pmfid.estimators.adequacy import Adequacy, filter_force, force_moves
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
-from pmfid.estimators.instruments import LASTING
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.output_error import Following
 from pmfid.estimators.results import Columns
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.estimators.uncertainty import scatter
 from pmfid.findings import Finding
 from pmfid.types import Floats
-
-#: Prior odds that a machine has a plausible force: no machine has none of them.
-ODDS = 10.0
-#: exp of more is beyond use.
-MOST_EVIDENCE = 500.0
 
 
 def model_spread(
@@ -125,7 +121,7 @@ def believed_squares(found: Adequacy) -> Floats:
     if not found.missed:
         return np.where(prior > 0, squares, 0.0) * (1.0 if found.follows else found.explained)
     explained = np.minimum(found.gain / found.gain[found.missed[0]], 1.0)
-    asked = np.where(explained > NEARLY, found.size**2, 0.0)
+    asked = np.where(explained > ESTIMATOR_TUNING.adequacy_nearly, found.size**2, 0.0)
     return np.where(prior > 0, squares * explained, asked) * found.explained
 
 
@@ -135,7 +131,7 @@ def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
     prior, variance = plausible**2, std**2
     share = prior / (prior + variance)
     evidence = (np.log(variance / (prior + variance)) + share * (size / std) ** 2) / 2
-    weight = 1 / (1 + np.exp(-np.clip(evidence, -MOST_EVIDENCE, MOST_EVIDENCE)) / ODDS)
+    weight = 1 / (1 + np.exp(-np.clip(evidence, -TUNING.most_evidence, TUNING.most_evidence)) / TUNING.verdict_odds)
     return np.asarray(weight * (share * variance + (share * size) ** 2))
 
 
@@ -167,7 +163,7 @@ def _solve_part(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Fl
     except NotIdentifiableError:
         return None
     scores = columns.zeta * (part * (columns.z - columns.phi @ theta))[:, None]
-    return theta, np.diagonal(scatter(scores @ gain.T, LASTING * twin.settle_samples))
+    return theta, np.diagonal(scatter(scores @ gain.T, ESTIMATOR_TUNING.instruments_lasting * twin.settle_samples))
 
 
 @dataclass(frozen=True)
@@ -213,7 +209,7 @@ def _estimate_shown_bias(found: Adequacy, theta: Floats, std: Floats, spread: Fl
     if not found.adequate:
         return np.asarray(np.sqrt(np.maximum(spread**2 - found.unseen[:p] ** 2, 0.0)))
     apart = np.maximum((theta - (found.q * found.difference.scale)[:p]) ** 2 - std**2, 0.0)
-    nearly = np.where(np.abs(found.z) > NOISE_LIMIT, found.size, 0.0)
+    nearly = np.where(np.abs(found.z) > TUNING.noise_limit, found.size, 0.0)
     return np.asarray(np.sqrt(apart + found.moves[:p] ** 2 @ nearly**2))
 
 

@@ -17,8 +17,8 @@ from pmfid.estimators.likelihood import Best, cost, expected_information
 from pmfid.estimators.motion import Difference, remove_nuisance, rms
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.search import STRIBECK_SPEEDS
-from pmfid.estimators.uncertainty import TINY, block_scatter, phase_scatter
+from pmfid.estimators.tuning import TUNING
+from pmfid.estimators.uncertainty import block_scatter, phase_scatter
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -32,21 +32,9 @@ from pmfid.models.equation import (
 from pmfid.models.shapes import ESTIMATE, Square, Stribeck, Wave
 from pmfid.types import Floats
 
-#: Coulomb friction of a machine is taken for at least this part of the motor's force.
-LEAST_FRICTION = 0.02
-#: Stribeck friction is averaged over parts of a sample, because it turns within a fraction of a sample at a reversal.
-#: Greatest change of velocity within a part, as a fraction of the Stribeck speed, and greatest number of parts.
-FINE, MOST_PARTS = 0.1, 16
-#: A smaller change of velocity, as a part of the Stribeck speed, is none.
-STEADY = 1e-3
 #: What to set in [model], by key.
 Change = Mapping[str, object]
 DIRECTIONAL: Change = {"friction": "directional", "offset": False}
-#: What a machine may well have: parts of Coulomb friction, of viscous friction, of the motor's force, of a sample, of
-#: the largest input.
-STRIBECK, UNEVEN, CURVED, LATE_BY, DEAD_ZONE = 0.3, 0.15, 0.15, 0.5, 0.03
-#: Parts of the largest input from which on an amplifier may give less.
-KINKS = (0.5, 0.7, 0.9)
 ACTING = "give the input that acts, as [record] input"
 
 
@@ -108,21 +96,23 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Candida
     speed, side, usual = np.abs(v), np.sign(v), rms(v[v != 0])
     coulomb = max(
         (values[COULOMB_FORWARD] + values[COULOMB_BACKWARD]) / 2,
-        LEAST_FRICTION * abs(difference.equation.input_gain) * rms(difference.u),
+        TUNING.least_friction * abs(difference.equation.input_gain) * rms(difference.u),
     )
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 * usual
     known = [term.shape for term in difference.equation.shaped if term.signal == "friction"]
-    for part in () if any(isinstance(shape, Stribeck) for shape in known) else STRIBECK_SPEEDS:
+    for part in () if any(isinstance(shape, Stribeck) for shape in known) else TUNING.stribeck_speeds:
         says = "friction that is larger at low speed (Stribeck)"
         change: Change = {"stribeck": ESTIMATE}
         force = _stribeck(difference, q, v, part * usual)
         yield CandidateForce(
-            "stribeck", says, _cure(change), force, STRIBECK * coulomb, changes=(change,), positive=True
+            "stribeck", says, _cure(change), force, TUNING.adequacy_stribeck * coulomb, changes=(change,), positive=True
         )
     if not any(isinstance(shape, Square) for shape in known):
         says, change = "friction that is not linear at high speed", {"quadratic": True}
         force = v * speed / usual**2
-        yield CandidateForce("curved", says, _cure(change), force, CURVED * viscous, changes=(change,), positive=True)
+        yield CandidateForce(
+            "curved", says, _cure(change), force, TUNING.adequacy_curved * viscous, changes=(change,), positive=True
+        )
     yield CandidateForce(
         "drifting", "friction that changes over the record", "", side * np.linspace(-1, 1, v.size), 0.0
     )
@@ -130,12 +120,14 @@ def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[Candida
     if roles[COULOMB_FORWARD] == roles[COULOMB_BACKWARD]:
         cure = 'set friction = "directional" in [model]' + ("" if roles[OFFSET] is None else " in place of offset")
         says = "viscous friction that differs with the direction"
-        yield CandidateForce("uneven", says, cure, speed / usual, UNEVEN * viscous, changes=(DIRECTIONAL,))
+        yield CandidateForce(
+            "uneven", says, cure, speed / usual, TUNING.adequacy_uneven * viscous, changes=(DIRECTIONAL,)
+        )
         if roles[OFFSET] is None:
             cure += ", or offset = true for a constant load"
             says = "a constant load, or Coulomb friction that differs with the direction"
             changes = ({"offset": True}, DIRECTIONAL)
-            yield CandidateForce("load", says, cure, np.abs(side), UNEVEN * coulomb, changes=changes)
+            yield CandidateForce("load", says, cure, np.abs(side), TUNING.adequacy_uneven * coulomb, changes=changes)
 
 
 def _cure(change: Change) -> str:
@@ -155,12 +147,12 @@ def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floa
     from scipy.special import erf  # slow to import, and only this needs it
 
     change = float(np.max(np.abs(np.diff(v)), initial=0.0))
-    parts = int(np.clip(np.ceil(change / (FINE * fall)), 1, MOST_PARTS))
+    parts = int(np.clip(np.ceil(change / (TUNING.adequacy_fine * fall)), 1, TUNING.most_parts))
     v = difference.motion(q, np.zeros(parts * v.size))[1]
     ends = np.r_[v[0], (v[1:] + v[:-1]) / 2, v[-1]]
     below = np.diff(fall * np.sqrt(np.pi) / 2 * erf(np.abs(ends) / fall))
     step = np.diff(ends)
-    steady = np.abs(step) < STEADY * fall
+    steady = np.abs(step) < TUNING.adequacy_steady * fall
     return np.where(steady, np.sign(v) * np.exp(-((v / fall) ** 2)), below / np.where(steady, 1.0, step))
 
 
@@ -171,7 +163,13 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
         change: Change = {"dead_time": ESTIMATE}
         says, known = "a dead time, or a lag, of the input", difference.equation.dead_time
         yield CandidateForce(
-            "dead_time", says, _cure(change), late, LATE_BY * difference.dt, changes=(change,), positive=not known
+            "dead_time",
+            says,
+            _cure(change),
+            late,
+            TUNING.late_by * difference.dt,
+            changes=(change,),
+            positive=not known,
         )
     place = (x - np.mean(x)) / max(float(np.ptp(x)), np.finfo(float).tiny)
     along = {term.signal for term in difference.equation.shaped if term.shape and not term.shape.of_speed}
@@ -186,12 +184,12 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
         "bent_input", "an input that does not act in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0
     )
     largest = float(np.max(np.abs(u)))
-    for part in KINKS:
+    for part in TUNING.adequacy_kinks:
         less = gain * np.sign(u) * np.maximum(np.abs(u) - part * largest, 0.0)
         yield CandidateForce(
             "saturated_input", "an input whose largest values act as smaller ones", ACTING, less, 0.0, positive=True
         )
-    zone, most = gain * np.sign(u), DEAD_ZONE * largest
+    zone, most = gain * np.sign(u), TUNING.dead_zone * largest
     yield CandidateForce("dead_zone", "a dead zone of the input", ACTING, zone, most)
     if difference.equation.roles[MASS] is not None:
         acceleration = np.diff(v, append=v[-1]) / difference.dt
@@ -208,23 +206,6 @@ def _places(difference: Difference, places: Sequence[PeriodicForce], v: Floats) 
         change: Change = {place.key: place.period}
         for force in place.forces(middle, v):
             yield CandidateForce(place.key, place.says, _cure(change), force, 0.0, changes=(change,))
-
-
-#: A force is missed if its score exceeds this number of standard deviations: by chance once in a thousand records.
-MISSED = 4.0
-#: Forces that explain at least this part of what the best explains are named, too; greatest number of named forces.
-NEARLY, MOST_SAID = 0.8, 3
-#: Parts of a record that a force is to explain with what the others say of it.
-PARTS = 6
-#: Part of the information on a force below which a part of the record says nothing of it.
-RARE = 1e-6
-#: Two estimates contradict each other from this number of standard deviations of their difference on.
-CONTRADICTED = 2.5
-#: Part of a force's effect that is no combination of the parameters', below which nothing can be said of it.
-APART = 1e-4
-#: A force moves the simulation by this part of what is plausible, or of the motor's force, for its derivative.
-STEP = 0.1
-STEP_OF_FORCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -267,12 +248,12 @@ class Adequacy:
     @cached_property
     def missed(self) -> tuple[int, ...]:
         """The forces that the counts ask for, that which explains most of what is left first."""
-        return tuple(int(k) for k in np.argsort(-self.gain) if abs(self.z[k]) > MISSED)
+        return tuple(int(k) for k in np.argsort(-self.gain) if abs(self.z[k]) > TUNING.adequacy_missed)
 
     @property
     def named(self) -> tuple[int, ...]:
         """The missed forces that explain nearly as much as the best: each may be the unmodelled effect."""
-        return tuple(k for k in self.missed if self.gain[k] > NEARLY * self.gain[self.missed[0]])
+        return tuple(k for k in self.missed if self.gain[k] > TUNING.adequacy_nearly * self.gain[self.missed[0]])
 
     @cached_property
     def gain(self) -> Floats:
@@ -291,13 +272,13 @@ class Adequacy:
         """Part of the motion, 0 to about 1, that neither the model nor the encoder explains."""
         found, motion = self.difference, self.difference.filter_signal(self.difference.y - np.mean(self.difference.y))
         excess = max(float(np.mean(found(self.q) ** 2)) - found.explained**2, 0.0)
-        return float(np.sqrt(excess)) * found.resolution / max(rms(motion), TINY)
+        return float(np.sqrt(excess)) * found.resolution / max(rms(motion), TUNING.tiny)
 
     @property
     def says(self) -> str:
         """What is wrong with the model, for people; empty where nothing is."""
         if self.missed:
-            asked = list(dict.fromkeys(self._describe_force(k) for k in self.named))[:MOST_SAID]
+            asked = list(dict.fromkeys(self._describe_force(k) for k in self.named))[: TUNING.most_said]
             first = self.missed[0]
             cure = "move the input's column earlier by that time" if self._is_early(first) else self.forces[first].cure
             like_it = f"the motion asks for {'; or for '.join(asked)}; or for something like it"
@@ -382,16 +363,16 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     )
     effects = np.where(np.all(np.isfinite(effects), axis=0), effects, 0.0)  # of next to nothing, beyond numbers
     cleaned = remove_nuisance(difference, effects, sensitivity[:, p:])
-    scale = np.maximum(np.linalg.norm(own, axis=0), TINY)
+    scale = np.maximum(np.linalg.norm(own, axis=0), TUNING.tiny)
     shift = np.linalg.lstsq(own / scale, cleaned)[0] / scale[:, None]
     alone = cleaned - own @ shift
-    apart = np.linalg.norm(alone, axis=0) > APART * np.linalg.norm(cleaned, axis=0)
+    apart = np.linalg.norm(alone, axis=0) > TUNING.adequacy_apart * np.linalg.norm(cleaned, axis=0)
     moves = -shift * difference.scale[:p, None]
     hidden = moves[:, ~apart] * np.array([candidate.plausible for candidate in candidates])[~apart]
     alone, moves = alone[:, apart], moves[:, apart]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = score_variance(best, alone, information, slope)
-    if best.noise is None and not np.any(np.abs(score) > MISSED * np.sqrt(variance)):
+    if best.noise is None and not np.any(np.abs(score) > TUNING.adequacy_missed * np.sqrt(variance)):
         # something is missing, yet what it leaves hides it: chance is what a force leaves
         left = slope[:, None] - information * alone * (score / expected)
         variance = np.minimum(variance, np.maximum(expected, block_scatter(alone * left, difference.recovery)))
@@ -400,18 +381,23 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     elsewhere = gain_elsewhere(alone * slope[:, None], alone**2 * information)
     unseen = np.linalg.norm(hidden, axis=1)
     of_encoder = slope.size * (1.0 if best.noise is not None else information / 12)
-    wrong = max(float(slope @ slope) / information - of_encoder, TINY)
+    wrong = max(float(slope @ slope) / information - of_encoder, TUNING.tiny)
     explained = min(float(np.sqrt(np.max(size**2 * expected, initial=0.0) / wrong)), 1.0)
     return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere, unseen, explained)
 
 
 def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
-    """(k,) doubled gain of the log-likelihood over PARTS of the samples, to first order, with the coefficient of the
-    others; scores, informations: (n, k) of the samples on each coefficient."""
-    parts = [np.array([part.sum(axis=0) for part in np.array_split(a, PARTS)]) for a in (scores, informations)]
+    """(k,) doubled gain of the log-likelihood over adequacy_parts of the samples, to first order, with the
+    coefficient of the others; scores, informations: (n, k) of the samples on each coefficient."""
+    parts = [
+        np.array([part.sum(axis=0) for part in np.array_split(a, TUNING.adequacy_parts)])
+        for a in (scores, informations)
+    ]
     score, information = parts
     others = information.sum(axis=0) - information
-    known = others > RARE * information.sum(axis=0)  # else it acts in one part alone, and the others say nothing
+    known = others > TUNING.adequacy_rare * information.sum(
+        axis=0
+    )  # else it acts in one part alone, and the others say nothing
     size = np.where(known, (score.sum(axis=0) - score) / np.where(known, others, 1.0), 0.0)
     return np.asarray(np.sum(2 * size * score - size**2 * information, axis=0))
 
@@ -419,7 +405,10 @@ def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
 def _effect(difference: Difference, q: Floats, candidate: CandidateForce) -> Floats:
     """(n,) by how much the simulated position moves [counts] for a unit of the force."""
     usual = rms(candidate.force)
-    size = STEP * candidate.plausible or STEP_OF_FORCE * abs(difference.equation.input_gain) * rms(difference.u) / usual
+    size = (
+        TUNING.adequacy_step * candidate.plausible
+        or TUNING.step_of_force * abs(difference.equation.input_gain) * rms(difference.u) / usual
+    )
     more, less = (difference.motion(q, -side * size * candidate.force)[0] for side in (1.0, -1.0))
     return difference.filter_signal(more - less) / (2 * size * difference.resolution)
 
@@ -428,7 +417,7 @@ def is_contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:
     """Does an estimate differ from the fit of an adequate model by more than both standard errors and `spread` (p,)
     allow?"""
     allowed = np.sqrt(fit.theta_std**2 + best.theta_std**2 + spread**2)
-    return bool(np.any(np.abs(fit.theta - best.theta) > CONTRADICTED * allowed))
+    return bool(np.any(np.abs(fit.theta - best.theta) > TUNING.adequacy_contradicted * allowed))
 
 
 def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floats:

@@ -13,6 +13,7 @@ from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator, shapes_of
 from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import BCRLS, impulse_products
+from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import new_kernel
@@ -24,26 +25,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Time constant of the slow copy of the estimate that drives the model, in filter time constants: the instruments must
-#: not follow the noise of the samples that they are multiplied with.
-COPY_TIME_CONSTANTS = 17.0
 #: Samples from one update of the copy to the next in the kernel.
 FOLLOWED = constants_of(None)["PMF_FOLLOWED"]
-#: Mean square difference of model and measured velocity, as a part of the mean square, beyond which it is not trusted.
-MISMATCH_LIMIT = 0.2
 #: Signal of a term, the output as its velocity -> its place in the auxiliary model's block of signals.
 BLOCK = {**HELD, **SPLIT, "output": VELOCITY}
-#: With shapes; with 3 the first samples still showed after 4000, with 7 the error bars were longer.
-GROWING_WITH_SHAPES = 5
-#: Memory of that comparison, in filter time constants.
-CHECK_TIME_CONSTANTS = 30.0
-#: Memory of the comparison that shows a model ahead of the plant, and the span of samples that it takes for one; both
-#: in filter time constants.
-LAG_TIME_CONSTANTS, ALIKE_TIME_CONSTANTS = 1000.0, 2.0
-#: Mean square innovation, over what a white encoder error explains, beyond which the equation is called wrong on-line,
-#: and the stretches of samples that it is taken over, two at a time, in filter time constants.
-UNEXPLAINED = 2.5
-MODEL_CHECK_TIME_CONSTANTS = 50.0
 
 
 @dataclass(frozen=True)
@@ -118,12 +103,12 @@ def make_auxiliary_kernel(
         "dt": estimator.dt,
         "input_gain": estimator.equation.input_gain,
         "position_gain": _position_gain(estimator),
-        "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
-        "memory": math.exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
-        "mismatch_limit": MISMATCH_LIMIT,
+        "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / TUNING.copy_time_constants),
+        "memory": math.exp(-estimator.cutoff * estimator.dt / TUNING.check_time_constants),
+        "mismatch_limit": TUNING.mismatch_limit,
         "noise_power": _cache_result(estimator, _noise_power),
-        "lag_memory": math.exp(-estimator.cutoff * estimator.dt / LAG_TIME_CONSTANTS),
-        "lag_samples": max(1.0, ALIKE_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)),
+        "lag_memory": math.exp(-estimator.cutoff * estimator.dt / TUNING.lag_time_constants),
+        "lag_samples": max(1.0, TUNING.alike_time_constants / (estimator.cutoff * estimator.dt)),
         "direct_index": _indices(_alike(direct.equation, estimator.equation)),
         "index": _indices(estimator.equation.roles),
         "initial": values,
@@ -172,15 +157,15 @@ def _check_of_model(estimator: Estimator) -> dict[str, object]:
     products = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
     return {
         "noise": estimator.encoder.resolution**2 / 12 * products,
-        "unexplained": UNEXPLAINED,
-        "check_samples": float(math.ceil(MODEL_CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt))),
+        "unexplained": TUNING.auxiliary_unexplained,
+        "check_samples": float(math.ceil(TUNING.model_check_time_constants / (estimator.cutoff * estimator.dt))),
     }
 
 
 def _growing(estimator: Estimator) -> int:
     """The power of their number by which samples count. The direct estimate, from which the model starts, takes
     friction of a shape for another one: the copy has far to go, and what was gathered on the way must go sooner."""
-    return GROWING_WITH_SHAPES if estimator.equation.shaped else 1
+    return TUNING.growing_with_shapes if estimator.equation.shaped else 1
 
 
 def _position_gain(estimator: Estimator) -> float:
@@ -188,7 +173,7 @@ def _position_gain(estimator: Estimator) -> float:
     as the filters show it, and is all but blind to a step of the encoder; a spring, which is not, as slowly as the copy
     moves."""
     waits = 1.0 if any(term.shape and not term.shape.of_speed for term in estimator.equation.shaped) else None
-    return min(1.0, estimator.cutoff * estimator.dt / (waits or COPY_TIME_CONSTANTS))
+    return min(1.0, estimator.cutoff * estimator.dt / (waits or TUNING.copy_time_constants))
 
 
 def _alike(direct: Equation, equation: Equation) -> list[int | None]:
@@ -224,5 +209,5 @@ def _noise_power(estimator: Estimator) -> float:
     for _ in range(estimator.order):
         gain = estimator.cutoff / (2 / estimator.dt + estimator.cutoff)
         impulse, _ = first_order(impulse, pole, gain, gain)
-    samples = CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)
+    samples = TUNING.check_time_constants / (estimator.cutoff * estimator.dt)
     return float(estimator.encoder.resolution**2 * np.sum(impulse**2) * samples)

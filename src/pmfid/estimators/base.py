@@ -20,6 +20,7 @@ from pmfid.estimators.configuration import (
     freeze,
 )
 from pmfid.estimators.plants import PlantDefaults, plant_of
+from pmfid.estimators.tuning import TUNING
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import Network, Taps, scale_taps
@@ -33,21 +34,8 @@ if TYPE_CHECKING:
 
 #: Time constants after which the filters' start has decayed to less than 1 %, by their order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
-MAX_SETTLE_SAMPLES = 10**8
-#: Sample periods that anything has [s].
-SHORTEST, LONGEST = 1e-12, 1e12
-#: In place of a smaller cutoff * dt, which is refused: numbers beyond float64 would come of it.
-LEAST_PRODUCT = 1e-300
 #: The discretisation that is refined from pass to pass with the estimate.
 EXACT = "exact"
-#: Updates from the accumulated right-hand side; later ones move theta by the innovation alone. float64 without
-#: forgetting never changes over.
-RESIDUAL_UPDATES = 256
-#: Settling times of the filters over which motion limits are learned before they hold strictly, and over which they are
-#: forgotten. Only samples in motion count.
-LEARNING, LEARNED = 8, 128
-#: Samples from a suspicious one on that are left out: then the filters have forgotten most of what stands in its place.
-HELD_OUT = 8
 
 
 @dataclass(frozen=True)
@@ -90,7 +78,7 @@ class Estimator:
         if refused := self.refuses(self.equation):
             raise UsageError(refused)
         check_positive("dt", self.dt, "it is the sample period in s")
-        if not SHORTEST <= self.dt <= LONGEST:
+        if not TUNING.base_shortest <= self.dt <= TUNING.base_longest:
             raise UsageError(f"dt is {self.dt:g} s: nothing is sampled so; it is the sample period in s")
         check_positive("cutoff", self.cutoff, "it is the pole of the filters in rad/s")
         if self.cutoff * self.dt > 2:
@@ -99,7 +87,7 @@ class Estimator:
                 f"what samples every {self.dt:g} s can show; use a cutoff of at most {2 / self.dt:g} rad/s"
             )
         self._check_late()
-        if self.settle_samples > MAX_SETTLE_SAMPLES:
+        if self.settle_samples > TUNING.max_settle_samples:
             raise UsageError(
                 f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle after "
                 f"{self.settle_samples:.2g} samples; use a higher cutoff, of the order of the plant's own poles"
@@ -265,9 +253,9 @@ class Estimator:
         """The encoder's part of the kernel configuration."""
         config = self.encoder.kernel_config(self.dt) | {"process": int(not self.plant.rests), "from_first": 0}
         if self.encoder.guard:
-            config["guard"] = LEARNING * self.settle_samples
-            config["guard_leak"] = 1 / (LEARNED * self.settle_samples)
-            config["guard_hold"] = min(HELD_OUT, self.settle_samples)
+            config["guard"] = TUNING.base_learning * self.settle_samples
+            config["guard_leak"] = 1 / (TUNING.base_learned * self.settle_samples)
+            config["guard_hold"] = min(TUNING.held_out, self.settle_samples)
             config["spike"] = self.plant.spike
         return config
 
@@ -295,7 +283,7 @@ class Estimator:
     @property
     def settle_samples(self) -> int:
         constants = SETTLE_TIME_CONSTANTS.get(self.order, 2.0 + 2.0 * self.order)
-        return math.ceil(constants / max(self.cutoff * self.dt, LEAST_PRODUCT)) + 3
+        return math.ceil(constants / max(self.cutoff * self.dt, TUNING.least_product)) + 3
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -307,7 +295,7 @@ class Estimator:
             "instrumental": int(instrumental),
             "first_column": first_column,
             "min_updates": math.ceil(1 / (self.cutoff * self.dt)) + 2 * parameters,
-            "residual_updates": 2**32 - 1 if exact else RESIDUAL_UPDATES,
+            "residual_updates": 2**32 - 1 if exact else TUNING.residual_updates,
             "forgetting": forgetting,
             "regularization": self.plant.regularization,
             "pivot": self.plant.pivot,

@@ -12,19 +12,13 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays, check_size, integer_counts
 from pmfid.estimators.least_squares import level_of, long_run_covariance
-from pmfid.estimators.plants import START_PIVOT
 from pmfid.estimators.results import Columns, Fit
+from pmfid.estimators.tuning import TUNING
 from pmfid.status import Status
-
-#: A target closer than this to one regressor alone, relative to its size, identifies nothing else.
-TARGET_APART = 1e-6
-TINY = 1e-300
-#: The square of a number must not leave the format.
-BEYOND = 1e120
 
 
 def check_identifiable(
-    columns: Columns, names: tuple[str, ...], least_part: float = START_PIVOT, simulated: bool = False
+    columns: Columns, names: tuple[str, ...], least_part: float = TUNING.start_pivot, simulated: bool = False
 ) -> None:
     """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter.
     simulated: the equation holds while a simulated motion moves, and says nothing while that rests."""
@@ -37,7 +31,7 @@ def check_identifiable(
             f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} "
             "parameters; record longer, or use a higher cutoff"
         )
-    if not max(np.max(np.abs(part)) for part in (columns.phi, columns.z, columns.zeta)) < BEYOND:
+    if not max(np.max(np.abs(part)) for part in (columns.phi, columns.z, columns.zeta)) < TUNING.batch_beyond:
         raise NotIdentifiableError(
             "the motion, or the one simulated, leaves the range of numbers: check the scales of input and output, and "
             "the signs in [model]"
@@ -63,8 +57,8 @@ def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
     """An input that is explained by friction alone says nothing of the mass: encoder noise would decide."""
     for name, column in zip(names, columns.phi.T, strict=True):
         norm = float(np.linalg.norm(column))
-        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, TINY))
-        if norm > 0 and apart < TARGET_APART * np.linalg.norm(columns.z):
+        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, TUNING.tiny))
+        if norm > 0 and apart < TUNING.target_apart * np.linalg.norm(columns.z):
             raise NotIdentifiableError(
                 f"the input is proportional to the regressor of {name} throughout: too little excitation; record "
                 "reversals, and an input that changes while the axis moves"

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.estimators.motion import first_speed, simulate_motion
+from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -24,15 +25,6 @@ from pmfid.models.equation import (
     Equation,
 )
 from pmfid.types import Counts, Flags, Floats
-
-#: Span in which the speed after a gap is read: filter time constants, or time constants of the body's damping.
-READ = 3.0
-#: Samples of the shortest part of a record; a part also lasts a filter time constant.
-FEWEST = 8
-#: Turns in which that speed, and the input that leads to it, are found.
-TURNS, CLOSE = 20, 1e-9
-#: Damping times the time of reading below which nothing is forgotten.
-LITTLE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -60,12 +52,14 @@ class Body:
     @property
     def least(self) -> int:
         """Samples of the shortest part whose speed can be read."""
-        return max(FEWEST, int(1 / (self.cutoff * self.dt)))
+        return max(TUNING.bridges_fewest, int(1 / (self.cutoff * self.dt)))
 
     @property
     def reading(self) -> int:
         """Samples in which the speed after a gap is read."""
-        return max(self.least, int(READ / (min(self.cutoff, max(self.decay, 0.1 * self.cutoff)) * self.dt)))
+        return max(
+            self.least, int(TUNING.bridges_read / (min(self.cutoff, max(self.decay, 0.1 * self.cutoff)) * self.dt))
+        )
 
     @cached_property
     def values(self) -> list[float]:
@@ -114,14 +108,14 @@ def read_start_speed(body: Body, u: Floats, counts: Counts) -> float:
     """The speed [counts/s] at the start of the motion under u (n,), fitted to the counts (n,)."""
     near = min(u.size, body.reading)
     place, time = (counts[:near] - counts[0]).astype(np.float64), np.arange(near) * body.dt
-    response = -np.expm1(-body.decay * time) / body.decay if body.decay * time[-1] > LITTLE else time
+    response = -np.expm1(-body.decay * time) / body.decay if body.decay * time[-1] > TUNING.bridges_little else time
     around = response - np.mean(response)
     speed = first_speed(place, body.dt, body.cutoff, 1.0)
-    for _ in range(TURNS):
+    for _ in range(TUNING.bridges_turns):
         travel = np.r_[0.0, np.cumsum(body.speeds(u[:near], speed)[0][:-1])] * body.dt
         step = float((place - travel) @ around / (around @ around))
         speed += step
-        if abs(step) < CLOSE * abs(speed):
+        if abs(step) < TUNING.bridges_close * abs(speed):
             break
     return speed
 
@@ -133,11 +127,11 @@ def _across(body: Body, samples: int, start: float, target: float, distance: flo
     hill = 6 * at * (1 - at) / time  # of unit distance
     line = start + (target - start) * at
     missing = distance - (start + target) / 2 * time
-    for _ in range(TURNS):
+    for _ in range(TUNING.bridges_turns):
         u = _input_for(body, _insert_rests(line + missing * hill))
         travel = np.cumsum(body.speeds(u, start)[0]) * body.dt
         missing += distance - travel[-1]
-        if abs(distance - travel[-1]) < CLOSE * (abs(distance) + 1.0):
+        if abs(distance - travel[-1]) < TUNING.bridges_close * (abs(distance) + 1.0):
             break
     return u, travel
 
@@ -160,6 +154,8 @@ def _input_for(body: Body, speeds: Floats) -> Floats:
     viscous = np.where(side < 0, values[VISCOUS_BACKWARD], values[VISCOUS_FORWARD])
     coulomb = np.where(side < 0, values[COULOMB_BACKWARD], values[COULOMB_FORWARD])
     lost = -np.expm1(-viscous / mass * body.dt)
-    held = np.where(lost > LITTLE, viscous / np.where(lost > LITTLE, lost, 1.0), mass / body.dt)
+    held = np.where(
+        lost > TUNING.bridges_little, viscous / np.where(lost > TUNING.bridges_little, lost, 1.0), mass / body.dt
+    )
     force = held * (last - first) + viscous * first
     return np.asarray((force + side * coulomb + offset) / body.equation.input_gain)

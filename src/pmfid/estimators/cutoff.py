@@ -12,11 +12,11 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
-from pmfid.estimators.instruments import LASTING
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.results import Columns
+from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import scatter
 from pmfid.models.drive import Model
 from pmfid.types import Floats
@@ -46,17 +46,6 @@ def _log_information(batch: BCLS, u: ArrayLike, counts: ArrayLike) -> float:
     return 2 * float(np.linalg.slogdet(Q.T @ columns.phi)[1])
 
 
-#: Time constants of the filters that are tried [samples]: by more the encoder's error is averaged, by less what the
-#: motion says of the mass is kept. The first with an estimate gives the motion that all are judged along.
-TRIED = (10, 30, 3, 100, 300)
-#: Filter time constants of the shortest record.
-LEAST = 30
-#: Filter time constants of the shortest memory on-line, and samples of the longest filter time constant. With slower
-#: filters the recursion forgets its information before it may trust its instruments, and falls back for most of the
-#: time, on axes from 3e-5 kg m2 to 500 kg; 30 samples were the best of all on most of these axes.
-REMEMBERED, SLOWEST = 3, 30
-
-
 def choose_cutoff(
     models: Sequence[Model],
     encoder: Encoder,
@@ -73,10 +62,14 @@ def choose_cutoff(
     best costs little. If no pole gives an estimate, the pole is 1 / (10 dt), and the estimator reports what is wrong
     with the record.
     """
-    most = counts.size / LEAST
+    most = counts.size / TUNING.cutoff_least
     if forgetting < 1:
-        most = min(most, SLOWEST, max(1 / (1 - forgetting) / REMEMBERED, min(TRIED)))
-    poles = [1 / (samples * dt) for samples in TRIED if samples <= most] or [1 / (TRIED[0] * dt)]
+        most = min(
+            most, TUNING.cutoff_slowest, max(1 / (1 - forgetting) / TUNING.cutoff_remembered, min(TUNING.cutoff_tried))
+        )
+    poles = [1 / (samples * dt) for samples in TUNING.cutoff_tried if samples <= most] or [
+        1 / (TUNING.cutoff_tried[0] * dt)
+    ]
     sizes: dict[float, float] = {}
     for model in models:
         for pole, found in _columns(model, encoder, dt, poles, u, counts):
@@ -125,5 +118,5 @@ def _uncertainty(columns: Columns, settle_samples: int) -> float:
     except NotIdentifiableError:
         return np.inf
     scores = columns.zeta * (columns.z - columns.phi @ theta)[:, None]
-    sign, size = np.linalg.slogdet(scatter(scores @ gain.T, LASTING * settle_samples))
+    sign, size = np.linalg.slogdet(scatter(scores @ gain.T, TUNING.instruments_lasting * settle_samples))
     return float(size) if sign > 0 and np.isfinite(size) else np.inf

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError, whole_number
 from pmfid.estimators.adequacy import filter_force
 from pmfid.estimators.configuration import check_arrays, hold_last_input, like
-from pmfid.estimators.instruments import LASTING
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.results import Columns
+from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import lattice_scatter, scatter
 from pmfid.kernel.configuration import ShapeTable
 from pmfid.models.axes import LINEAR, Units
@@ -25,16 +25,6 @@ from pmfid.models.shapes import Shape
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Counts, Floats
 
-#: Parts of a sample over which a hat is taken.
-PARTS = 4
-#: The measured velocity corrects the simulated one below this part of the cutoff.
-SLOW = 0.3
-#: A direction with less of the samples is none.
-LEAST_PART = 0.02
-#: The first node is at this quantile of the speed; they are no closer to each other, and to the last, than these parts.
-SLOWEST, CLOSEST, APART = 0.02, 0.01, 0.05
-#: Knots of the table that the kernel simulates.
-KNOTS = 128
 CURVE = "curve"
 #: Speeds and friction of the nodes, forward and backward.
 Sides = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
@@ -72,8 +62,12 @@ class Basis:
 
 def make_basis(model: IV, theta: Floats, u: Floats, counts: Counts, nodes: int) -> Basis:
     columns, roles = model.columns_at(theta, u, counts), model.equation.roles
-    simulated = mean_velocity(model.equation, theta, model.dt / PARTS, np.repeat(u, PARTS))
-    corrected = np.where(simulated == 0, 0.0, simulated + np.repeat(_slow(model, simulated, counts), PARTS))
+    simulated = mean_velocity(
+        model.equation, theta, model.dt / TUNING.friction_curve_parts, np.repeat(u, TUNING.friction_curve_parts)
+    )
+    corrected = np.where(
+        simulated == 0, 0.0, simulated + np.repeat(_slow(model, simulated, counts), TUNING.friction_curve_parts)
+    )
     speeds, hats = [], []
     mass = model.equation.leading
     friction = np.delete(columns.zeta, mass, axis=1) @ np.delete(theta, mass)
@@ -116,20 +110,25 @@ def _slow(model: IV, simulated: Floats, counts: Counts) -> Floats:
     from scipy.signal import filtfilt  # slow to import, and only this needs it
 
     moved = np.diff(counts) * model.encoder.resolution / model.dt
-    late = np.r_[moved - simulated.reshape(-1, PARTS).mean(axis=1)[:-1], 0.0]
-    part = 1 - np.exp(-SLOW * model.cutoff * model.dt)
+    late = np.r_[moved - simulated.reshape(-1, TUNING.friction_curve_parts).mean(axis=1)[:-1], 0.0]
+    part = 1 - np.exp(-TUNING.friction_curve_slow * model.cutoff * model.dt)
     return np.asarray(filtfilt([part], [1.0, part - 1.0], late))
 
 
 def _nodes(speed: Floats, nodes: int, direction: str) -> Floats:
     """0 and the quantiles of the positive speeds, each apart from the one before."""
     moving = speed[speed > 0]
-    if moving.size < LEAST_PART * speed.size + 10 * nodes:
+    if moving.size < TUNING.least_part * speed.size + 10 * nodes:
         raise NotIdentifiableError(f"the axis hardly moves {direction}: record a motion in both directions")
-    found = np.asarray(np.quantile(moving, np.r_[SLOWEST, np.arange(1, nodes - 1) / (nodes - 1), 1.0]))
+    found = np.asarray(
+        np.quantile(moving, np.r_[TUNING.friction_curve_slowest, np.arange(1, nodes - 1) / (nodes - 1), 1.0])
+    )
     kept = [0.0]
     for value in found[:-1].tolist():
-        if value - kept[-1] > CLOSEST * found[-1] and found[-1] - value > APART * found[-1]:
+        if (
+            value - kept[-1] > TUNING.friction_curve_closest * found[-1]
+            and found[-1] - value > TUNING.friction_curve_apart * found[-1]
+        ):
             kept.append(value)
     return np.array([*kept, found[-1]])
 
@@ -139,7 +138,11 @@ def _hats(model: IV, side: float, speed: Floats, nodes: Floats) -> Iterator[Floa
     for j in range(1, nodes.size):
         unit = np.zeros(nodes.size)
         unit[j] = 1.0
-        yield filter_force(side * np.where(speed > 0, np.interp(speed, nodes, unit), 0.0), model, speed.size // PARTS)
+        yield filter_force(
+            side * np.where(speed > 0, np.interp(speed, nodes, unit), 0.0),
+            model,
+            speed.size // TUNING.friction_curve_parts,
+        )
 
 
 def bend_of(speeds: tuple[Floats, Floats]) -> Floats:
@@ -163,7 +166,7 @@ def with_curve(estimator: IV, mass: float, sides: Sides) -> tuple[IV, Floats]:
     """The same method on the equation that has a curve in its simulated motion, and its parameters. sides: speeds and
     friction, forward and backward."""
     lines = [np.asarray(np.polyfit(speed, force, 1)) for speed, force in sides]
-    even = np.linspace(0.0, max(speed[-1] for speed, _ in sides), KNOTS)
+    even = np.linspace(0.0, max(speed[-1] for speed, _ in sides), TUNING.friction_curve_knots)
     remainders = [
         np.interp(even, *side) - np.polyval(line, np.minimum(even, side[0][-1]))
         for side, line in zip(sides, lines, strict=True)
@@ -183,16 +186,8 @@ def with_curve(estimator: IV, mass: float, sides: Sides) -> tuple[IV, Floats]:
     return like(IV, estimator, model=EquationModel(equation), prefilter_zeros=None), theta
 
 
-#: Nodes of each direction in addition to the one at rest.
-NODES = 10
-#: Turns in which the curve goes back into the simulation.
-TURNS = 3
 #: Weights of the bend that are tried, over the information of the samples.
 WEIGHTS = 10.0 ** np.arange(-8.0, 4.1, 0.5)
-#: Blocks of the record, and the turns in which they are left out.
-BLOCKS, FOLDS = 32, 8
-#: Part of the smoothing in the curve of the error bars: the whole smoothing may hide what the record can hardly show.
-LESS = 0.01
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,7 +255,11 @@ class FrictionCurve(Presentable):
 
 
 def friction_curve(
-    estimator: IV, u: ArrayLike, counts: ArrayLike, nodes: int = NODES, rising_from: float | None = None
+    estimator: IV,
+    u: ArrayLike,
+    counts: ArrayLike,
+    nodes: int = TUNING.friction_curve_nodes,
+    rising_from: float | None = None,
 ) -> FrictionCurve:
     """From u, counts: (n,). estimator: of a `Drive` with directional friction; nodes: of each direction; rising_from:
     friction does not fall with the speed from there on [m/s], 0: nowhere; None: it may. Error bars are for noise and
@@ -283,7 +282,7 @@ def friction_curve(
             "nowhere be asked to rise; give a lower speed, or leave it out"
         )
     solved = _solve_curve(basis, rising_from)
-    for _ in range(TURNS - 1):
+    for _ in range(TUNING.friction_curve_turns - 1):
         model, theta = with_curve(estimator, float(solved.theta[0]), solved.sides)
         solved = _solve_curve(make_basis(model, theta, u, counts, nodes), rising_from)
 
@@ -299,7 +298,8 @@ def friction_curve(
 
 @dataclass(frozen=True)
 class _Solved:
-    """theta (1 + k,): mass and friction at the nodes; of a curve with LESS smoothing gain (1 + k, 1 + k), noise
+    """theta (1 + k,): mass and friction at the nodes; of a curve with friction_curve_less smoothing gain (1 + k, 1 +
+    k), noise
     (1 + k,): variances by the scatter of the scores, and bias (1 + k,): how far it is from that; everywhere (N, 1 + k):
     instruments of the whole record; error (n,): what is left."""
 
@@ -331,8 +331,8 @@ def _solve_curve(basis: Basis, rising_from: float | None) -> _Solved:
     if rising_from is not None:
         theta = _rising(information + penalty, right, basis.speeds, rising_from)
     rest = basis.target - basis.regressors @ theta
-    gain = inverse_of(information + LESS * penalty)
-    noise = np.diagonal(scatter((A * rest[:, None]) @ gain.T, LASTING * basis.settle))
+    gain = inverse_of(information + TUNING.friction_curve_less * penalty)
+    noise = np.diagonal(scatter((A * rest[:, None]) @ gain.T, TUNING.instruments_lasting * basis.settle))
     everywhere = np.zeros((basis.used.size, theta.size))
     everywhere[basis.used] = A
     return _Solved(basis.speeds, theta, gain, noise, theta - gain @ right, weight, everywhere, rest)
@@ -351,20 +351,23 @@ def _weight(A: Floats, basis: Basis, bend: Floats) -> float:
     """The largest of those tried with which blocks are predicted, by the others, as well as with the best one, within a
     standard error of the difference (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
     n = basis.target.size
-    block = np.arange(n) * BLOCKS // n
-    sums = [_sums(A[block == k], basis.regressors[block == k], basis.target[block == k]) for k in range(BLOCKS)]
+    block = np.arange(n) * TUNING.friction_curve_blocks // n
+    sums = [
+        _sums(A[block == k], basis.regressors[block == k], basis.target[block == k])
+        for k in range(TUNING.friction_curve_blocks)
+    ]
     square, cross = (np.sum([part[i] for part in sums], axis=0) for i in (0, 1))
-    errors = np.empty((WEIGHTS.size, BLOCKS))
+    errors = np.empty((WEIGHTS.size, TUNING.friction_curve_blocks))
     for row, weight in enumerate(WEIGHTS):
-        for fold in range(FOLDS):
-            own = range(fold, BLOCKS, FOLDS)
+        for fold in range(TUNING.friction_curve_folds):
+            own = range(fold, TUNING.friction_curve_blocks, TUNING.friction_curve_folds)
             rest = square - sum(sums[k][0] for k in own) + weight * bend.T @ bend
             right = cross - sum(sums[k][1] for k in own)
             theta = np.linalg.lstsq(rest, right, rcond=None)[0]  # without these blocks a node may have no sample
             for k in own:
                 errors[row, k] = theta @ sums[k][2] @ theta - 2 * theta @ sums[k][3]
     apart = errors - errors[np.argmin(errors.sum(axis=1))]
-    allowed = apart.std(axis=1) * np.sqrt(BLOCKS)
+    allowed = apart.std(axis=1) * np.sqrt(TUNING.friction_curve_blocks)
     return float(WEIGHTS[np.flatnonzero(apart.sum(axis=1) <= allowed)[-1]])
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.base import Simulating
-from pmfid.estimators.batch import TINY, check_identifiable
+from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.bridges import Body, bridge_gaps
 from pmfid.estimators.configuration import check_arrays, check_size, like
 from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
@@ -20,6 +20,7 @@ from pmfid.estimators.ls import BCLS
 from pmfid.estimators.recursive import impulse_products
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
+from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import lattice_scatter, raise_variances, scatter
 from pmfid.linear.solve import ProcessProblem, Solution
 from pmfid.models.drive import Model
@@ -36,29 +37,6 @@ from pmfid.models.equation import (
     Equation,
 )
 from pmfid.status import Status
-
-MAX_ITERATIONS = 40
-TOLERANCE = 1e-7
-#: A stop of the model that comes and goes with theta keeps the iteration in a small cycle: from here on half steps,
-DAMPED_FROM = 15
-#: and a cycle of this relative size is an answer.
-ACCEPTED = 2e-3
-#: A parameter whose term is less than this part of the target may be zero: its change is measured against that.
-SMALL = 1e-2
-#: The first part of a record, in which the model's velocity forgets that its start was not known.
-START_PART = 0.05
-#: Samples with equal counts at the start of a record that may begin at rest.
-REST_SAMPLES = 5
-#: Relative step of the differences for the covariance.
-JACOBIAN_STEP = 1e-3
-#: Dead times [samples] that are tried before one is estimated.
-TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
-#: Lags, likewise; and the step of the difference quotient by the lag, both in samples.
-TRIED_LAGS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-LAG_STEP = 1e-3
-#: Settling times of the filters in the shortest block of the scores. Blocks that fade in and out separate the filtered
-#: noise from errors that last longer.
-LASTING = 4
 
 
 @dataclass(frozen=True)
@@ -85,16 +63,22 @@ class Instruments(ProcessSolver, Simulating):
     def settle_iteration(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
         """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors."""
         theta = self.start(u, counts)
-        for turn in range(MAX_ITERATIONS):
+        for turn in range(TUNING.instruments_max_iterations):
             columns = self.columns_at(theta, u, counts)
             check_identifiable(columns, self.names, simulated=True)
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
-            if turn >= DAMPED_FROM:
+            if turn >= TUNING.damped_from:
                 theta = (theta + before) / 2
-            small = SMALL * np.linalg.norm(columns.z) / np.maximum(np.linalg.norm(columns.phi, axis=0), TINY)
+            small = (
+                TUNING.instruments_small
+                * np.linalg.norm(columns.z)
+                / np.maximum(np.linalg.norm(columns.phi, axis=0), TUNING.tiny)
+            )
             size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
             change = np.max(np.abs(theta - before) / size)
-            if change <= TOLERANCE or (turn == MAX_ITERATIONS - 1 and change <= ACCEPTED):
+            if change <= TUNING.instruments_tolerance or (
+                turn == TUNING.instruments_max_iterations - 1 and change <= TUNING.instruments_accepted
+            ):
                 return columns, theta
         raise NotIdentifiableError(
             f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
@@ -110,7 +94,7 @@ class Instruments(ProcessSolver, Simulating):
         The filtered error of the encoder cancels over such blocks, unmodelled friction does not. If the encoder's
         lattice does more along this motion, that variance counts."""
         gain = self._gain(columns, theta, u, counts)
-        in_blocks = scatter(self._scores(columns, theta) @ gain.T, LASTING * self.settle_samples)
+        in_blocks = scatter(self._scores(columns, theta) @ gain.T, TUNING.instruments_lasting * self.settle_samples)
         along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
         return raise_variances(in_blocks, along)
 
@@ -125,7 +109,7 @@ class Instruments(ProcessSolver, Simulating):
         jacobian = np.empty((theta.size, theta.size))
         size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
         size[[name in (DEAD_TIME, LAG) for name in self.names]] = self.dt
-        for i, step in enumerate(JACOBIAN_STEP * size):
+        for i, step in enumerate(TUNING.jacobian_step * size):
             moved = [theta + side * np.eye(theta.size)[i] for side in (step, -step)]
             sides = [self.columns_at(at, u, counts, rests) for at in moved]
             used = columns.used & sides[0].used & sides[1].used  # one that moves where the other rests uses others
@@ -138,9 +122,9 @@ class Instruments(ProcessSolver, Simulating):
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
         if self.equation.lag == ESTIMATE:
-            return self._start_late(self.model.at_lag, TRIED_LAGS, u, counts)
+            return self._start_late(self.model.at_lag, TUNING.tried_lags, u, counts)
         if self.equation.dead_time == ESTIMATE:
-            return self._start_late(self.model.at_dead_time, TRIED, u, counts)
+            return self._start_late(self.model.at_dead_time, TUNING.instruments_tried, u, counts)
         batch = like(BCLS, self, model=self.model.simple)
         found = batch.fit(u, counts)
         theta = spread(batch.equation.role_values(found.theta), self.equation)
@@ -177,7 +161,7 @@ class Instruments(ProcessSolver, Simulating):
         columns, used, _ = self._filter_record(theta, *check_arrays(u, counts), None)
         check = auxiliary_columns(self)[3]
         measured, modelled = columns[used, check], columns[used, check + 1]
-        return float(np.sum((measured - modelled) ** 2) / max(float(np.sum(measured**2)), TINY))
+        return float(np.sum((measured - modelled) ** 2) / max(float(np.sum(measured**2)), TUNING.tiny))
 
     def columns_at(
         self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike, rests: bool | None = None
@@ -219,7 +203,7 @@ class Instruments(ProcessSolver, Simulating):
         columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array])
         columns, status = columns[before:], status[before:] | lost
         used = ((status & Status.SETTLING) == 0) & there
-        used[: 0 if before else int(START_PART * used.size)] = False
+        used[: 0 if before else int(TUNING.start_part * used.size)] = False
         return columns, used, status
 
     @cached_property
@@ -229,8 +213,8 @@ class Instruments(ProcessSolver, Simulating):
 
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
         """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""
-        begin = slice(0, REST_SAMPLES)
-        if counts.size <= REST_SAMPLES or np.any(counts[begin] != counts[0]):
+        begin = slice(0, TUNING.rest_samples)
+        if counts.size <= TUNING.rest_samples or np.any(counts[begin] != counts[0]):
             return False
         friction = min(
             (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
@@ -299,7 +283,7 @@ def linearise_lag(columns_at: Callable[[float], Columns], theta: NDArray[np.floa
     so an iteration ends where this term is zero. The change of the error has no noise, and is its own instrument.
     """
     lag, others = max(float(theta[-1]), 0.0), theta[:-1]
-    low, high = max(lag - LAG_STEP * dt, 0.0), lag + LAG_STEP * dt
+    low, high = max(lag - TUNING.lag_step * dt, 0.0), lag + TUNING.lag_step * dt
     below, here, above = (columns_at(value) for value in (low, lag, high))
     change = (below.z - below.phi @ others) - (above.z - above.phi @ others)
     column = change / (high - low)

@@ -18,14 +18,12 @@ from pmfid.estimators.instruments import Instruments, initial_vector
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Fit
+from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
-
-#: A dead time known to this [samples] moves nothing; one that is known worse may be known better from the whole motion.
-SHARP = 0.005
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class IV(Instruments):
         u, counts = check_arrays(u, counts)
         fit = super()._fit(u, counts)
         late = [i for i, name in enumerate(self.names) if name in (DEAD_TIME, LAG)]
-        if not late or np.all(fit.theta_std[late] < SHARP * self.dt):
+        if not late or np.all(fit.theta_std[late] < TUNING.iv_sharp * self.dt):
             return fit
         sharp = self._sharp(fit, u, counts)
         if sharp is None or not np.all(sharp.theta_std[late] < fit.theta_std[late]):

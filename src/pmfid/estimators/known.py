@@ -19,6 +19,7 @@ from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Fit, Track, join_tracks
 from pmfid.estimators.runner import Runner
+from pmfid.estimators.tuning import TUNING
 from pmfid.models.drive import Drive
 from pmfid.presentation import Parameters, Presentable, Summary, remarks_of
 from pmfid.status import status_names
@@ -26,11 +27,6 @@ from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
-
-#: Steps. One step is enough for one given force; only facts that contradict each other take more.
-MOST_STEPS, CONVERGED = 30, 1e-13
-#: A fact that the others leave this part of its variance is tested by nothing.
-UNTESTED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -65,12 +61,12 @@ def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts)
     total = covariance + further[..., None] * np.eye(estimate.shape[1])
     with np.errstate(all="ignore"):  # what comes of a parameter that is zero, or of nothing known, is NaN
         a, b = estimate, _start(estimate, total, facts)
-        for _ in range(MOST_STEPS):
+        for _ in range(TUNING.known_most_steps):
             step = _linear(a, b, total, facts)
             rest = facts.value - step.h + _times(step.by_a, a - estimate)
             change = np.sum(step.gain_b * rest, axis=1)
             a, b, before = estimate + _times(step.gain_a, rest), b + change, b
-            if not np.any(np.abs(b - before) > CONVERGED * np.abs(b)):
+            if not np.any(np.abs(b - before) > TUNING.known_converged * np.abs(b)):
                 break
         return _make_combined(estimate, covariance, a, b, _linear(a, b, total, facts), facts)
 
@@ -144,15 +140,9 @@ def _make_combined(estimate: Floats, covariance: Floats, a: Floats, b: Floats, l
         "nik,k,nlk->nil", pull, facts.std**2, pull
     )
     rest = facts.value - last.h + _times(last.by_a, a - estimate)
-    tested = last.left > UNTESTED * last.total
+    tested = last.left > TUNING.known_untested * last.total
     apart = np.where(tested, rest / np.sqrt(np.where(tested, last.left, 1.0)), 0.0)
     return Combined(np.concatenate([own * a, b[:, None]], axis=1), noise, moves, apart)
-
-
-#: Standard deviations of the difference between a fact and a record from which on they contradict each other.
-CONTRADICTED = 3.0
-#: Samples of a record over which the correlation of the parameters is taken for the same.
-PIECE = 200
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -328,7 +318,7 @@ class Known:
         named = [
             (name, f"{name} = {value:.6g}" + (f" ± {own:.2g}" if own else ""))
             for (name, (value, own)), away in zip(self._facts.items(), apart, strict=True)
-            if abs(away) > CONTRADICTED
+            if abs(away) > TUNING.known_contradicted
         ]
         if not named:
             return ()
@@ -374,8 +364,8 @@ class Known:
         """Many samples at once as `Runner.run` of an estimation that is under way, u, counts: (n,)."""
         u, counts = check_arrays(u, counts)
         parts = []
-        for start in range(0, max(1, u.size), PIECE):
-            part = runner.run(u[start : start + PIECE], counts[start : start + PIECE])
+        for start in range(0, max(1, u.size), TUNING.known_piece):
+            part = runner.run(u[start : start + TUNING.known_piece], counts[start : start + TUNING.known_piece])
             parts.append(self.track(part, runner.estimate))
         return join_tracks(parts)
 

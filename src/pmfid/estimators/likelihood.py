@@ -9,26 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr
 
-from pmfid.estimators.motion import FIRST_DAMPING, MAX_DAMPING, SETTLED_STEP, Difference, bounded_step, rms, try_step
+from pmfid.estimators.motion import Difference, bounded_step, rms, try_step
+from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
 
-#: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
-NOISE_FLOOR = 0.02
-#: Relative accuracy of that noise: the likelihood is flat around its top.
-NOISE_TOLERANCE = 1e-3
-#: Noise beyond the floor by this factor is noise, or that of a local maximum,
-GIVEN_AWAY = 1.5
-#: which is left by starts this many standard deviations around, with this noise [counts] on the way.
-AROUND = 1.5
-SHRINKING = (0.3, 0.1, 0.04)
-#: Starts after the first that must find the same maximum to end the search, and difference of the logarithms of two
-#: likelihoods of the same maximum. On 56 records with 10 to 300 counts of travel no further start found a larger one.
-AGREEING, SAME = 3, 0.01
-MAX_ITERATIONS = 100
-TOLERANCE = 1e-6
-#: Noise, in counts, from which on the edges of the counts no longer show.
-WIDE = 3.0
-TINY = 1e-300
 HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 
@@ -50,7 +34,7 @@ class Best:
     @property
     def clean(self) -> bool:
         """Is there no more in the position than the model and the encoder explain? Then one stroke is like the next."""
-        return self.noise is not None and self.noise <= GIVEN_AWAY * NOISE_FLOOR
+        return self.noise is not None and self.noise <= TUNING.given_away * TUNING.noise_floor
 
 
 def best_of(difference: Difference, least: Floats, status: int = 0) -> Best:
@@ -90,17 +74,21 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     find the same maximum.
     """
     best = climb(difference, q, None)
-    if best[2] <= GIVEN_AWAY * NOISE_FLOOR or difference.breaks:  # the starts after gaps are those of least squares
+    if (
+        best[2] <= TUNING.given_away * TUNING.noise_floor or difference.breaks
+    ):  # the starts after gaps are those of least squares
         return best[1], best[2]
     costs = [best[0]]
     for start in (q, *_list_starts(difference, q)):
         place = start
-        for noise in SHRINKING:
+        for noise in TUNING.likelihood_shrinking:
             place = climb(difference, place, noise)[1]
         found = climb(difference, place, None)
         costs.append(found[0])
         best = min(best, found, key=lambda one: one[0])
-        if best[2] <= GIVEN_AWAY * NOISE_FLOOR or (len(costs) > AGREEING and max(costs) - min(costs) < SAME):
+        if best[2] <= TUNING.given_away * TUNING.noise_floor or (
+            len(costs) > TUNING.likelihood_agreeing and max(costs) - min(costs) < TUNING.likelihood_same
+        ):
             break
     return best[1], best[2]
 
@@ -110,21 +98,25 @@ def _list_starts(difference: Difference, q: Floats) -> list[Floats]:
     jacobian = difference.jacobian(q)
     _, size, axes = np.linalg.svd(jacobian, full_matrices=False)
     spread = np.sqrt(np.mean(difference(q) ** 2)) / np.maximum(size, 1e-6 * size[0])
-    steps = [AROUND * side * length * axis for length, axis in zip(spread, axes, strict=True) for side in (1.0, -1.0)]
+    steps = [
+        TUNING.likelihood_around * side * length * axis
+        for length, axis in zip(spread, axes, strict=True)
+        for side in (1.0, -1.0)
+    ]
     return [np.maximum(q + step, difference.lower) for step in steps]
 
 
 def climb(
-    difference: Difference, q: Floats, fixed: float | None, settled: float = SETTLED_STEP**2 / 2
+    difference: Difference, q: Floats, fixed: float | None, settled: float = TUNING.settled_step**2 / 2
 ) -> tuple[float, Floats, float]:
     """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
-    after each or a fixed one. settled: a step that gains less is the last one; by default one of SETTLED_STEP of a
+    after each or a fixed one. settled: a step that gains less is the last one; by default one of settled_step of a
     standard error."""
-    damping, step, gain = FIRST_DAMPING, np.inf, np.inf
+    damping, step, gain = TUNING.first_damping, np.inf, np.inf
     e = difference(q)
     jacobian = difference.forward_jacobian(q, e)
     noise = fixed or likeliest_noise(e)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(TUNING.likelihood_max_iterations):
         now, slope, curvature = cost(e, noise)
         hessian = jacobian.T @ (curvature[:, None] * jacobian)
         # counts far from their edges have no curvature: without the last term a step would leave them
@@ -138,7 +130,7 @@ def climb(
             noise = fixed or likeliest_noise(e)
         else:
             damping *= 10
-        if step < TOLERANCE or damping > MAX_DAMPING or 0 < gain < settled:
+        if step < TUNING.likelihood_tolerance or damping > TUNING.max_damping or 0 < gain < settled:
             break
         if gain > 0:
             jacobian = difference.forward_jacobian(q, e)
@@ -146,7 +138,7 @@ def climb(
 
 
 def likeliest_noise(e: Floats) -> float:
-    """Noise [counts] of the largest likelihood for the differences e (n,) [counts], at least NOISE_FLOOR."""
+    """Noise [counts] of the largest likelihood for the differences e (n,) [counts], at least noise_floor."""
     apart = np.abs(e)
 
     def slope(log: float) -> float:
@@ -154,12 +146,12 @@ def likeliest_noise(e: Floats) -> float:
         noise = math.exp(log)
         return -float(np.mean(count_likelihood(apart, noise)[2])) * noise**2
 
-    low, high = math.log(NOISE_FLOOR), math.log(1 + 2 * float(np.max(apart)))
+    low, high = math.log(TUNING.noise_floor), math.log(1 + 2 * float(np.max(apart)))
     if slope(low) <= 0:
-        return NOISE_FLOOR
+        return TUNING.noise_floor
     from scipy.optimize import brentq  # slow to import, and a record within its counts never needs it
 
-    return math.exp(brentq(slope, low, high, xtol=NOISE_TOLERANCE))
+    return math.exp(brentq(slope, low, high, xtol=TUNING.noise_tolerance))
 
 
 def cost(e: Floats, noise: float) -> tuple[float, Floats, Floats]:
@@ -170,7 +162,7 @@ def cost(e: Floats, noise: float) -> tuple[float, Floats, Floats]:
 
 def expected_information(e: Floats, noise: float) -> Floats:
     """Fisher information (n,) on the position [counts] at differences e (n,), mean over the counts that may come."""
-    if noise > WIDE:
+    if noise > TUNING.likelihood_wide:
         return np.full(e.size, 1 / (noise**2 + 1 / 12))  # Sheppard's correction
     reach, total = math.ceil(6 * noise), np.zeros(e.size)
     for count in range(-reach, reach + 1):
@@ -192,4 +184,4 @@ def log_probability(apart: Floats, noise: float) -> Floats:
     """Logarithm of the probability of a count whose middle is `apart` >= 0 (n,) [counts] from the position."""
     log_inner = log_ndtr((0.5 - apart) / noise)
     log_outer = log_ndtr((-0.5 - apart) / noise)
-    return np.asarray(log_inner + np.log(-np.expm1(np.minimum(log_outer - log_inner, -TINY))))
+    return np.asarray(log_inner + np.log(-np.expm1(np.minimum(log_outer - log_inner, -TUNING.tiny))))

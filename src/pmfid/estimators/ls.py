@@ -14,16 +14,12 @@ from pmfid.estimators.batch import BatchEstimator, check_identifiable
 from pmfid.estimators.configuration import check_arrays, like
 from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
 from pmfid.estimators.results import Columns, Fit
+from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import tustin_image
 from pmfid.linear.responses import ExactTerm, Filter, respond_exactly
 from pmfid.models.equation import Equation
 from pmfid.types import Floats
 
-PASSES = 12
-#: Relative change of every parameter at which the passes end.
-SETTLED = 1e-12
-#: ... and from which on they are taken to have settled where rounding or noise goes on.
-CLOSE = 1e-6
 OUTPUTS = ("output", "process_output")
 #: What it makes, and what the terms on the right are made from, in the order of its rows.
 SOURCES = ("input", "process_input", "direction", "moving", "constant")
@@ -146,7 +142,7 @@ def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
 
     Each is a Newton step that leaves out how the instruments change. None where they do not settle."""
     change, history = np.inf, []
-    for count in range(1, PASSES + 1):
+    for count in range(1, TUNING.ls_passes + 1):
         with np.errstate(all="ignore"):
             here = exact.compute_pass(theta)
             size = np.linalg.norm(here.zeta[used], axis=0)
@@ -158,7 +154,9 @@ def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
         theta, before = theta + step, change
         history.append(theta)
         change = float(np.max(np.abs(step) / np.maximum(np.abs(theta), 1e-300)))
-        if change < SETTLED or (change < CLOSE and (change > before / 4 or count == PASSES)):
+        if change < TUNING.ls_settled or (
+            change < TUNING.ls_close and (change > before / 4 or count == TUNING.ls_passes)
+        ):
             return Refined(theta, here, inverse @ np.linalg.inv(R.T) / size, np.array(history))
     return None
 

@@ -13,15 +13,10 @@ from numpy.typing import NDArray
 from pmfid._stage import first_order
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.least_squares import parts_of_their_own
+from pmfid.estimators.tuning import TUNING
 from pmfid.kernel.configuration import Decay, decays, shape_bytes
 from pmfid.models.equation import ESTIMATE, LATE, MASS, MOST_LATE, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.types import Flags, Floats
-
-#: Parts of a sample in the simulation of forces with a shape and of reversals under a lagging input: by default, and
-#: at most.
-PARTS, MOST_PARTS = 4, 16
-#: Damping that the kernel gives a body in every step, so that it may divide by it.
-LITTLE_DAMPING = 1e-9
 
 
 def mean_velocity(
@@ -31,7 +26,7 @@ def mean_velocity(
     u: Floats,
     velocity: float = 0.0,
     position: float = 0.0,
-    parts: int = PARTS,
+    parts: int = TUNING.motion_parts,
     before: Floats | None = None,
     on_top: Floats | None = None,
 ) -> Floats:
@@ -49,7 +44,7 @@ def simulate_motion(
     u: Floats,
     velocity: float = 0.0,
     position: float = 0.0,
-    parts: int = PARTS,
+    parts: int = TUNING.motion_parts,
     before: Floats | None = None,
     on_top: Floats | None = None,
 ) -> tuple[Floats, float]:
@@ -63,7 +58,7 @@ def simulate_motion(
         found = _kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", past, None, on_top)
         return np.asarray(found[0]), float(found[3])
     for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
-        roles[viscous] = max(roles[viscous] - (parts - 1) * LITTLE_DAMPING * roles[MASS] / dt, 0.0)
+        roles[viscous] = max(roles[viscous] - (parts - 1) * TUNING.little_damping * roles[MASS] / dt, 0.0)
     inputs = np.repeat(u, parts)
     extra = None if on_top is None else np.repeat(on_top, parts)
     past, lagging = np.repeat(past, parts), _decays(known, roles, dt / parts)
@@ -87,7 +82,7 @@ def parts_for(equation: Equation, theta: Floats, dt: float, u: Floats, allowed: 
     parts = 1
     if equation.shaped or equation.lag:
         coarse = mean_velocity(equation, theta, dt, u, parts=parts)
-        while parts < MOST_PARTS:
+        while parts < TUNING.most_parts:
             fine = mean_velocity(equation, theta, dt, u, parts=2 * parts)
             if not np.std(np.cumsum(coarse - fine)) * dt > allowed:
                 break
@@ -95,13 +90,6 @@ def parts_for(equation: Equation, theta: Floats, dt: float, u: Floats, allowed: 
     return parts
 
 
-#: Turns of the search for the speed after a gap, and the part of its prior standard deviation at which a step ends the
-#: search: the motion is linear within that.
-TURNS, SMALL = 30, 1e-3
-#: A step that leads to no better motion is tried once more as this part of itself.
-SHORTER = 0.25
-#: Step of the difference quotient by that speed, as a part of the same.
-VELOCITY_STEP = 0.1
 #: Parameters, start velocity, force on top -> position from 0 and velocity, as `Difference.motion`.
 Motion = Callable[[Floats, float, Floats | None], tuple[Floats, Floats]]
 
@@ -134,8 +122,8 @@ class Restart:
             self.effect = self._effect_at(self.shown, parameters, force)
         fresh, found = True, self._from(self.speed, parameters, force)
         step = self._step(found.apart, prior)
-        for _ in range(TURNS):
-            if abs(step) < SMALL * self.known:
+        for _ in range(TUNING.motion_turns):
+            if abs(step) < TUNING.motion_small * self.known:
                 return found.position + step * self.effect, found.velocity
             tried = self._from(self.speed + step, parameters, force)
             if self._sum_squares(tried, self.speed + step, prior) < self._sum_squares(found, self.speed, prior):
@@ -145,7 +133,7 @@ class Restart:
                 self.effect, fresh = self._effect_at(self.speed, parameters, force), False
                 step = self._step(found.apart, prior)
             else:
-                step *= SHORTER
+                step *= TUNING.motion_shorter
         return found.position, found.velocity
 
     def _from(self, speed: float, parameters: Floats, force: Floats | None) -> _Moved:
@@ -154,8 +142,10 @@ class Restart:
         return _Moved(position + level, velocity, self.y - position - level)
 
     def _effect_at(self, speed: float, parameters: Floats, force: Floats | None) -> Floats:
-        sides = (self.motion(parameters, speed + side * VELOCITY_STEP * self.known, force)[0] for side in (1.0, -1.0))
-        effect = np.subtract(*sides) / (2 * VELOCITY_STEP * self.known)
+        sides = (
+            self.motion(parameters, speed + side * TUNING.velocity_step * self.known, force)[0] for side in (1.0, -1.0)
+        )
+        effect = np.subtract(*sides) / (2 * TUNING.velocity_step * self.known)
         return np.asarray(effect - np.mean(effect))
 
     def _step(self, apart: Floats, prior: float) -> float:
@@ -175,39 +165,8 @@ class _Moved:
     apart: Floats
 
 
-#: Step of the difference quotients as a part of a parameter: far above the kinks that stops and reversals leave in
-#: the simulated position, far below what makes the position bend.
-QUOTIENT_STEP = 1e-4
-MAX_EVALUATIONS = 200
-#: A step by less than this part of a standard error ends an iteration.
-SETTLED_STEP = 0.01
-#: Damping of the first step, and the largest one: a step that is damped more moves nothing.
-FIRST_DAMPING, MAX_DAMPING = 1e-3, 1e8
-TINY = 1e-300
-#: Longest step, in sizes of the parameters at the start, of which some are only guessed.
-LONGEST_STEP = 1e6
-#: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never settle.
-ROUGH_TOLERANCE = 1e-7
-#: Root mean square of the difference, in counts, up to which the encoder explains it; rounding down alone gives 0.29.
-ENCODER_ALONE = 0.5
-#: Accuracy of the simulated position, as a part of the travel.
-SIMULATION_ERROR = 1e-5
-#: Error of the simulated position that shapes may add [counts].
-PARTS_ERROR = 0.005
-#: Counts within a filter time constant by which the start velocity may be off.
-START_COUNTS = 3.0
 #: Square root of the information [1/counts] of a sample with a white encoder error.
 WHITE = math.sqrt(12.0)
-#: A larger part of the motion left unexplained is no fit.
-WORST_FIT = 0.5
-#: Time constants of the longest lag after which an input has no effect left.
-LAGGING = 16
-#: Least mass, as a part of the start's mass: without any the motion has no equation.
-LEAST_MASS = 1e-3
-#: The same of a parameter that the equation is not linear in.
-LEAST_SHAPE = 1e-2
-#: Part of a sensitivity that must not follow from the others.
-APART = 1e-3
 
 
 @dataclass(frozen=True)
@@ -306,7 +265,7 @@ class Difference:
 
     def fine_at(self, theta: Floats) -> Difference:
         """With as many parts of a sample as the counts ask for at theta (p,), and no fewer than now."""
-        asked = parts_for(self.equation, theta, self.dt, self.u, PARTS_ERROR * self.resolution)
+        asked = parts_for(self.equation, theta, self.dt, self.u, TUNING.parts_error * self.resolution)
         return replace(self, parts=max(self.parts, asked))
 
     @property
@@ -321,7 +280,9 @@ class Difference:
 
     def part(self, first: int, last: int) -> Difference:
         """The same for samples first to last - 1, with a start of their own."""
-        past = np.r_[self.before, self.u[:first]][-(LAGGING if self.equation.lag else 1) * MOST_LATE - 2 :]
+        past = np.r_[self.before, self.u[:first]][
+            -(TUNING.motion_lagging if self.equation.lag else 1) * MOST_LATE - 2 :
+        ]
         return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past)
 
     def filter_signal(self, signal: Floats) -> Floats:
@@ -339,7 +300,7 @@ class Difference:
         """Root mean square [counts] of the position about its mean, as the difference sees it."""
         return rms(self.filter_signal(self.y - np.mean(self.y)) / self.resolution)
 
-    def jacobian(self, q: Floats, width: float = QUOTIENT_STEP, first: int = 0) -> Floats:
+    def jacobian(self, q: Floats, width: float = TUNING.quotient_step, first: int = 0) -> Floats:
         """Derivatives by q[first:], a column each, as central differences that stay above the bounds."""
         columns = []
         for step in width * np.eye(q.size)[first:]:
@@ -350,9 +311,11 @@ class Difference:
     def forward_jacobian(self, q: Floats, e: Floats) -> Floats:
         """Derivatives by q (q,), a column each, from the difference e (n,) at q: half of the simulations of `jacobian`,
         for an iteration, whose end they move by a ten-thousandth of a standard error."""
-        return np.column_stack([(self(q + step) - e) / QUOTIENT_STEP for step in QUOTIENT_STEP * np.eye(q.size)])
+        return np.column_stack(
+            [(self(q + step) - e) / TUNING.quotient_step for step in TUNING.quotient_step * np.eye(q.size)]
+        )
 
-    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = QUOTIENT_STEP) -> Floats:
+    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
         jacobian, p = self.jacobian(q, width), self.parameters
         return remove_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
@@ -360,7 +323,7 @@ class Difference:
     @property
     def start_velocity_std(self) -> float:
         """What the start velocity is known to, in the unit of q: some counts within a filter time constant."""
-        return START_COUNTS * self.resolution / float(self.scale[-2])
+        return TUNING.start_counts * self.resolution / float(self.scale[-2])
 
     @property
     def recovery(self) -> int:
@@ -370,15 +333,15 @@ class Difference:
     @property
     def explained(self) -> float:
         """Root mean square [counts] that the encoder and the simulation explain."""
-        return ENCODER_ALONE + SIMULATION_ERROR * float(np.ptp(self.y)) / self.resolution
+        return TUNING.encoder_alone + TUNING.simulation_error * float(np.ptp(self.y)) / self.resolution
 
     @property
     def lower(self) -> Floats:
         """Bounds of q: a mass and shape parameters above zero, frictions of at least zero."""
         lower = np.full(self.scale.size, -np.inf)
         lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
-        lower[self.equation.leading] = LEAST_MASS
-        lower[len(self.equation.names) : -2] = LEAST_SHAPE
+        lower[self.equation.leading] = TUNING.least_mass
+        lower[len(self.equation.names) : -2] = TUNING.least_shape
         if self.equation.lag == ESTIMATE:
             lower[len(self.equation.names)] = 0.0
         return lower
@@ -400,15 +363,15 @@ def rms(signal: Floats) -> float:
 
 def least(difference: Difference, q: Floats, tolerances: Sequence[float] | None = None) -> Floats:
     """Least squares from q (q,), with these relative tolerances of the sum of squares one after the other; None: a step
-    by SETTLED_STEP of a standard error lowers the sum of n squares by SETTLED_STEP^2 / n of itself. Raises
+    by settled_step of a standard error lowers the sum of n squares by settled_step^2 / n of itself. Raises
     NotIdentifiableError where the iteration does not settle."""
-    settled = SETTLED_STEP**2 / difference.y.size
-    for tolerance in tolerances or (settled, max(settled, ROUGH_TOLERANCE)):
+    settled = TUNING.settled_step**2 / difference.y.size
+    for tolerance in tolerances or (settled, max(settled, TUNING.rough_tolerance)):
         q, ended = _descend(difference, q, tolerance)
         if ended or rms(difference(q)) <= difference.explained:
             return q
     raise NotIdentifiableError(
-        f"the iteration did not settle within {MAX_EVALUATIONS} simulations: the simulated position does not "
+        f"the iteration did not settle within {TUNING.max_evaluations} simulations: the simulated position does not "
         "follow the record closely; use iv, or in Python give `initial`"
     )
 
@@ -417,15 +380,15 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
     """q (q,) after damped steps of Gauss and Newton (Levenberg 1944, Marquardt 1963), and whether they settled: the sum
     of squares falls by less than this part of itself, or no step lowers the sum any more."""
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-        error, damping = difference(q), FIRST_DAMPING
+        error, damping = difference(q), TUNING.first_damping
         jacobian = difference.forward_jacobian(q, error)
         if not (np.all(np.isfinite(error)) and np.all(np.isfinite(jacobian))):
             raise NotIdentifiableError(
                 "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
                 "Python give `initial`"
             )
-        for _ in range(MAX_EVALUATIONS):
-            size = np.maximum(np.linalg.norm(jacobian, axis=0), TINY)
+        for _ in range(TUNING.max_evaluations):
+            size = np.maximum(np.linalg.norm(jacobian, axis=0), TUNING.tiny)
             scaled = jacobian / size
             step = bounded_step(scaled.T @ scaled + damping * np.eye(q.size), scaled.T @ error, q > difference.lower)
             trial = np.maximum(q - step / size, difference.lower)
@@ -436,7 +399,7 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
                 if gain <= tolerance * cost:
                     return q, True
                 jacobian = difference.forward_jacobian(q, error)
-            elif damping > MAX_DAMPING or gain == 0:
+            elif damping > TUNING.max_damping or gain == 0:
                 return q, True
             else:
                 damping *= 10
@@ -445,7 +408,7 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
 
 def try_step(difference: Difference, q: Floats, trial: Floats) -> Floats:
     """The difference (n,) at trial (q,), infinite where the step from q is too long: what hardly acts runs away."""
-    if np.max(np.abs(trial - q)) > LONGEST_STEP:
+    if np.max(np.abs(trial - q)) > TUNING.longest_step:
         return np.full(difference.y.size, np.inf)
     return difference(trial)
 
@@ -479,7 +442,7 @@ def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
         size = np.linalg.norm(sensitivity, axis=0)
         sizes = np.outer(size, size)
     worst = int(np.argmin(parts))
-    if not parts[worst] > APART:
+    if not parts[worst] > TUNING.motion_apart:
         raise NotIdentifiableError(
             f"the position depends on {names[worst]} hardly, or just as on the others: too little excitation; record "
             "reversals, and speeds and accelerations that vary"

@@ -19,20 +19,11 @@ from pmfid.estimators.configuration import check_arrays, hold_last_input, like
 from pmfid.estimators.instruments import Instruments
 from pmfid.estimators.likelihood import Best, best_of, cost, expected_information, likeliest_of
 from pmfid.estimators.ls import BCLS
-from pmfid.estimators.motion import (
-    LEAST_MASS,
-    QUOTIENT_STEP,
-    WORST_FIT,
-    Difference,
-    first_speed,
-    invert_information,
-    least,
-    mean_velocity,
-    rms,
-)
+from pmfid.estimators.motion import Difference, first_speed, invert_information, least, mean_velocity, rms
 from pmfid.estimators.results import Fit
-from pmfid.estimators.search import FEWEST, Windows, choose_window, descend, find_least_from_start, fit_at_speeds
+from pmfid.estimators.search import Windows, choose_window, descend, find_least_from_start, fit_at_speeds
 from pmfid.estimators.srivc import ProcessSolver, solve_by_descent
+from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import (
     likelihood_covariance,
     phase_scatter,
@@ -46,18 +37,8 @@ from pmfid.models.equation import ESTIMATE
 from pmfid.status import Status
 from pmfid.types import Floats
 
-#: Multiple of the smallest allowed mass, below which the fit would rather have no mass.
-AT_BOUND = 3.0
-#: Factor by which the high-pass at most raises white noise: a larger residual after it does not explain the counts.
-HOPELESS = 2.5
-#: Multiple of the encoder's error beyond which a difference is no matter of local minima.
-FAR = 10.0
-#: Relative tolerance of that.
-ROUGHLY = 1e-3
 #: The length of windows is chosen on the record.
 AUTO_WINDOW = "auto"
-#: High-passes on the way to none, as parts of the first.
-SLOWER = (1 / 4, 1 / 16, 1 / 64, 0.0)
 
 
 @dataclass(frozen=True)
@@ -111,10 +92,10 @@ class Following(Simulating, BatchEstimator):
         if self.drift_cutoff:
             return difference, q, status
         direct = replace(difference, pole=0.0)
-        if self.drift_cutoff is None and rms(difference(q)) > HOPELESS * direct.explained:
+        if self.drift_cutoff is None and rms(difference(q)) > TUNING.output_error_hopeless * direct.explained:
             return difference, q, status
         closer = least(direct, q)
-        if 1 < rms(direct(closer)) / direct.explained < FAR:
+        if 1 < rms(direct(closer)) / direct.explained < TUNING.output_error_far:
             closer = min(closer, self._slowly(difference, q), key=lambda found: rms(direct(found)))
         if self.drift_cutoff == 0 or rms(direct(closer)) <= direct.explained:
             return direct, closer, status
@@ -124,7 +105,7 @@ class Following(Simulating, BatchEstimator):
         """Least squares of the position itself by way of ever slower high-passes: around local minima, or q itself
         where that does not settle."""
         try:
-            for part in SLOWER:
+            for part in TUNING.output_error_slower:
                 q = least(replace(difference, pole=part * difference.pole), q)
         except NotIdentifiableError:
             pass
@@ -140,7 +121,9 @@ class Following(Simulating, BatchEstimator):
             covariance = raise_variances(covariance, phase_scatter(difference, best.q, moves, None))
         return self.result(difference, q, self.with_drift(best, covariance), best.status)
 
-    def _scatter_scores(self, difference: Difference, q: Floats, width: float = QUOTIENT_STEP) -> tuple[Floats, Floats]:
+    def _scatter_scores(
+        self, difference: Difference, q: Floats, width: float = TUNING.quotient_step
+    ) -> tuple[Floats, Floats]:
         """(n, p) by how much an error of each sample moves the parameters, and their covariance (p, p) by how what is
         left scatters; width: of the difference quotients."""
         sensitivity = self.own_sensitivity(difference, q, width=width)
@@ -157,7 +140,7 @@ class Following(Simulating, BatchEstimator):
         return raise_variances(covariance, np.diagonal(self._scatter_scores(high_passed, best.q)[1]))
 
     def own_sensitivity(
-        self, difference: Difference, q: Floats, root: Floats | None = None, width: float = QUOTIENT_STEP
+        self, difference: Difference, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step
     ) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
         return difference.own_sensitivity(q, root, width)
@@ -179,7 +162,7 @@ class Following(Simulating, BatchEstimator):
             known = like(OE, self, model=EquationModel(self.equation.at_shapes([speed])))
             theta, status = known._start(u, counts)
             difference, q = known._prepare_difference(theta, u, y)
-            q = least(difference, q, [ROUGHLY])
+            q = least(difference, q, [TUNING.output_error_roughly])
             return rms(difference(q)), np.r_[(q * difference.scale)[:-2], speed], status
 
         found = fit_at_speeds(self._usual_speed(u, counts), fit_at, lambda one: one[0])
@@ -245,14 +228,14 @@ class Following(Simulating, BatchEstimator):
         """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one
         without a mass: what the bound leaves of it is no estimate."""
         leading = difference.equation.leading
-        if q[leading] < AT_BOUND * LEAST_MASS:
+        if q[leading] < TUNING.at_bound * TUNING.least_mass:
             raise NotIdentifiableError(
                 f"{self.names[leading]} comes out as nothing: this record cannot identify it, or an input logged "
                 "late hides it; record stronger accelerations, and check the times of the columns against each other"
             )
         residual = difference(q)
         relative = rms(residual) / difference.size_of_motion
-        if not (relative < WORST_FIT or rms(residual) <= difference.explained):
+        if not (relative < TUNING.worst_fit or rms(residual) <= difference.explained):
             raise NotIdentifiableError(
                 f"the simulated position does not follow the record, {relative:.0%} of the motion is left: check the "
                 "sign of input_gain, and for unmodelled load or friction; or use a recursive method"
@@ -357,10 +340,11 @@ class OE(ProcessSolver, Following):
 
 
 def _check_window(window: object, dt: float) -> None:
-    usable = isinstance(window, Real) and FEWEST * dt <= float(window) < math.inf
+    usable = isinstance(window, Real) and TUNING.search_fewest * dt <= float(window) < math.inf
     if isinstance(window, bool) or not usable:
         raise UsageError(
-            f"window must be a time of at least {FEWEST} samples, {FEWEST * dt:g} s, or {AUTO_WINDOW!r}, got {window!r}"
+            f"window must be a time of at least {TUNING.search_fewest} samples, {TUNING.search_fewest * dt:g} "
+            f"s, or {AUTO_WINDOW!r}, got {window!r}"
         )
 
 

@@ -8,25 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import Equation
 from pmfid.types import Counts, Floats
-
-#: Relative pivot of the information matrix from which on a first estimate is given.
-START_PIVOT = 1e-4
-#: Time constants of the slowest pre-filter zero in a memory, at least.
-ZERO_MEMORIES = 2
-#: Ratio of the two zeros, at least: with three the instruments of a short memory were weak.
-APART = 5.0
-#: Candidates for the faster zero as a part of the cutoff; the slower one is a thirtieth of it.
-FRACTIONS = (1 / 5, 1 / 10, 1 / 20, 1 / 40, 1 / 80)
-RATIO = 30.0
-#: The same for a linear process, whose zeros lie evenly in the logarithm: fastest zero, and that over the slowest.
-PROCESS_FRACTIONS = (1 / 2, 1 / 4, 1 / 8, 1 / 16)
-PROCESS_RATIOS = (3.0, 10.0, 30.0)
-#: Of the made-up motion: counts per sample at full speed, and the parts of the input that the frictions take.
-COUNTS_PER_SAMPLE, VISCOUS_PART, COULOMB_PART = 40.0, 0.6, 0.3
-#: And of the made-up linear process, for an input of one.
-PROCESS_COUNTS = 500.0
 
 
 @dataclass(frozen=True)
@@ -75,8 +59,8 @@ class MachineDefaults(PlantDefaults):
     """With friction: position and direction matter, and so does every interval that moves only partly."""
 
     regularization: float = 1e-4  # P stays below 1e4 times its best
-    pivot: float = START_PIVOT
-    least_part: float = START_PIVOT
+    pivot: float = TUNING.start_pivot
+    least_part: float = TUNING.start_pivot
     spike: float = 8.0
     rests: bool = True
     extended: bool = True
@@ -86,7 +70,10 @@ class MachineDefaults(PlantDefaults):
         return default_zeros(cutoff, memory)[:needed]
 
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
-        return [limit_zeros(cutoff * part, cutoff * part / RATIO, memory)[:needed] for part in FRACTIONS]
+        return [
+            limit_zeros(cutoff * part, cutoff * part / TUNING.plants_ratio, memory)[:needed]
+            for part in TUNING.plants_fractions
+        ]
 
     def zeros_without_record(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
         return self.default_zeros(cutoff, memory, needed)
@@ -97,8 +84,8 @@ class MachineDefaults(PlantDefaults):
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
         from pmfid._kernel64 import simulate
 
-        gain, full_speed = equation.input_gain, COUNTS_PER_SAMPLE * resolution / dt
-        viscous, coulomb = VISCOUS_PART * abs(gain) / full_speed, COULOMB_PART * abs(gain)
+        gain, full_speed = equation.input_gain, TUNING.counts_per_sample * resolution / dt
+        viscous, coulomb = TUNING.viscous_part * abs(gain) / full_speed, TUNING.coulomb_part * abs(gain)
         mass = viscous * 2 / cutoff
         velocity, *_ = simulate([mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0], gain, dt, u)
         position = np.concatenate([[0.0], np.cumsum(np.asarray(velocity)[:-1])]) * dt
@@ -125,10 +112,10 @@ class LinearProcess(PlantDefaults):
         return process_zeros(cutoff, needed)
 
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
-        ratios = PROCESS_RATIOS if needed > 1 else PROCESS_RATIOS[:1]
+        ratios = TUNING.process_ratios if needed > 1 else TUNING.process_ratios[:1]
         return [
             tuple(-cutoff * part * float(step) for step in np.geomspace(1, 1 / ratio, needed))
-            for part in PROCESS_FRACTIONS
+            for part in TUNING.process_fractions
             for ratio in ratios
         ]
 
@@ -148,7 +135,7 @@ class LinearProcess(PlantDefaults):
             y.append(states[-1])
             for i, source in enumerate([value, *states[:-1]]):
                 states[i] += part * (source - states[i])
-        return np.asarray(np.floor(PROCESS_COUNTS * np.asarray(y)).astype(np.int64))
+        return np.asarray(np.floor(TUNING.process_counts * np.asarray(y)).astype(np.int64))
 
 
 MACHINE, LINEAR_PROCESS = MachineDefaults(), LinearProcess()
@@ -177,7 +164,7 @@ def limit_zeros(fast: float, slow: float, memory: float) -> tuple[float, float]:
     instruments after a large motion would be what is left of it, and weak. So it is faster then, but not as fast as
     the other: too much alike, both would say the same.
     """
-    return (-fast, -min(max(slow, ZERO_MEMORIES / memory), max(slow, fast / APART)))
+    return (-fast, -min(max(slow, TUNING.zero_memories / memory), max(slow, fast / TUNING.plants_apart)))
 
 
 def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:

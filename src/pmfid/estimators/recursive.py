@@ -18,6 +18,7 @@ from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.least_squares import level_of
 from pmfid.estimators.results import Track, Tracks
 from pmfid.estimators.runner import Runner
+from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
 from pmfid.kernel.saved import MOST_WEIGHT
@@ -26,13 +27,6 @@ from pmfid.kernel.structures import constants_of
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
     from pmfid._kernel64 import Kernel
-
-#: Samples of a response that are in memory at once.
-PART = 2**17
-#: What the encoder shows of the leading column, at least.
-LEAST = 1e-18
-#: Frequencies of the gain of an encoder's error, and their decades below the sampling frequency.
-FREQUENCIES, DECADES = 4096, 9
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
@@ -56,8 +50,8 @@ def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]
 def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> Iterator[NDArray[np.float64]]:
     """(c, n) one after the other: the columns' responses to one wrong position, of a low cutoff millions of samples."""
     samples, memories = 4 * estimator.settle_samples, [0.0 for _ in network.stages]
-    for first in range(0, samples, PART):
-        nodes = [np.zeros(min(PART, samples - first)) for _ in range(network.first)]
+    for first in range(0, samples, TUNING.recursive_part):
+        nodes = [np.zeros(min(TUNING.recursive_part, samples - first)) for _ in range(network.first)]
         if first == 0:
             nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
             nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
@@ -80,13 +74,13 @@ def compute_encoder_floor(estimator: Estimator) -> float:
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.coefficient(estimator.equation.unknown[estimator.equation.leading], "measured")
     gain = np.max(np.abs(frequency_response(estimator, builder.network, column)))
-    return float(max(estimator.encoder.resolution / 2 * gain, LEAST) ** -2)  # float32 holds that, too
+    return float(max(estimator.encoder.resolution / 2 * gain, TUNING.recursive_least) ** -2)  # float32 holds that, too
 
 
 def frequency_response(estimator: Estimator, network: Network, column: Taps) -> NDArray[np.complex128]:
-    """(FREQUENCIES,) of a column to a wrong position, up to half the sampling frequency."""
-    late = np.exp(-1j * np.geomspace(np.pi * 10.0**-DECADES, np.pi, FREQUENCIES))
-    nodes = [np.zeros(FREQUENCIES, complex) for _ in range(network.first)]
+    """(recursive_frequencies,) of a column to a wrong position, up to half the sampling frequency."""
+    late = np.exp(-1j * np.geomspace(np.pi * 10.0**-TUNING.recursive_decades, np.pi, TUNING.recursive_frequencies))
+    nodes = [np.zeros(TUNING.recursive_frequencies, complex) for _ in range(network.first)]
     nodes[VELOCITY] = (1 - late) / estimator.dt
     nodes[SPLIT_FORWARD] = late * nodes[VELOCITY]
     nodes[LATE_POSITION] = (late + late**2) / 2
@@ -102,16 +96,8 @@ FORGETTING_SCHEMES = {
 }
 #: The same of `forgetting_of`, which is a scheme of its own there.
 SEPARATE = constants_of(None)["PMF_SEPARATE"]
-#: Information that is never forgotten under constant trace, as a part of the largest seen.
-TRACE_REGULARIZATION = 1e-6
-#: Factor by which information from larger motions than the recent ones is forgotten faster.
-HASTE = 8
-#: Multiple of the information of the last memory's motions, above which information is attributed to larger motions.
-OUTGROWN = 3
 #: Samples from one look of the kernel at the size of the motion to the next.
 LOOK = constants_of(None)["PMF_LOOK"]
-#: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
-WINDOW_BLOCKS = 7.5
 
 
 @dataclass(frozen=True)
@@ -216,11 +202,11 @@ class RecursiveEstimator(Estimator):
         config["scheme"] = FORGETTING_SCHEMES[scheme]
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
-            config["haste"], config["leak"] = forgetting**HASTE, math.exp(-HASTE / 2)
+            config["haste"], config["leak"] = forgetting**TUNING.recursive_haste, math.exp(-TUNING.recursive_haste / 2)
             config["leading"], config["shown"] = self.equation.leading, compute_encoder_floor(self)
             directions = parameters if scheme == "directional" else 1
             config["forgetting"] = forgetting**directions  # one direction at a time: only so all have the same memory
-            config["outgrown"] = OUTGROWN * LOOK
+            config["outgrown"] = TUNING.recursive_outgrown * LOOK
         if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE
@@ -230,10 +216,10 @@ class RecursiveEstimator(Estimator):
         if scheme == "directional":  # the accumulated right-hand side does not follow the forgetting: innovations only
             config["residual_updates"] = 0
         if scheme == "constant-trace":  # bounds P by itself, but for a direction that others outgrow by far
-            config["regularization"] = TRACE_REGULARIZATION
+            config["regularization"] = TUNING.trace_regularization
         if scheme == "window":
             config["residual_updates"] = 2**32 - 1
-            config["window_block"] = math.ceil(1 / (1 - forgetting) / WINDOW_BLOCKS)
+            config["window_block"] = math.ceil(1 / (1 - forgetting) / TUNING.window_blocks)
         return config
 
     def start(self, state: bytes | None = None) -> Runner[Self]:

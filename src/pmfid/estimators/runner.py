@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator, integer_counts, numbers
 from pmfid.estimators.results import Track, Tracks
+from pmfid.estimators.tuning import TUNING
 from pmfid.kernel.structures import whole_words
 from pmfid.types import Floats, Numbers
 
@@ -25,13 +26,6 @@ if TYPE_CHECKING:
 N = TypeVar("N", bound=np.number)
 #: theta, diagonal of P, its inflation, innovation, its variance, status.
 Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
-
-#: Axes that a thread takes at a time are a multiple of this: no vector of the kernel holds more.
-GROUP = 16
-#: Pieces of work for each thread, so that none waits long for the last one.
-PIECES = 4
-#: Less work than this [axes times samples] is not worth a second thread.
-SMALL = 20_000
 
 
 @dataclass(frozen=True)
@@ -146,15 +140,15 @@ class SideBySide:
         def run(piece: range) -> None:
             self.kernel.run(u, counts, piece.start, piece.stop, every, results, self._way)
 
-        if self.workers == 1 or counts.size < SMALL:
+        if self.workers == 1 or counts.size < TUNING.runner_small:
             run(range(self.axes))
             return
         with ThreadPoolExecutor(self.workers) as pool:
             list(pool.map(run, self._pieces()))
 
     def _pieces(self) -> Iterator[range]:
-        size = -(-self.axes // (self.workers * PIECES))
-        size = -(-size // GROUP) * GROUP
+        size = -(-self.axes // (self.workers * TUNING.runner_pieces))
+        size = -(-size // TUNING.runner_group) * TUNING.runner_group
         return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
 
 

@@ -12,30 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.motion import ENCODER_ALONE, QUOTIENT_STEP, WHITE, WORST_FIT, Difference, first_speed, least, rms
-from pmfid.estimators.uncertainty import TINY
+from pmfid.estimators.motion import WHITE, Difference, first_speed, least, rms
+from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
 
 Found = TypeVar("Found")
 
-#: Time constants of the filters over which the start of a free run is read.
-READ = 5.0
 #: Filter time constants over which speeds to begin with are read.
-WITHIN = (1.0, READ)
-#: Passes of Gauss and Newton's method; a stop that comes and goes may keep it from settling.
-PASSES = 8
-SETTLED_START = 1e-12
-#: A step too far is tried once more as this part of itself.
-SHORTER = 0.25
-#: Stribeck speeds to start from, as parts of the usual one: with each, what is left is a sum of squares of its own.
-STRIBECK_SPEEDS = (0.03, 0.1, 0.3)
-#: Those that are gone on from: the one that leaves the least need not lead to the best maximum.
-MOST_SPEEDS = 2
+WITHIN = (1.0, TUNING.search_read)
 
 
 def start_samples(dt: float, cutoff: float) -> int:
     """How many samples the start of a free run is read from; dt [s], cutoff [rad/s]."""
-    return max(2, math.ceil(READ / (cutoff * dt)))
+    return max(2, math.ceil(TUNING.search_read / (cutoff * dt)))
 
 
 def choose_start(difference: Difference, theta: Floats, cutoff: float, speeds: Sequence[float] = ()) -> Floats:
@@ -58,19 +47,19 @@ def fit_start(difference: Difference, q: Floats) -> Floats:
     """
     prior = np.array([0.0, 1 / difference.start_velocity_std])
     speed, left = q[-1], _weigh_residual(difference, q, q[-1])
-    for _ in range(PASSES):
+    for _ in range(TUNING.search_passes):
         slope = np.r_[WHITE * difference.jacobian(q, first=q.size - 2), prior[None]]
         if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(left))):
             break  # parameters that nothing can be simulated with
         step = np.r_[np.zeros(q.size - 2), np.linalg.lstsq(slope, -left)[0]]
         before = float(left @ left)
-        for part in (1.0, SHORTER):
+        for part in (1.0, TUNING.search_shorter):
             trial = q + part * step
             found = _weigh_residual(difference, trial, speed)
             if float(found @ found) < before:
                 q, left = trial, found
                 break
-        if not float(left @ left) < (1 - SETTLED_START) * before:
+        if not float(left @ left) < (1 - TUNING.settled_start) * before:
             break
     return q
 
@@ -116,24 +105,14 @@ def fit_at_speeds(
     with a speed that is known; worse: by what they are compared. Raises NotIdentifiableError where none settles."""
     found = list[tuple[float, Found]]()
     refused = NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
-    for speed in (usual * np.array(STRIBECK_SPEEDS)).tolist():
+    for speed in (usual * np.array(TUNING.stribeck_speeds)).tolist():
         try:
             found.append((speed, at(speed)))
         except NotIdentifiableError as error:
             refused = error
     if not found:
         raise refused
-    return sorted(found, key=lambda one: worse(one[1]))[:MOST_SPEEDS]
-
-
-#: Each window begins in the middle of the one before: where they lie must not decide.
-HOPS = 2
-MAX_STEPS = 60
-#: A step that lowers the sum of squares by less than this part has settled.
-SETTLED_DESCENT = 1e-8
-#: The same where windows of different lengths are compared.
-ROUGHLY = 1e-4
-MAX_DAMPING = 1e8
+    return sorted(found, key=lambda one: worse(one[1]))[: TUNING.most_speeds]
 
 
 @dataclass(frozen=True)
@@ -179,7 +158,7 @@ class Windows(Difference):
         position, velocity = zip(*(part.motion(own) for part, own in self.split_windows(q)), strict=True)
         return np.concatenate(position), np.concatenate(velocity)
 
-    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = QUOTIENT_STEP) -> Floats:
+    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
         return np.concatenate([part.own_sensitivity(own, None, width) for part, own in self.split_windows(q)])
 
     def sum_by_sample(self, values: Floats) -> Floats:
@@ -203,7 +182,7 @@ class Windows(Difference):
 def _covering(first: int, last: int, length: int) -> list[tuple[int, int]]:
     count = max(1, round((last - first) / length))
     size = (last - first) // count
-    begins = np.linspace(first, last - size, HOPS * (count - 1) + 1).round().astype(int)
+    begins = np.linspace(first, last - size, TUNING.search_hops * (count - 1) + 1).round().astype(int)
     return [(begin, begin + size) for begin in begins.tolist()]
 
 
@@ -228,12 +207,12 @@ def _slope(part: Difference, q: Floats) -> _Slope:
     return _Slope(apart[:, 0], apart[:, 1:], moves[:, 0], moves[:, 1:])
 
 
-def descend(windows: Windows, q: Floats, settled: float = SETTLED_DESCENT) -> Floats:
+def descend(windows: Windows, q: Floats, settled: float = TUNING.settled_descent) -> Floats:
     """Least squares from q (q,): damped steps of Gauss and Newton, the starts eliminated window by window; a parameter
     that a step would take below its bound stays there."""
     low, p, damping = windows.lower, windows.parameters, 1e-3
     cost, slopes = _cost(windows(q)), [_slope(part, own) for part, own in windows.split_windows(q)]
-    for _ in range(MAX_STEPS):
+    for _ in range(TUNING.max_steps):
         theta = np.maximum(q[:p] + _step(slopes, damping, q[:p] <= low[:p]), low[:p])
         trial = _move_starts(windows, q, theta, slopes)
         found = _cost(windows(trial))
@@ -242,7 +221,7 @@ def descend(windows: Windows, q: Floats, settled: float = SETTLED_DESCENT) -> Fl
             if gain < settled:
                 break
             slopes = [_slope(part, own) for part, own in windows.split_windows(q)]
-        elif damping > MAX_DAMPING:
+        elif damping > TUNING.max_damping:
             break
         else:
             damping *= 10
@@ -265,7 +244,7 @@ def _step(slopes: Sequence[_Slope], damping: float, bound: NDArray[np.bool_]) ->
     normal = np.sum([slope.own.T @ slope.own for slope in slopes], axis=0)
     downhill = -np.sum([slope.own.T @ slope.left for slope in slopes], axis=0)
     free = ~(bound & (downhill < 0))
-    normal = normal + damping * np.diag(np.maximum(np.diagonal(normal), TINY))
+    normal = normal + damping * np.diag(np.maximum(np.diagonal(normal), TUNING.tiny))
     step = np.zeros(free.size)
     step[free] = np.linalg.solve(normal[np.ix_(free, free)], downhill[free])
     return step
@@ -276,17 +255,6 @@ def _cost(left: Floats) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         total = float(left @ left)
     return total if total < np.inf else np.inf
-
-
-#: Parts of the record, each predicted from the others by a free run.
-FOLDS = 3
-#: Pieces in which a part is run as well, each with its own start: one long run is a matter of chance, many short ones
-#: say little on drift. WORTH: length of a piece over the span that its start is read from.
-PIECES, WORTH = (1, 2, 4, 8), 4
-#: The shortest window, in time constants of the filters and in samples: shorter ones say little but where they start.
-SHORTEST, FEWEST = 20.0, 40
-#: A longer window is taken where it predicts as well but for this part: it knows more.
-AS_WELL = 0.05
 
 
 @dataclass(frozen=True)
@@ -318,11 +286,11 @@ class WindowChoice:
 def choose_window(difference: Difference, theta: Floats, cutoff: float) -> WindowChoice:
     """The length for a difference without a high-pass, from scaled parameters (p,); cutoff [rad/s] of the filters."""
     n, dt = difference.y.size, difference.dt
-    shortest = max(FEWEST, math.ceil(SHORTEST / (cutoff * dt)))
-    lengths = [n, *_halves(n * (FOLDS - 1) // FOLDS // 2, shortest)]
+    shortest = max(TUNING.search_fewest, math.ceil(TUNING.search_shortest / (cutoff * dt)))
+    lengths = [n, *_halves(n * (TUNING.search_folds - 1) // TUNING.search_folds // 2, shortest)]
     errors = {_seconds(k, n, dt): predicted_elsewhere(difference, theta, cutoff, k) for k in lengths}
     best = min(errors.values())
-    samples = next((length for length in lengths if errors[_seconds(length, n, dt)] <= (1 + AS_WELL) * best), n)
+    samples = next((length for length in lengths if errors[_seconds(length, n, dt)] <= (1 + TUNING.as_well) * best), n)
     return WindowChoice(samples, _seconds(samples, n, dt), errors)
 
 
@@ -341,15 +309,15 @@ def predicted_elsewhere(difference: Difference, theta: Floats, cutoff: float, le
     of the runs counts alike, also where one of them is hard to predict. Infinite where there is no estimate, or half
     the motion is left."""
     n, logs = difference.y.size, []
-    edges = np.linspace(0, n, FOLDS + 1).round().astype(int).tolist()
+    edges = np.linspace(0, n, TUNING.search_folds + 1).round().astype(int).tolist()
     for first, last in pairwise(edges):
-        rest = [(a, b) for a, b in ((0, first), (last, n)) if b - a >= FEWEST]
+        rest = [(a, b) for a, b in ((0, first), (last, n)) if b - a >= TUNING.search_fewest]
         try:
             windows = Windows.cover_stretches(difference, rest, length)
-            q = descend(windows, windows.start_windows(theta, cutoff), ROUGHLY)
+            q = descend(windows, windows.start_windows(theta, cutoff), TUNING.search_roughly)
         except (NotIdentifiableError, np.linalg.LinAlgError):
             return math.inf
-        if not rms(windows(q)) < max(WORST_FIT * windows.size_of_motion, windows.explained):
+        if not rms(windows(q)) < max(TUNING.worst_fit * windows.size_of_motion, windows.explained):
             return math.inf
         part, found = difference.part(first, last), q[: theta.size]
         logs += [_log_error(part, found, cutoff, pieces) for pieces in _pieces(part, cutoff)]
@@ -357,8 +325,8 @@ def predicted_elsewhere(difference: Difference, theta: Floats, cutoff: float, le
 
 
 def _pieces(part: Difference, cutoff: float) -> list[int]:
-    least = WORTH * start_samples(part.dt, cutoff)
-    return [count for count in PIECES if count == 1 or part.y.size // count >= least]
+    least = TUNING.search_worth * start_samples(part.dt, cutoff)
+    return [count for count in TUNING.search_pieces if count == 1 or part.y.size // count >= least]
 
 
 def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> float:
@@ -366,7 +334,7 @@ def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> f
     edges = np.linspace(0, part.y.size, pieces + 1).round().astype(int).tolist()
     runs = [free_run(part.part(first, last), theta, cutoff) for first, last in pairwise(edges)]
     left = rms(np.concatenate(runs))
-    return math.log(max(left, ENCODER_ALONE)) if left < math.inf else math.inf
+    return math.log(max(left, TUNING.encoder_alone)) if left < math.inf else math.inf
 
 
 def free_run(part: Difference, theta: Floats, cutoff: float) -> Floats:

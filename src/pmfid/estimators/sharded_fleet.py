@@ -19,7 +19,7 @@ from pmfid.estimators import shards as stored
 from pmfid.estimators.fleet import runner_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
-from pmfid.estimators.runner import SMALL, Runner, SampleBlock, threads
+from pmfid.estimators.runner import Runner, SampleBlock, threads
 from pmfid.estimators.shards import (
     Each,
     Handles,
@@ -33,6 +33,7 @@ from pmfid.estimators.shards import (
     read_shard,
     state_of,
 )
+from pmfid.estimators.tuning import TUNING
 
 __all__ = ["Restored", "restored_from"]
 
@@ -140,10 +141,6 @@ def _sentences(reports: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 
 T = TypeVar("T")
 Estimator = RecursiveEstimator | Runner[RecursiveEstimator]
-#: Places of a shard: some MB, which a disk writes in one go, and little to write again for a single axis.
-SHARD = 4096
-#: Axes that a thread steps at once.
-PIECE = 512
 
 
 class ShardedFleet:
@@ -187,7 +184,7 @@ class ShardedFleet:
         folder: str | os.PathLike[str] | None = None,
         estimators: Iterable[Estimator] = (),
         *,
-        shard: int = SHARD,
+        shard: int = TUNING.sharded_fleet_shard,
         workers: int | None = None,
     ) -> None:
         self.workers = threads(workers)
@@ -321,12 +318,12 @@ class ShardedFleet:
         pieces, at = list[ShardPiece](), 0
         for shard, rows in self._split_by_shard(places):
             shard.changed = True
-            for first in range(0, rows.size, PIECE):
-                part = rows[first : first + PIECE]
+            for first in range(0, rows.size, TUNING.sharded_fleet_piece):
+                part = rows[first : first + TUNING.sharded_fleet_piece]
                 pieces.append(ShardPiece(shard, part, slice(at, at + part.size)))
                 at += part.size
         way = pieces[0].shard.group.fastest_way
-        self._each(lambda piece: piece.run(work, way), pieces, worth=work.counts.size >= SMALL)
+        self._each(lambda piece: piece.run(work, way), pieces, worth=work.counts.size >= TUNING.runner_small)
 
     def _each(self, action: Callable[[T], None], some: Sequence[T], worth: bool = True) -> None:
         """Does something with all of some; worth: more threads than this one."""

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.auxiliary import CHECK_TIME_CONSTANTS, COPY_TIME_CONSTANTS
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
 from pmfid.estimators.configuration import check_arrays, check_size, hold_last_input, like
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.recursive import BCRLS, RecursiveEstimator
 from pmfid.estimators.results import Fit
+from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.kernel.configuration import new_kernel
 from pmfid.linear.experiment import Experiment
@@ -42,11 +42,6 @@ from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
-
-#: Relative difference of two sample periods that are taken for one.
-SAME_PERIOD = 0.05
-#: Part of a sensitivity that must not follow from the others.
-APART = 1e-6
 
 
 @dataclass(frozen=True)
@@ -193,7 +188,7 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
         raise UsageError("experiments must be a list of one Experiment or more; write [experiment] for a single one")
     for part in experiments:
         mean = float(part.times[-1] - part.times[0]) / (part.times.size - 1)  # jitter moves the median, gaps the mean
-        if min(abs(step / estimator.dt - 1) for step in (part.period, mean)) > SAME_PERIOD:
+        if min(abs(step / estimator.dt - 1) for step in (part.period, mean)) > TUNING.same_period:
             raise UsageError(
                 f"dt of the estimator is {estimator.dt:.9g} s, but {part.name} has a sample every {part.period:.9g} s; "
                 "give the estimator this dt: the delay counts in it"
@@ -294,7 +289,7 @@ def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
         countable = np.all(np.isfinite(np.linalg.norm(point.zeta, axis=0)))
     parts = parts_of_their_own(point.zeta, rcond=1e-13)[0] if countable else np.zeros(len(names))
     worst = int(np.argmin(parts))
-    if not parts[worst] > APART:
+    if not parts[worst] > TUNING.srivc_apart:
         raise NotIdentifiableError(
             f"the output depends on {names[worst]} hardly, or just as on the others: too little excitation, or a model "
             "of too high an order; use fewer poles or zeros, or a richer input"
@@ -306,10 +301,6 @@ def spread(problem: ProcessProblem) -> float:
     return sum(
         float(np.sum((y := stretch.y[stretch.rows]) ** 2) - y.size * np.mean(y) ** 2) for stretch in problem.stretches
     )
-
-
-#: The fastest pole that samples can tell: 2 / dt.
-FASTEST = 2.0
 
 
 @dataclass(frozen=True)
@@ -397,7 +388,7 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
             "start_updates": 2 * self.settle_samples,
             "half_dt": self.dt / 2,
             "scale": [self.dt ** (n - i) for i in range(n + 1)],
-            "limit": [comb(n, i) * FASTEST ** (n - i) for i in range(n)],
-            "smoothing": min(1.0, update * per_sample / COPY_TIME_CONSTANTS),
-            "memory": math.exp(-per_sample / CHECK_TIME_CONSTANTS),
+            "limit": [comb(n, i) * TUNING.srivc_fastest ** (n - i) for i in range(n)],
+            "smoothing": min(1.0, update * per_sample / TUNING.copy_time_constants),
+            "memory": math.exp(-per_sample / TUNING.check_time_constants),
         }

@@ -10,20 +10,11 @@ from numpy.typing import NDArray
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import hold_last_input
-from pmfid.estimators.likelihood import GIVEN_AWAY, NOISE_FLOOR, Best, cost
+from pmfid.estimators.likelihood import Best, cost
 from pmfid.estimators.motion import Difference, first_speed, mean_velocity
 from pmfid.estimators.results import Columns
+from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
-
-#: Blocks of the longest scale, at least.
-FEWEST = 24
-TINY = 1e-300
-#: Width of the difference quotients that are compared with the fine ones, as a part of a parameter.
-COARSE = 1e-2
-#: Factor between variances beyond which the dependence is not smooth.
-SMOOTH = 4.0
-#: Further widths for a rough dependence.
-WIDTHS = (1e-3, 3e-2, 0.1, 0.3)
 
 
 def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
@@ -34,9 +25,9 @@ def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
     shortest: samples over which scores cancel each other, as the differences of a coarse count do.
     """
     n = scores.shape[0]
-    length = max(1, min(shortest, n // FEWEST))
+    length = max(1, min(shortest, n // TUNING.uncertainty_fewest))
     largest = np.zeros(scores.shape[1])
-    while length == 1 or n // length >= FEWEST:
+    while length == 1 or n // length >= TUNING.uncertainty_fewest:
         largest = np.maximum(largest, np.mean(_blocks(scores, length) ** 2, axis=0) * (n**2 / (n - length)))
         length *= 2
     return largest
@@ -45,10 +36,10 @@ def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
 def scatter(scores: Floats, shortest: int = 1) -> Floats:
     """Covariance (p, p) of the sum of scores (n, p): variances of `block_scatter`, correlations of its middle scale."""
     n = scores.shape[0]
-    length = max(1, min(shortest, n // FEWEST), round(np.sqrt(n / FEWEST)))
+    length = max(1, min(shortest, n // TUNING.uncertainty_fewest), round(np.sqrt(n / TUNING.uncertainty_fewest)))
     sums = _blocks(scores, length)
     covariance = sums.T @ sums * (n / sums.shape[0])
-    diagonal = np.maximum(np.diagonal(covariance), TINY)
+    diagonal = np.maximum(np.diagonal(covariance), TUNING.tiny)
     factor = np.sqrt(block_scatter(scores, shortest) / diagonal)
     return np.asarray(covariance * np.outer(factor, factor))
 
@@ -65,7 +56,7 @@ def _blocks(scores: Floats, length: int) -> Floats:
 
 def raise_variances(covariance: Floats, variances: Floats) -> Floats:
     """A covariance (p, p) with its variances raised to at least `variances` (p,), correlations as they are."""
-    diagonal = np.maximum(np.diagonal(covariance), TINY)
+    diagonal = np.maximum(np.diagonal(covariance), TUNING.tiny)
     factor = np.sqrt(np.maximum(variances / diagonal, 1.0))
     return np.asarray(covariance * np.outer(factor, factor))
 
@@ -78,16 +69,12 @@ def widen_covariance(covariance: Floats, at: Callable[[float], Floats]) -> Float
     though a change ten times as large may explain the record as well. A smooth dependence gives the same variances at
     every width; for a rough one the largest counts. `at` gives the covariance at a width. Raises what `at` raises.
     """
-    variances, coarse = np.diagonal(covariance), np.diagonal(at(COARSE))
-    if np.all((coarse < SMOOTH * variances) & (variances < SMOOTH * coarse)):
+    variances, coarse = np.diagonal(covariance), np.diagonal(at(TUNING.uncertainty_coarse))
+    if np.all((coarse < TUNING.uncertainty_smooth * variances) & (variances < TUNING.uncertainty_smooth * coarse)):
         return covariance
-    return raise_variances(covariance, np.max([coarse, *(np.diagonal(at(width)) for width in WIDTHS)], axis=0))
-
-
-#: Places of the lattice that are tried: their mean square is exact for the harmonics that hold nine tenths of it.
-PLACES = 8
-#: A simulated motion that goes further runs away [counts].
-MOST_COUNTS = 2.0**53
+    return raise_variances(
+        covariance, np.max([coarse, *(np.diagonal(at(width)) for width in TUNING.uncertainty_widths)], axis=0)
+    )
 
 
 def lattice_scatter(
@@ -101,8 +88,8 @@ def lattice_scatter(
     """Variances (p,) of the parameters over the places of the lattice, for counts of the motion simulated at theta (p,)
     under u (n,). columns_of: the estimator's columns for counts (n,); gain (p, p): by how much a sum moves theta."""
     place, sums = _simulate_position(estimator, theta, u, counts), []
-    for k in range(PLACES):
-        read = columns_of(np.floor(place + k / PLACES).astype(np.int64))
+    for k in range(TUNING.uncertainty_places):
+        read = columns_of(np.floor(place + k / TUNING.uncertainty_places).astype(np.int64))
         sums.append(read.zeta.T @ (read.z - read.phi @ theta))
     return np.asarray(np.mean(np.square(np.array(sums) @ gain.T), axis=0))
 
@@ -113,21 +100,13 @@ def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: N
     step = estimator.encoder.resolution
     velocity = mean_velocity(estimator.equation, theta, estimator.dt, hold_last_input(u), start * step)
     place = np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * estimator.dt / step)
-    if not np.max(np.abs(place)) < MOST_COUNTS:
+    if not np.max(np.abs(place)) < TUNING.most_counts:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
             f"the motion simulated with the estimate ({values}) runs away: check the model and the signs of input and "
             "output, or record a livelier motion"
         )
     return place
-
-
-#: Places of the lattice that are tried.
-PHASES = 32
-#: Places of the lattice at which the top of the likelihood is looked for, steps to it, and what one gains at the top.
-TOPS, MOST_STEPS, SETTLED = 16, 30, 1e-3
-#: Standard deviations of the noise from an edge on beyond which it does not matter.
-REACH = 8.0
 
 
 def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise: float | None) -> Floats:
@@ -137,12 +116,12 @@ def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise:
     noise: of the position [counts], of an interval likelihood; None: the score is the position's error itself. Zero
     where the position has noise of its own, which breaks every pattern.
     """
-    if noise is not None and noise > GIVEN_AWAY * NOISE_FLOOR:
+    if noise is not None and noise > TUNING.given_away * TUNING.noise_floor:
         return np.zeros(sensitivity.shape[1])
     place = difference.motion(q)[0] / difference.resolution
     sums = []
-    for k in range(PHASES):
-        shifted = place + k / PHASES
+    for k in range(TUNING.uncertainty_phases):
+        shifted = place + k / TUNING.uncertainty_phases
         error = np.floor(shifted) + 0.5 - shifted
         slope = error if noise is None else cost(error, noise)[1]
         sums.append(sensitivity.T @ slope)
@@ -170,9 +149,12 @@ def likelihood_covariance(best: Best, weighted: Floats, scores: Floats) -> Float
 def _tops(best: Best) -> Floats:
     """(places, q): by how much the place of the largest likelihood differs from q, for counts of the motion simulated
     at q on lattices that are shifted under it."""
-    difference, noise = best.difference, best.noise or NOISE_FLOOR
+    difference, noise = best.difference, best.noise or TUNING.noise_floor
     place, jacobian = difference.motion(best.q)[0] / difference.resolution, difference.jacobian(best.q)
-    errors = [np.floor(place + k / TOPS) + 0.5 - (place + k / TOPS) for k in range(TOPS)]
+    errors = [
+        np.floor(place + k / TUNING.uncertainty_tops) + 0.5 - (place + k / TUNING.uncertainty_tops)
+        for k in range(TUNING.uncertainty_tops)
+    ]
     return np.array([_top(error, jacobian, noise) for error in errors])
 
 
@@ -180,14 +162,14 @@ def _top(error: Floats, jacobian: Floats, noise: float) -> Floats:
     """Step (q,) to the largest likelihood of differences error (n,) + jacobian (n, q) @ step [counts]."""
     step, damping = np.zeros(jacobian.shape[1]), 1e-3
     now, slope, hessian = _compute_edge_cost(error, jacobian, noise)
-    for _ in range(MOST_STEPS):
-        damped = hessian + damping * np.diag(np.maximum(np.diagonal(hessian), TINY))
+    for _ in range(TUNING.uncertainty_most_steps):
+        damped = hessian + damping * np.diag(np.maximum(np.diagonal(hessian), TUNING.tiny))
         trial = step - np.linalg.lstsq(damped, slope)[0]
         found = _compute_edge_cost(error + jacobian @ trial, jacobian, noise)
         if found[0] < now:
             gain, step, damping = now - found[0], trial, damping / 10
             now, slope, hessian = found
-            if gain < SETTLED:
+            if gain < TUNING.uncertainty_settled:
                 break
         else:
             damping *= 10
@@ -197,7 +179,7 @@ def _top(error: Floats, jacobian: Floats, noise: float) -> Floats:
 def _compute_edge_cost(error: Floats, jacobian: Floats, noise: float) -> tuple[float, Floats, Floats]:
     """Negative log-likelihood, gradient (q,) and curvature (q, q): of the counts whose edges are near enough to matter,
     for all others it is zero in floating point."""
-    near = np.abs(error) > 0.5 - REACH * noise
+    near = np.abs(error) > 0.5 - TUNING.uncertainty_reach * noise
     rows = jacobian[near]
     now, slope, curvature = cost(error[near], noise)
     return now, rows.T @ slope, rows.T @ (curvature[:, None] * rows)

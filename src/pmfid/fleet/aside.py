@@ -22,16 +22,12 @@ from pmfid.errors import UsageError
 from pmfid.fleet.plan import EXTENT, PART, ROWS, RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
 from pmfid.fleet.store import ASIDE
+from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import polars as pl
-
-#: A file is mixed if reading it shard by shard takes more than this multiple of its rows.
-TIMES = 3
-#: Rows that are in memory at once while a file is put aside.
-BATCH = 2**20
 
 
 def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]:
@@ -43,7 +39,7 @@ def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]
 
     readers = Counter(name for shard in shards for name in shard.parts)
     many = rows.group_by(PART).agg(pl.col(EXTENT).sum() / pl.col(ROWS).sum().alias("times"))
-    return {name for name, times in many.iter_rows() if min(times, readers[name]) > TIMES}
+    return {name for name, times in many.iter_rows() if min(times, readers[name]) > TUNING.aside_times}
 
 
 @dataclass(frozen=True)
@@ -180,7 +176,7 @@ def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[dict
     with readable("data"):
         for window in part.windows():
             frame = window.rows(columns).select(number, *names[1:]).drop_nulls([AXIS, TIME])
-            for batch in frame.collect_batches(chunk_size=BATCH, engine="streaming"):
+            for batch in frame.collect_batches(chunk_size=TUNING.aside_batch, engine="streaming"):
                 yield {name: batch[name].to_numpy() for name in names}
 
 

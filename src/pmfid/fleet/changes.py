@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.fleet.series import MEDIAN, Series, lasting, mean_of, noise_of
+from pmfid.fleet.series import Series, lasting, mean_of, noise_of
+from pmfid.fleet.tuning import TUNING
 from pmfid.monitor.cause import FRICTION
 from pmfid.types import Floats
 
@@ -17,14 +18,6 @@ from pmfid.types import Floats
 SIDE = 2
 #: Segments from that of a step on that hold some of both sides: left out of its size where enough remain.
 MIXED = 1
-#: Relative error that segments of one axis share after a step, where the model is not quite the machine.
-FLOOR = 2e-3
-#: The step begins in the first segment with at least a part PART of the change and SURE standard deviations of it.
-PART, SURE = 0.05, 5.0
-#: Such segments before the place that explains most, at most.
-BACK = 2
-#: Part of its mean that a parameter with a trend has at the begin, at least: a line may go through zero.
-LEAST_BEGIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -127,7 +120,7 @@ def attribute_change(
 ) -> tuple[str, float, float]:
     """The one cause that explains relative changes (p,) best, its relative size and standard deviation: a parameter,
     all friction alike, or the gain of the input, whose loss looks as if all parameters had grown alike."""
-    covariance = correlation * np.outer(stds, stds) + FLOOR**2 * np.eye(stds.size)
+    covariance = correlation * np.outer(stds, stds) + TUNING.changes_floor**2 * np.eye(stds.size)
     friction = np.array([FRICTION in name for name in names], float)
     directions = dict(zip(names, np.eye(len(names)), strict=True)) | {INPUT_GAIN: np.ones(len(names))}
     if friction.sum() > 1:
@@ -145,13 +138,16 @@ def attribute_change(
 
 def _onset(series: Series, k: int) -> int:
     """The first segment that has some of the step at place k: what explains most may be the next."""
-    old, new = mean_of(series[: max(SIDE, k - BACK)])[0], mean_of(series[k:])[0]
+    old, new = mean_of(series[: max(SIDE, k - TUNING.changes_back)])[0], mean_of(series[k:])[0]
     whole = np.abs(new - old)
-    for place in range(max(SIDE, k - BACK), k):
+    for place in range(max(SIDE, k - TUNING.changes_back), k):
         before = series[:place]
         moves = np.sqrt(np.mean((before.theta - old) ** 2, axis=0))  # friction that breathes with the temperature
         apart = np.abs(series.theta[place] - old)
-        if np.any((apart > PART * whole) & (apart > SURE * np.maximum(moves, before.std.max(axis=0)))):
+        if np.any(
+            (apart > TUNING.changes_part * whole)
+            & (apart > TUNING.changes_sure * np.maximum(moves, before.std.max(axis=0)))
+        ):
             return place
     return k
 
@@ -173,7 +169,7 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     span, size = float(time[-1] - time[0]), np.maximum(np.abs(mean), np.finfo(float).tiny)
     scores = (np.abs(slope) * span - tolerance * size) / (stds * span)
     slopes, stds = slope / size, stds / size
-    begin = np.maximum(1 - slopes * span / 2, LEAST_BEGIN)
+    begin = np.maximum(1 - slopes * span / 2, TUNING.least_begin)
     cause = attribute_change(slopes * span / begin, stds * span / begin**2, _correlation(rest), names)
     return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, stds)
 
@@ -182,8 +178,6 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
 #: differences of neighbours.
 NOISE = np.geomspace(1, 100, 9)
 WALK = np.r_[0.0, np.geomspace(1e-3, 2, 16)]
-#: Greatest number of segments: more are averaged in groups.
-MOST = 128
 
 
 @dataclass(frozen=True)
@@ -216,7 +210,7 @@ def compare_with_wander(series: Series, since: float) -> Beyond:
 def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:
     """Means of neighbours (m, p) with their standard errors and middle times (m,), never across a place."""
     n = series.start.size
-    many = -(-n // MOST)
+    many = -(-n // TUNING.changes_most)
     starts = np.r_[np.arange(place % many, place, many), np.arange(place, n, many)].astype(int)
     starts = np.unique(np.r_[0, starts])
     weight = series.std**-2.0
@@ -251,12 +245,6 @@ def _likelihoods(theta: Floats, std: Floats, shapes: Floats) -> tuple[Floats, ..
     return tuple(np.max(-(logs + one) / 2, axis=(0, 1)) for one in whole)
 
 
-#: Distance between the middles of two sorts, and width of the empty gap between them, in their own spreads.
-APART, GAP = 5.0, 1.0
-#: Part of the axes that is a sort, at least: fewer are odd ones.
-LEAST_PART = 0.1
-
-
 def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
     """Members of each sort of axes at places (m, p), logarithms of their parameters over the median of the type.
 
@@ -271,18 +259,21 @@ def _split_sort(members: NDArray[np.intp], column: Floats, least: int, tolerance
     """Splits the members by one parameter, repeatedly."""
     ordered = members[np.argsort(column[members], kind="stable")]
     values = column[ordered]
-    least = max(least, int(np.ceil(LEAST_PART * values.size)))
+    least = max(least, int(np.ceil(TUNING.least_part * values.size)))
     places = np.arange(least, values.size - least + 1)
     if not places.size:
         return [members]
     k = int(places[np.argmax(values[places] - values[places - 1])])
     low, high = values[:k], values[k:]
     spread = max(tolerance, _spread(low), _spread(high))
-    if high[0] - low[-1] < GAP * spread or np.median(high) - np.median(low) < APART * spread:
+    if (
+        high[0] - low[-1] < TUNING.changes_gap * spread
+        or np.median(high) - np.median(low) < TUNING.changes_apart * spread
+    ):
         return [members]
     parts = (np.sort(ordered[:k]), np.sort(ordered[k:]))
     return [part for one in parts for part in _split_sort(one, column, least, tolerance)]
 
 
 def _spread(values: Floats) -> float:
-    return float(np.median(np.abs(values - np.median(values))) / MEDIAN)
+    return float(np.median(np.abs(values - np.median(values))) / TUNING.series_median)

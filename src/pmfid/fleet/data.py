@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.fleet.aside import Aside, find_mixed_parts
-from pmfid.fleet.plan import BUDGET, Places, RowShard, Survey, content, join_surveys, survey_part
+from pmfid.fleet.plan import Places, RowShard, Survey, content, join_surveys, survey_part
 from pmfid.fleet.rows import RecordPiece, pieces_of, read_rows, rows_of
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Columns, Part
 from pmfid.fleet.store import Keep, digest
+from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 
 if TYPE_CHECKING:
@@ -266,7 +267,7 @@ class Parts:
         items = [(shard, self._select_rows(shard, work.length)) for shard in shards]
         if self._aside is not None:
             self._aside.only(shards)
-        room = RowBudget(FULL * BUDGET) if isinstance(self._engine, Local) else None
+        room = RowBudget(FULL * TUNING.plan_budget) if isinstance(self._engine, Local) else None
         return self._engine.map(partial(_solve_shard, work, self._aside, room), items)
 
 

@@ -20,6 +20,7 @@ from pmfid.fleet.series import Periods
 from pmfid.fleet.settings import Chosen, choose, make_settings
 from pmfid.fleet.source import AXIS, TYPE, Columns, is_spark, parts_of
 from pmfid.fleet.store import Keep, Kept, Store, check_folder, digest, whole
+from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import UNKNOWN
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 #: Called with the part of the work that is done, 0 to 1.
 Progress = Callable[[float], None]
-#: Axes whose segments are in memory at once when they are judged.
-TOGETHER = 64
 
 
 @dataclass(frozen=True)
@@ -241,8 +240,8 @@ class _Run:
             for name in shard.axes:
                 places[name].append(k)
         names = sorted(places)
-        for start in range(0, len(names), TOGETHER):
-            group = names[start : start + TOGETHER]
+        for start in range(0, len(names), TUNING.history_together):
+            group = names[start : start + TUNING.history_together]
             wanted = sorted({k for name in group for k in places[name]})
             frames = [solved[k].rows().filter(pl.col(AXIS).is_in(group)) for k in wanted]
             yield pl.concat(frames).sort(AXIS, "start")

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmfid.fleet.plan import DAY, RowProblem
-from pmfid.fleet.series import SAME, Periods, Series, period_rows, series_of, widen_errors
+from pmfid.fleet.plan import RowProblem
+from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.source import AXIS
+from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import CHANGED, AxisVerdict, Follow, follow_axis, judge_axes, ranking, sentence, sorts_by_type
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def outcome_of(
 def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
     """A problem for an axis whose sample period changes."""
     low, high = float(series.dt.min()), float(series.dt.max())
-    if high - low <= SAME * high:
+    if high - low <= TUNING.series_same * high:
         return []
     at = float(series.start[np.flatnonzero(series.dt != series.dt[0])[0]])
     text = f"sample periods from {low:.6g} to {high:.6g} s: each is estimated with its own"
@@ -93,7 +94,7 @@ def _others(follows: Iterable[Follow]) -> list[RowProblem]:
     return [
         RowProblem(one.axis, "", "other_dt", text.format(one.dt, usual))
         for one in known
-        if abs(one.dt - usual) > SAME * usual
+        if abs(one.dt - usual) > TUNING.series_same * usual
     ]
 
 
@@ -167,7 +168,7 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Seq
             row |= {name: float(one.theta[i]), f"{name}_std": float(one.std[i])}
             row |= {f"{name}_deviation": deviation, f"{name}_change": changed}
             slope, std = (math.nan, math.nan) if one.trend is None else (one.trend.slopes[i], one.trend.stds[i])
-            row |= {f"{name}_slope": float(slope) * DAY, f"{name}_slope_std": float(std) * DAY}
+            row |= {f"{name}_slope": float(slope) * TUNING.plan_day, f"{name}_slope_std": float(std) * TUNING.plan_day}
         rows.append(row)
     return pl.DataFrame(rows, infer_schema_length=None)
 

@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.fleet import source
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part, other_unit
+from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 
 if TYPE_CHECKING:
     import polars as pl
 
-#: [s].
-DAY = 86_400.0
 PART, ROWS, LOST, FIRST, LAST, EXTENT = "part", "rows", "lost", "first", "last", "extent"
 #: First row in the part.
 START = "start"
@@ -88,7 +86,7 @@ def count_rows(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyF
 
     known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
     kind = pl.col(TYPE).min() if columns.type else pl.lit("")
-    return rows.group_by(AXIS, (pl.col(TIME) / DAY).floor().alias("day")).agg(
+    return rows.group_by(AXIS, (pl.col(TIME) / TUNING.plan_day).floor().alias("day")).agg(
         known.sum().cast(pl.Int64).alias(ROWS),
         (~known | known.is_null()).sum().cast(pl.Int64).alias(LOST),
         pl.col(TIME).filter(pl.col(TIME).is_finite()).min().alias(FIRST),
@@ -163,14 +161,6 @@ def _empty() -> pl.DataFrame:
     return pl.DataFrame(schema=kinds | {TYPE: pl.String, START: pl.Int64, EXTENT: pl.Int64})
 
 
-#: Lengths of a slice [s], and how many samples it has at most.
-LENGTHS, MOST_SAMPLES = (3600.0, 900.0, 180.0, 60.0, 15.0, 5.0, 1.0), 2**19
-#: Slices whose rows are shared out together.
-BLOCK = 24
-#: Rows of a shard: 40 bytes each, and as much again while they are sorted and estimated from.
-BUDGET = 2**22
-
-
 @dataclass(frozen=True)
 class RowShard:
     """axes in the slices first <= k < last, and the parts that have rows of them; rows: about how many."""
@@ -193,8 +183,12 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
         raise UsageError("no axis has two rows at different times on a day; check --axis, [record] time and time_unit")
     dt = float(np.median(steps))
     fastest = _fastest(rows)
-    fits = (length for length in LENGTHS if length / dt <= MOST_SAMPLES and length * fastest <= BUDGET)
-    longest = next(fits, LENGTHS[-1])
+    fits = (
+        length
+        for length in TUNING.plan_lengths
+        if length / dt <= TUNING.most_samples and length * fastest <= TUNING.plan_budget
+    )
+    longest = next(fits, TUNING.plan_lengths[-1])
     if period is None:
         return longest
     return period / math.ceil(period / longest - 1e-9) if period > longest else period * math.floor(longest / period)
@@ -207,7 +201,7 @@ def _fastest(rows: pl.DataFrame) -> float:
 
     span, many = (pl.col(LAST) - pl.col(FIRST)).sum(), (pl.col(ROWS) - 1).sum()
     axes = rows.group_by(AXIS).agg(span.alias("span"), many.alias("many"))
-    large = axes.filter((pl.col("many") > BUDGET) & (pl.col("span") > 0))
+    large = axes.filter((pl.col("many") > TUNING.plan_budget) & (pl.col("span") > 0))
     return float(large.select((pl.col("many") / pl.col("span")).max()).item() or 0.0)
 
 
@@ -215,14 +209,14 @@ def shards_of(rows: pl.DataFrame, length: float) -> list[RowShard]:
     """All shards, in the order of time and of axes; rows: of the `Survey`; length: of a slice [s]."""
     blocks: dict[int, dict[str, dict[str, float]]] = defaultdict(lambda: defaultdict(dict))
     for part, axis, count, first, last in rows.select(PART, AXIS, ROWS, FIRST, LAST).iter_rows():
-        for block, share in _blocks(first, last, length * BLOCK):
+        for block, share in _blocks(first, last, length * TUNING.plan_block):
             # a block may hold several days of a part
             own = blocks[block][axis]
             own[part] = own.get(part, 0.0) + count * share
     found: list[RowShard] = []
     for block in sorted(blocks):
         for axes in _pack_axes(blocks[block]):
-            found += _cut(axes, blocks[block], block * BLOCK, (block + 1) * BLOCK)
+            found += _cut(axes, blocks[block], block * TUNING.plan_block, (block + 1) * TUNING.plan_block)
     return found
 
 
@@ -236,12 +230,12 @@ def _blocks(first: float, last: float, length: float) -> Iterator[tuple[int, flo
 
 
 def _pack_axes(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, ...]]:
-    """The axes of a block in groups of at most BUDGET rows, or of one axis."""
+    """The axes of a block in groups of at most plan_budget rows, or of one axis."""
     group: list[str] = []
     total = 0.0
     for axis in sorted(block):
         size = sum(block[axis].values())
-        if group and total + size > BUDGET:
+        if group and total + size > TUNING.plan_budget:
             yield tuple(group)
             group, total = [], 0.0
         group.append(axis)
@@ -255,7 +249,7 @@ def _cut(
 ) -> list[RowShard]:
     """The slices of a group of axes, halved until their rows fit; share: of the block's rows that they have."""
     total = share * sum(sum(block[axis].values()) for axis in axes)
-    if total > BUDGET and last - first > 1:
+    if total > TUNING.plan_budget and last - first > 1:
         middle = (first + last) // 2
         return _cut(axes, block, first, middle, share / 2) + _cut(axes, block, middle, last, share / 2)
     parts = sorted({part for axis in axes for part in block[axis]})
@@ -268,7 +262,7 @@ class Places:
     def __init__(self, names: Set[str], rows: pl.DataFrame) -> None:
         import polars as pl
 
-        large = pl.col(ROWS).sum().over(PART) > source.WINDOW
+        large = pl.col(ROWS).sum().over(PART) > TUNING.source_window
         found = rows.filter(pl.col(PART).is_in(list(names)) & large)
         groups = found.partition_by(PART, as_dict=True, include_key=False)
         self._rows = {str(key[0]): group for key, group in groups.items()}

@@ -13,6 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.fleet.aside import Aside
 from pmfid.fleet.plan import RowProblem, RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
+from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 from pmfid.io.tables import Table
 from pmfid.types import Flags, Floats
@@ -20,9 +21,6 @@ from pmfid.types import Flags, Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: A longer step, in medians of a slice, ends a piece, and the next sample starts a new one. Shorter gaps stay within a
-#: record.
-APART = 8.5
 #: Problem of a file that changed while it was read; the next call reads the file again, because its stamp has changed.
 REWRITTEN = "was written to while it was read: call again when it is whole"
 #: Columns of rows by their name in `source`.
@@ -172,7 +170,7 @@ def pieces_of(rows: ShardRows, columns: Columns, length: float) -> Iterator[Reco
     ends = np.flatnonzero((np.diff(rows.axis) != 0) | (np.diff(place) != 0)) + 1
     for first, last in zip([0, *ends], [*ends, rows.time.size], strict=True):
         steps = np.diff(rows.time[first:last])
-        cuts = np.flatnonzero(steps > APART * np.median(steps)) + 1 + first if steps.size else ends[:0]
+        cuts = np.flatnonzero(steps > TUNING.rows_apart * np.median(steps)) + 1 + first if steps.size else ends[:0]
         for low, high in zip([first, *cuts], [*cuts, last], strict=True):
             time = rows.time[low:high]
             others = {name: values[low:high] for name, values in rows.others.items()}

@@ -11,23 +11,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.diagnostics.matter import NOISE_LIMIT
+from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.diagnostics.verdict import believed_square
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import CURVED, MISSED, filter_forces
+from pmfid.estimators.adequacy import filter_forces
 from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.configuration import like
-from pmfid.estimators.instruments import LASTING
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.motion import rms
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.estimators.uncertainty import block_scatter
 from pmfid.fleet.plan import RowProblem
 from pmfid.fleet.rows import RecordPiece
 from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, UNUSABLE
 from pmfid.fleet.settings import Settings, quarter_of, record_at
+from pmfid.fleet.tuning import TUNING
 from pmfid.models.equation import VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.models.shapes import Square
 from pmfid.records.record import Record
@@ -54,15 +55,6 @@ class Stretch:
     lost: float
     repeats: float
     looked_at: bool = False
-
-
-#: Quarters of a whole segment. What is left at the end of a piece is one if it has two; all of a piece, if it has one.
-WHOLE, REST, LEAST = 4, 2, 1
-#: Settling times of the filters from which on a rest is shortened, to two of them.
-LONG = 4
-#: Settling times that few moves take with the ends of the rests on both sides, at least: the filters see of a
-#: shorter motion how it begins and ends alone, and repeated it has the same error again.
-BETWEEN = 3
 
 
 @dataclass(frozen=True)
@@ -95,12 +87,12 @@ def shares_of(counts: Counts, settled: int, quarter: int, span: int) -> Iterator
     """Of a part (n,) without a gap. settled: samples in which the filters settle; quarter: of a whole segment; span:
     samples that moves of one segment are apart, at most."""
     edges = np.r_[0, np.flatnonzero(np.diff(counts)) + 1, counts.size]
-    long = np.flatnonzero(np.diff(edges) > LONG * settled)
+    long = np.flatnonzero(np.diff(edges) > TUNING.segments_long * settled)
     kept = np.ones(counts.size, bool)
     for k in long:
         kept[edges[k] + settled : edges[k + 1] - settled] = False
     middles = (edges[long] + edges[long + 1]) // 2
-    for low, high in _groups(np.r_[0, middles, counts.size], kept, WHOLE * quarter, span):
+    for low, high in _groups(np.r_[0, middles, counts.size], kept, TUNING.segments_whole * quarter, span):
         inside = np.flatnonzero(kept[low:high]) + low
         yield from _share_samples(inside, counts, low, high, settled, quarter)
 
@@ -121,12 +113,12 @@ def _share_samples(
     inside: NDArray[np.intp], counts: Counts, low: int, high: int, settled: int, quarter: int
 ) -> Iterator[Share]:
     """The segments of a group, low to high; inside: its samples with information."""
-    whole = WHOLE * quarter
+    whole = TUNING.segments_whole * quarter
     rests = all(np.ptp(counts[part]) == 0 for part in (inside[:settled], inside[-settled:]))
     if inside.size >= whole or not rests:
         own = inside if inside.size >= quarter else np.arange(low, high)
         yield from (Share(own[part], part.stop - part.start) for part in _cut(own.size, quarter))
-    elif np.ptp(counts[inside]) > 0 and inside.size >= BETWEEN * settled:
+    elif np.ptp(counts[inside]) > 0 and inside.size >= TUNING.segments_between * settled:
         yield Share(inside, whole)
     elif high - low >= quarter:
         yield Share(np.arange(low, low + quarter), quarter)
@@ -134,22 +126,19 @@ def _share_samples(
 
 def _cut(samples: int, quarter: int) -> list[slice]:
     """Whole segments, and what is left; a whole number of quarters each, so that many have the same length."""
-    size = WHOLE * quarter
+    size = TUNING.segments_whole * quarter
     found = [slice(start, start + size) for start in range(0, samples - size + 1, size)]
     start = len(found) * size
     rest = (samples - start) // quarter
-    return [*found, slice(start, start + rest * quarter)] if rest >= (REST if found else LEAST) else found
+    return (
+        [*found, slice(start, start + rest * quarter)]
+        if rest >= (TUNING.segments_rest if found else TUNING.segments_least)
+        else found
+    )
 
 
-#: Part of its size that a parameter may be moved by: forces that are not there seem to move it by up to 2 % where a
-#: controller feeds the encoder's error back.
-TOLERANCE = 0.02
-#: Counts that a velocity is taken over, at least, at the usual speed.
-COUNTS = 4.0
 #: Estimates with one of these are not looked at again.
 SEEN = UNUSABLE | int(Status.UNMODELLED | Status.FALLBACK | Status.DEAD_TIME)
-#: Greatest number of samples for a second look: they show what matters, and the look takes longer than the estimate.
-MOST = 2**15
 
 
 def second_looks(
@@ -173,7 +162,7 @@ def second_looks(
 def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
     """May unmodelled effects move a parameter of theta (p,) by more than its standard deviation std (p,) and the
     tolerance allow?"""
-    allowed = np.maximum(NOISE_LIMIT * std, TOLERANCE * np.abs(theta))
+    allowed = np.maximum(DIAGNOSTIC_TUNING.noise_limit * std, TUNING.segments_tolerance * np.abs(theta))
     with np.errstate(all="ignore"):  # of a motion beyond numbers nothing is known
         try:
             moves = _moves(stretch, method, theta)
@@ -184,7 +173,7 @@ def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
 
 def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
     """(p, k) by how much each of k forces may move the parameters."""
-    u, counts = stretch.u[:MOST], stretch.counts[:MOST]
+    u, counts = stretch.u[: TUNING.segments_most], stretch.counts[: TUNING.segments_most]
     columns = method.columns_at(theta, u, counts)
     speed = velocity(counts) * (stretch.resolution / stretch.dt)
     forces, plausible = _forces(method.equation, theta, speed, u)
@@ -194,9 +183,9 @@ def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
     score = filtered - columns.zeta @ np.linalg.lstsq(columns.zeta.T @ columns.zeta, columns.zeta.T @ filtered)[0]
     scores = score * (columns.z - columns.phi @ found)[:, None]
     information = np.sum(score * (filtered + columns.phi @ moves), axis=0)
-    variance = block_scatter(scores, LASTING * method.settle_samples) * stretch.repeats
+    variance = block_scatter(scores, ESTIMATOR_TUNING.instruments_lasting * method.settle_samples) * stretch.repeats
     size, size_std = scores.sum(axis=0) / information, np.sqrt(variance) / np.abs(information)
-    asked = np.abs(size) > MISSED * size_std
+    asked = np.abs(size) > ESTIMATOR_TUNING.adequacy_missed * size_std
     sizes = np.where(asked, np.abs(size), np.sqrt(believed_square(size, size_std, plausible)))
     return np.asarray(np.abs(moves) * sizes)
 
@@ -209,27 +198,19 @@ def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tupl
         return bent[None], np.zeros(1)
     values = equation.role_values(theta)
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2
-    return np.stack([bent, speed * np.abs(speed) / usual**2]), np.array([0.0, CURVED * viscous * usual])
+    return np.stack([bent, speed * np.abs(speed) / usual**2]), np.array(
+        [0.0, ESTIMATOR_TUNING.adequacy_curved * viscous * usual]
+    )
 
 
 def velocity(counts: Counts) -> Floats:
     """(n,) counts per sample, each the mean over as many samples as a few counts take at the usual speed."""
     change = np.diff(counts, append=counts[-1]).astype(np.float64)
-    width = 2 * math.ceil(COUNTS / max(rms(change), 1e-3) / 2) - 1
+    width = 2 * math.ceil(TUNING.segments_counts / max(rms(change), 1e-3) / 2) - 1
     if width < 3:
         return change
     total = np.cumsum(np.r_[np.zeros(width // 2 + 1), change, np.zeros(width // 2)])
     return np.asarray((total[width:] - total[:-width]) / width)
-
-
-#: Estimates of a segment that are kept.
-MARKS = 16
-#: Standard deviations by which those after the first quarter differ in any case.
-USUAL = 3.0
-#: Part of the second half in which the equation is off, from which on the segment is.
-OFF = 0.25
-#: Part of the travel that goes the other way, at least; mean over largest size of an input of several sizes, at most.
-BACK, LEVEL = 0.05, 0.98
 
 
 def settled_std(tracks: Tracks) -> Floats:
@@ -237,36 +218,30 @@ def settled_std(tracks: Tracks) -> Floats:
     estimate, or a change within the segment, is forgotten no faster than the samples are."""
     std = tracks.theta_std[:, -1]
     moved = np.ptp(tracks.theta[:, _first_after(tracks, 4) :], axis=1)
-    return np.asarray(np.hypot(std, np.maximum(moved - USUAL * std, 0.0)))
+    return np.asarray(np.hypot(std, np.maximum(moved - TUNING.segments_usual * std, 0.0)))
 
 
 def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
     """(n,) at the end, and unmodelled where it was that for a part of the second half: the kernel's verdict is on the
     last motion alone."""
     off = (tracks.status[:, _first_after(tracks, 2) :] & Status.UNMODELLED) != 0
-    wrong = np.mean(off, axis=1) >= OFF
+    wrong = np.mean(off, axis=1) >= TUNING.segments_off
     return np.asarray(tracks.status[:, -1] | np.where(wrong, Status.UNMODELLED, 0), np.uint32)
 
 
 def evidence_gaps(u: Floats, counts: Counts) -> NDArray[np.uint32]:
     """(n,) status bits for effects that the inputs u and the counts (n, samples) cannot show."""
     there, travel = counts[:, -1] - counts[:, 0], np.abs(np.diff(counts, axis=1)).sum(axis=1)
-    one_way = travel - np.abs(there) < 2 * BACK * travel
+    one_way = travel - np.abs(there) < 2 * TUNING.segments_back * travel
     way = np.where(one_way, np.where(there > 0, FORWARD, BACKWARD), 0)
     sizes = np.abs(u)
-    one_size = sizes.mean(axis=1) > LEVEL * sizes.max(axis=1)
+    one_size = sizes.mean(axis=1) > TUNING.segments_level * sizes.max(axis=1)
     return np.asarray(way | np.where(one_size, ONE_SIZE, 0), np.uint32)
 
 
 def _first_after(tracks: Tracks, part: int) -> int:
     """Index of the first kept estimate after 1/part of the segment."""
     return (tracks.samples.size - 1) // part
-
-
-#: Samples of a batch at most [axes times samples].
-BATCH = 2**22
-#: One segment in ONE_OF of a piece has a second look.
-ONE_OF = 16
 
 
 @dataclass(frozen=True)
@@ -314,7 +289,9 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
         for whole in parts_of(record.u)
         for share in shares_of(record.counts[whole], settled, quarter, span)
     )
-    found = [_stretch(piece, record, filled, first, share, k % ONE_OF == 0) for k, (first, share) in enumerate(shares)]
+    found = [
+        _stretch(piece, record, filled, first, share, k % TUNING.one_of == 0) for k, (first, share) in enumerate(shares)
+    ]
     if not found:
         raise UsageError(
             f"{record.u.size} samples without a gap are too few: an estimate takes {quarter * record.dt:.3g} s of them"
@@ -348,7 +325,7 @@ def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimato
         groups[one.u.size].append(one)
     frames = []
     for size, group in groups.items():
-        many = max(1, BATCH // size)
+        many = max(1, TUNING.segments_batch // size)
         frames += [_batch(group[start : start + many], estimator) for start in range(0, len(group), many)]
     return frames
 
@@ -357,7 +334,11 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
     import polars as pl
 
     u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
-    tracks = estimator.start().side_by_side(len(stretches), workers=1).run(u, counts, every=max(1, u.shape[1] // MARKS))
+    tracks = (
+        estimator.start()
+        .side_by_side(len(stretches), workers=1)
+        .run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
+    )
     theta = tracks.theta[:, -1]
     std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])
     columns: dict[str, object] = {

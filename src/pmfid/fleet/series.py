@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.fleet.source import seconds
+from pmfid.fleet.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
@@ -23,14 +24,6 @@ UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Stat
 #: input had one size alone, where saturation or a dead zone looks like another force per input; it had a second look,
 #: by which an unmodelled force may move it.
 FORWARD, BACKWARD, ONE_SIZE, LOOKED_AT, MOVED = 1 << 31, 1 << 30, 1 << 29, 1 << 28, 1 << 27
-#: Batches whose means show what lasts, at least.
-BATCHES = 4
-#: Standard deviations that segments are known to be too sure or unsure by, at least: of few, their own word counts.
-LEAST_NOISE, FEW = 0.7, 20
-#: Segments that tell what they share, at least.
-LEAST_SHARED = 4
-#: Median of the absolute value of a normal number, in standard deviations.
-MEDIAN = 0.6745
 
 
 @dataclass(frozen=True)
@@ -78,9 +71,9 @@ def widen_errors(series: Series) -> Series:
     All segments share this scatter, so no segment with too small a standard error dominates (random effects;
     DerSimonian and Laird, 1986, with medians, which a few steps do not move)."""
     used = series[series.usable]
-    if used.start.size < LEAST_SHARED:
+    if used.start.size < TUNING.least_shared:
         return series
-    apart = np.median(np.abs(np.diff(used.theta, axis=0)), axis=0) / MEDIAN
+    apart = np.median(np.abs(np.diff(used.theta, axis=0)), axis=0) / TUNING.series_median
     known = np.median(used.std[1:] ** 2 + used.std[:-1] ** 2, axis=0)
     shared = np.sqrt(np.maximum(apart**2 - known, 0.0) / 2)
     return replace(series, std=np.hypot(series.std, shared))
@@ -105,7 +98,7 @@ def lasting(apart: Floats) -> Floats:
     """(p,): root mean square of deviations (n, p), as inferred from means of batches for independent segments; the
     largest over all lengths with several batches."""
     found, size = np.zeros(apart.shape[1]), 1
-    while apart.shape[0] // size >= BATCHES:
+    while apart.shape[0] // size >= TUNING.series_batches:
         many = apart.shape[0] // size
         means = apart[-many * size :].reshape(many, size, -1).mean(axis=1)
         found = np.maximum(found, np.sqrt(size * np.mean(means**2, axis=0)))
@@ -116,14 +109,12 @@ def lasting(apart: Floats) -> Floats:
 def noise_of(series: Series) -> Floats:
     """(p,): differences of neighbours, relative to their standard errors; not moved by a few steps."""
     stds = np.hypot(series.std[1:], series.std[:-1])
-    found = np.median(np.abs(np.diff(series.theta, axis=0)) / stds, axis=0) / MEDIAN
-    return np.maximum(found, LEAST_NOISE if len(stds) >= FEW else 1.0)
+    found = np.median(np.abs(np.diff(series.theta, axis=0)) / stds, axis=0) / TUNING.series_median
+    return np.maximum(found, TUNING.least_noise if len(stds) >= TUNING.series_few else 1.0)
 
 
 #: Of periods with a name: length and start of one of them [s].
 NAMED = {"day": (86_400.0, 0.0), "shift": (28_800.0, 21_600.0)}
-#: A pause from which on a new run begins [s]; of long segments, as long as one.
-PAUSE = 60.0
 #: Status bits that a period reports if at least half of its segments have them.
 REPORTED = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
 #: Findings with which an error may exceed the standard error; a period with a change in it has two true values.
@@ -131,14 +122,6 @@ DOUBT = {"missing", "changed", "one_way", "one_size", *(str(bit.name).lower() fo
 #: Segments that have such a status from which on it is one of the axis, not of a time, and part of them: a right model
 #: is unmodelled in one of fifty, late or under feedback in up to one of ten; a change is in one or two more.
 SEVERAL, SHARE = 3, {Status.UNMODELLED: 0.1, Status.DEAD_TIME: 0.25, Status.FEEDBACK: 0.25, Status.FALLBACK: 0.5}
-#: Of the segments that had a second look the part that may be off: a change is in one.
-LOOKS = 0.25
-#: Standard deviations, and part of their size, by which estimates of one direction and the others may differ.
-AGREES, SAME_WAY = 4.0, 0.02
-#: Sample periods within this part of one another are the same.
-SAME = 1e-3
-#: Part of imputed samples from which on a period reports them as missing.
-LOST = 0.01
 
 
 @dataclass(frozen=True)
@@ -160,7 +143,7 @@ class Periods:
     def numbers(self, series: Series, segment: float) -> NDArray[np.int64]:
         """(n,) to which period each segment belongs; segment: its length [s]."""
         if self.length is None:
-            pauses = series.start[1:] - series.end[:-1] > max(PAUSE, segment)
+            pauses = series.start[1:] - series.end[:-1] > max(TUNING.series_pause, segment)
             return np.concatenate([[0], np.cumsum(pauses)]).astype(np.int64)[: series.start.size]
         middle = (series.start + series.end) / 2
         return np.floor((middle - self.start) / self.length).astype(np.int64)
@@ -214,7 +197,7 @@ def standing(series: Series) -> set[str]:
     which = (bit for bit in REPORTED if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
     names = {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
     looked_at, moved = (np.count_nonzero(used.status & bit) for bit in (LOOKED_AT, MOVED))
-    return names | ({"unmodelled"} if moved > LOOKS * looked_at else set())
+    return names | ({"unmodelled"} if moved > TUNING.series_looks * looked_at else set())
 
 
 def _uneven(used: Series) -> bool:
@@ -226,7 +209,7 @@ def _uneven(used: Series) -> bool:
         if np.any(own):
             (one, std), (rest, other) = mean_of(used[own]), mean_of(used[~own])
             apart = np.abs(one - rest)
-            if np.any((apart > AGREES * np.hypot(std, other)) & (apart > SAME_WAY * np.abs(rest))):
+            if np.any((apart > TUNING.series_agrees * np.hypot(std, other)) & (apart > TUNING.same_way * np.abs(rest))):
                 return True
     return False
 
@@ -234,8 +217,8 @@ def _uneven(used: Series) -> bool:
 def codes_of(part: Series) -> set[str]:
     """Findings of some segments."""
     used = part[part.usable]
-    found = {"missing"} if np.average(part.lost, weights=part.samples) > LOST else set()
-    if np.ptp(part.dt) > SAME * np.max(part.dt):
+    found = {"missing"} if np.average(part.lost, weights=part.samples) > TUNING.series_lost else set()
+    if np.ptp(part.dt) > TUNING.series_same * np.max(part.dt):
         found.add("mixed_dt")
     status = Counter(bit for bit in REPORTED for one in used.status if int(one) & bit)
     found |= {str(bit.name).lower() for bit, many in status.items() if 2 * many >= used.start.size}

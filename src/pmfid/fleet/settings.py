@@ -15,22 +15,12 @@ from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.fleet.series import UNUSABLE
+from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.pipeline.drives import make_estimator, match_kind
 from pmfid.pipeline.known import finds_gain
 from pmfid.records.record import Record, record_of
 from pmfid.status import Status
-
-#: Lengths of a segment, one estimate, where the configuration has no memory of its own [s].
-SEGMENTS = (60.0, 120.0, 300.0, 600.0, 1800.0)
-#: The same in memories.
-MEMORIES = 2.5
-#: Rests that are left out may lengthen a segment by this factor.
-SPAN = 10
-#: Length of a segment in settling times of the filters: usual and least.
-SETTLED, LEAST_SETTLED = 20, 4
-#: Part of a piece whose samples may be missing.
-MOST_MISSING = 0.2
 
 
 @dataclass(frozen=True)
@@ -56,14 +46,14 @@ class Settings:
 def forgetting_of(segment: float, dt: float) -> float:
     """Weight of the past per sample in a segment [s]: of its first samples, which may have come before the filters and
     the method's model had settled, little is left at its end."""
-    return max(0.5, 1 - MEMORIES * dt / segment)
+    return max(0.5, 1 - TUNING.settings_memories * dt / segment)
 
 
 def record_at(table: Table, axis: Axis) -> Record:
     """The record of a piece, whose time is in s. Raises UsageError for what is none."""
     own = axis.record.model_copy(update={"time_unit": "s", "dt": None})
     record = record_of(table, axis.model_copy(update={"record": own}))
-    if record.there is not None and record.there.mean() < 1 - MOST_MISSING:
+    if record.there is not None and record.there.mean() < 1 - TUNING.most_missing:
         raise UsageError(
             f"{1 - record.there.mean():.0%} of the samples are missing on the grid of {record.dt:.6g} s that fits most"
             ": the sample period changes within, or the logger loses as much"
@@ -102,16 +92,19 @@ def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None
     estimator = recursive(make_estimator(axis, nothing))
     settled = estimator.settle_samples * chosen.dt
     if segment is None:
-        plain = next((one for one in SEGMENTS if one >= SETTLED * settled), SEGMENTS[-1])
-        segment = plain if config.forgetting == 1 else MEMORIES * chosen.dt / (1 - config.forgetting)
-    segment, least = min(segment, most), LEAST_SETTLED * settled
+        plain = next(
+            (one for one in TUNING.settings_segments if one >= TUNING.settings_settled * settled),
+            TUNING.settings_segments[-1],
+        )
+        segment = plain if config.forgetting == 1 else TUNING.settings_memories * chosen.dt / (1 - config.forgetting)
+    segment, least = min(segment, most), TUNING.least_settled * settled
     if not segment >= least:
         raise UsageError(
             f"segments of {segment:.3g} s are too short for the filters, which take {least:.3g} s: use longer periods "
             "or segments, or a higher cutoff"
         )
     estimator = replace(estimator, forgetting=forgetting_of(segment, chosen.dt), forgetting_scheme="exponential")
-    return Settings(axis, estimator, segment, max(segment, min(SPAN * segment, most)))
+    return Settings(axis, estimator, segment, max(segment, min(TUNING.settings_span * segment, most)))
 
 
 def recursive(estimator: Estimator) -> RecursiveEstimator:
@@ -126,14 +119,6 @@ def quarter_of(settings: Settings, dt: float) -> int:
     return max(1, math.floor(settings.segment / dt / 4))
 
 
-#: Time constants of the filters that are tried [samples].
-TRIED = (10, 3, 30)
-#: Standard errors larger by this factor are an acceptable price of quicker filters.
-CHEAP = 3.0
-#: Records that are looked at, and segments of each.
-RECORDS, MOST = 8, 5
-
-
 def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
     """The pole, and its zeros, with which most segments of some records have an estimate, and of these the one with the
     smallest standard errors; tables: of different axes.
@@ -145,7 +130,9 @@ def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
     if not records:
         raise refused or UsageError("no axis has rows; check --axis and the columns of [record]")
     first = records[0]
-    poles = [axis.estimator.cutoff] if axis.estimator.cutoff else [1 / (many * first.dt) for many in TRIED]
+    poles = (
+        [axis.estimator.cutoff] if axis.estimator.cutoff else [1 / (many * first.dt) for many in TUNING.settings_tried]
+    )
     found: list[tuple[tuple[int, float], Chosen]] = []
     for pole in poles:
         try:
@@ -163,7 +150,11 @@ def _best(found: Sequence[tuple[tuple[int, float], Chosen]]) -> Chosen:
     most = max(usable for (usable, _), _ in found)
     known = [(stds, chosen) for (usable, stds), chosen in found if usable == most]
     least = max(stds for stds, _ in known)
-    cheap = [(chosen.cutoff, stds, chosen) for stds, chosen in known if stds >= least - math.log(CHEAP) or not most]
+    cheap = [
+        (chosen.cutoff, stds, chosen)
+        for stds, chosen in known
+        if stds >= least - math.log(TUNING.settings_cheap) or not most
+    ]
     return max(cheap, key=lambda one: one[:2])[2]
 
 
@@ -181,7 +172,7 @@ def _records(axis: Axis, tables: Iterable[Table]) -> tuple[list[Record], UsageEr
             refused = refused or NotIdentifiableError("the first axes do not move: nothing tells their parameters")
         elif not found or record.dt == found[0].dt:
             found.append(record)
-        if len(found) == RECORDS:
+        if len(found) == TUNING.settings_records:
             break
     return found, refused
 
@@ -189,7 +180,7 @@ def _records(axis: Axis, tables: Iterable[Table]) -> tuple[list[Record], UsageEr
 def liveliest(record: Record) -> Record:
     """The part of a record that moves most, without a gap, of a few segments."""
     whole = max(parts_of(record.u), key=lambda part: part.stop - part.start, default=slice(0, 0))
-    size = max(1, round(MOST * SEGMENTS[0] / record.dt))
+    size = max(1, round(TUNING.settings_most * TUNING.settings_segments[0] / record.dt))
     starts = range(whole.start, max(whole.start + 1, whole.stop - size + 1), size)
     parts = [slice(start, min(start + size, whole.stop)) for start in starts]
     travel = [int(np.abs(np.diff(record.counts[part])).sum()) for part in parts]
@@ -199,7 +190,7 @@ def liveliest(record: Record) -> Record:
 
 def _estimators(axis: Axis, record: Record, pole: float) -> Iterator[RecursiveEstimator]:
     """With all zeros of the pre-filters that there are to choose from, where they are not given."""
-    update = {"cutoff": pole, "forgetting": forgetting_of(SEGMENTS[0], record.dt)}
+    update = {"cutoff": pole, "forgetting": forgetting_of(TUNING.settings_segments[0], record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
     estimator = recursive(make_estimator(match_kind(record, own), record))
     if not estimator.instrumental or axis.estimator.prefilter_zeros is not None:
@@ -218,7 +209,7 @@ def _make_choice(estimator: RecursiveEstimator) -> Chosen:
 
 def _worth(estimator: RecursiveEstimator, records: Sequence[Record]) -> tuple[int, float]:
     """Number of usable segments of all records, and minus the mean logarithm of their standard errors."""
-    size = min([round(SEGMENTS[0] / estimator.dt), *(record.u.size for record in records)])
+    size = min([round(TUNING.settings_segments[0] / estimator.dt), *(record.u.size for record in records)])
     cuts = [(record, k) for record in records for k in range(0, record.u.size - size + 1, size)]
     u = np.stack([record.u[k : k + size] for record, k in cuts])
     counts = np.stack([record.counts[k : k + size] for record, k in cuts])

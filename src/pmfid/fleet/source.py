@@ -11,11 +11,13 @@ from urllib.parse import unquote
 
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.fleet.tuning import TUNING
 from pmfid.io.arrow import FILE as ARROW
 from pmfid.io.reading import ENDINGS, READERS, read_table
 from pmfid.io.safety import readable, require_extra
 from pmfid.io.tables import LONGEST_CELL, table_of
-from pmfid.records.clock import EPOCHS, UNITS, time_factor
+from pmfid.records.clock import UNITS, time_factor
+from pmfid.records.tuning import TUNING as RECORD_TUNING
 
 if TYPE_CHECKING:
     import polars as pl
@@ -100,7 +102,6 @@ def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
         yield folder / unquote(row["path"]), said
 
 
-_NANOSECOND = 1e-9
 #: Of ISO 8601: what stands at the end of a time that says its distance from UTC.
 _OFFSET = r"([+-])(\d\d):?(\d\d)$"
 _FORM = "%Y-%m-%d %H:%M:%S%.f"
@@ -115,9 +116,9 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
     import polars as pl
 
     if kind == pl.Datetime:
-        return column.dt.epoch("ns").cast(pl.Float64) * _NANOSECOND
+        return column.dt.epoch("ns").cast(pl.Float64) * TUNING.source_nanosecond
     if kind == pl.Duration:
-        return column.cast(pl.Duration("ns")).cast(pl.Int64).cast(pl.Float64) * _NANOSECOND
+        return column.cast(pl.Duration("ns")).cast(pl.Int64).cast(pl.Float64) * TUNING.source_nanosecond
     if kind in (pl.Date, pl.Time):
         raise UsageError(
             f"the column {name!r} is of type {kind}, half of a time: give a column that has both the day and the time"
@@ -142,18 +143,19 @@ def _parse_dates(column: pl.Expr) -> pl.Expr:
     sign = pl.when(text.str.extract(_OFFSET, 1) == "-").then(-1.0).otherwise(1.0)
     ahead = (sign * (3600.0 * hours + 60.0 * minutes)).fill_null(0.0)
     stamps = plain.str.to_datetime(_FORM, time_unit="ns", strict=False)
-    return stamps.dt.epoch("ns").cast(pl.Float64) * _NANOSECOND - ahead
+    return stamps.dt.epoch("ns").cast(pl.Float64) * TUNING.source_nanosecond - ahead
 
 
 def other_unit(first: float, last: float, factor: float) -> str:
     """What to do where times [s] lie beyond this century and another unit makes dates of it; empty where they do not.
     factor: seconds per unit that was taken."""
-    if last < EPOCHS[1]:
+    if last < RECORD_TUNING.clock_epochs[1]:
         return ""
     fitting = [
         unit
         for unit, length in UNITS.items()
-        if EPOCHS[0] <= first / factor * length and last / factor * length < EPOCHS[1]
+        if RECORD_TUNING.clock_epochs[0] <= first / factor * length
+        and last / factor * length < RECORD_TUNING.clock_epochs[1]
     ]
     if not fitting:
         return ""
@@ -177,12 +179,6 @@ FRAME = "the frame"
 _DATES = ", or as dates of ISO 8601 (UTC without an offset)"
 #: What Hive and Spark name the folder of rows that have no value.
 _NOTHING = "__HIVE_DEFAULT_PARTITION__"
-#: Columns that are listed where one is missing.
-_LISTED = 30
-#: Rows of a file that are in memory at once: a row group may hold all of them.
-WINDOW = 2**21
-#: Of a period [s].
-SHORTEST, LONGEST = 1.0, 1e9
 
 
 @dataclass(frozen=True)
@@ -242,8 +238,8 @@ class Part:
         return self.stamp_now is not None and self.stamp_now() != self.stamp
 
     def windows(self) -> Iterator[Part]:
-        """The same rows, in their order, WINDOW at a time where the format lets them be read so. Raises UsageError for
-        a damaged file."""
+        """The same rows, in their order, source_window at a time where the format lets them be read so. Raises
+        UsageError for a damaged file."""
         import polars as pl
 
         if not self.sliced:
@@ -253,8 +249,8 @@ class Part:
         if many is None:
             with readable(Path(self.name).suffix):
                 many = int(self.open().select(pl.len()).collect().item())
-        for start in range(0, max(many, 1), WINDOW):
-            yield replace(self, first=self.first + start, many=min(WINDOW, many - start))
+        for start in range(0, max(many, 1), TUNING.source_window):
+            yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
     def rows(self, columns: Columns) -> pl.LazyFrame:
         """Its rows with the columns of this module: axis and type as text, time [s] and the others as float64. Raises
@@ -274,7 +270,9 @@ class Part:
                 made.append(_cast(own, name, pl.String(), columns.factor, pl.lit(self.constants[name])))
             else:
                 known = [*schema, *self.constants]
-                listed = ", ".join(known[:_LISTED]) + (", ..." if len(known) > _LISTED else "")
+                listed = ", ".join(known[: TUNING.source_listed]) + (
+                    ", ..." if len(known) > TUNING.source_listed else ""
+                )
                 raise UsageError(f"there is no column {name!r}; it has {listed}{did_you_mean(name, known)}")
         return frame.select(made)
 
@@ -289,7 +287,10 @@ class Part:
             for name in texts
         ]
         if schema.get(columns.time) == pl.Float32:
-            notes.append(f"{columns.time} has 32 bits, of a date {too_coarse(EPOCHS[0]):.0f} s: write it as float64")
+            notes.append(
+                f"{columns.time} has 32 bits, of a date {too_coarse(RECORD_TUNING.clock_epochs[0]):.0f} s: "
+                "write it as float64"
+            )
         return notes
 
 
@@ -424,6 +425,6 @@ def seconds(text: str) -> float:
         found = float(number) * lengths[unit]
     except (ValueError, KeyError):
         found = float("nan")
-    if not SHORTEST <= found < LONGEST:
+    if not TUNING.source_shortest <= found < TUNING.source_longest:
         raise UsageError(f"{text!r} is no duration that makes a period; give one as 600, 10min, 1h or 7d")
     return found

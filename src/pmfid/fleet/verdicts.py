@@ -14,25 +14,12 @@ from scipy.special import ndtri, stdtrit
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.fleet.changes import Beyond, Step, Trend, compare_with_wander, sorts_of, step_of, trend_of
 from pmfid.fleet.series import Series, codes_of, mean_of, quality_of, standing
-from pmfid.records.clock import EPOCHS
+from pmfid.fleet.tuning import TUNING
+from pmfid.records.tuning import TUNING as RECORD_TUNING
 from pmfid.types import Floats
 
-#: Axes that are named by chance, of a whole fleet in which nothing is the matter, for each way of being named.
-BY_CHANCE = 0.3
-#: Standard deviations from which on the period of a step reports it, whatever the fleet is like.
-CLEAR = 6.0
-#: Axes of one type whose spread says what is unusual, at least.
-LEAST_AXES = 8
-#: Parts of the axes of a type whose distance from the median tells its spread: the rest may be odd.
-PARTS = (0.5, 0.7, 0.8, 0.9)
 #: Ways of being named, in words.
 CHANGED, DRIFTS, DIFFERS, WANDERS, UNKNOWN = "changed", "drifts", "differs", "wanders", "no estimate"
-#: Segments that tell a step from wandering in any case, at least.
-SURE = 8
-#: Standard deviations of a step or trend below which nobody is named, so that nothing else need explain it.
-LOOKED_AT = 2.0
-#: Chance with which the line through an axis that wanders is a drift: of those that have a clear line only.
-LINE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -59,8 +46,8 @@ class Follow:
     @property
     def stepped(self) -> bool:
         """Is there a step for sure, whatever the fleet is like?"""
-        clear = self.step is not None and self.step.score > CLEAR
-        return clear and self.wander is not None and self.wander.step > CLEAR
+        clear = self.step is not None and self.step.score > TUNING.verdicts_clear
+        return clear and self.wander is not None and self.wander.step > TUNING.verdicts_clear
 
 
 @dataclass(frozen=True)
@@ -103,7 +90,7 @@ def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tole
     is none."""
     used = series[series.usable]
     step, trend = step_of(used, names, tolerance), trend_of(used, names, tolerance)
-    clear = step is not None and trend is not None and max(step.score, trend.score) > LOOKED_AT
+    clear = step is not None and trend is not None and max(step.score, trend.score) > TUNING.looked_at
     wander = None
     if step is not None and clear:
         whole = (used.start < step.since) | (used.start >= step.settled)  # not of both sides
@@ -131,7 +118,7 @@ def judge_axes(follows: Sequence[Follow], names: Sequence[str], tolerance: float
 
 
 def _visible(one: Follow, trials: int, tolerance: float) -> float:
-    if one.step is None or one.segments < SURE:
+    if one.step is None or one.segments < TUNING.verdicts_sure:
         return math.inf
     return tolerance + _limit(trials * one.segments, one.segments - 2) * float(np.max(one.step.middle))
 
@@ -160,7 +147,10 @@ def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdic
     clear = [verdict for verdict in ((changed, drifts) if first else (drifts, changed)) if verdict.score >= 1]
     if not clear or one.wander is None:
         return [changed]
-    sure = {CHANGED: one.wander.step >= least, DRIFTS: one.wander.line >= -float(stdtrit(max(free, 1), LINE / 2))}
+    sure = {
+        CHANGED: one.wander.step >= least,
+        DRIFTS: one.wander.line >= -float(stdtrit(max(free, 1), TUNING.verdicts_line / 2)),
+    }
     return [next((verdict for verdict in clear if sure[verdict.kind]), _wandering(clear[0], one.wander, names))]
 
 
@@ -178,9 +168,9 @@ def _judge_deviation(one: Follow, names: Sequence[str], deviation: Floats, exces
 
 
 def _limit(trials: float, free: float) -> float:
-    """Standard deviations that chance exceeds BY_CHANCE times in `trials` trials, on either side; free: degrees of
+    """Standard deviations that chance exceeds by_chance times in `trials` trials, on either side; free: degrees of
     freedom of the standard deviation."""
-    part = BY_CHANCE / (2 * max(trials, 1))
+    part = TUNING.by_chance / (2 * max(trials, 1))
     return float(-ndtri(part) if math.isinf(free) else -stdtrit(max(free, 1), part))
 
 
@@ -193,7 +183,7 @@ def sorts_by_type(follows: Sequence[Follow], tolerance: float) -> dict[str, list
     found = {}
     for kind, members in groups.items():
         theta, _ = _estimates(follows, members)
-        sorts = sorts_of(_logarithms(theta)[0], LEAST_AXES, tolerance)
+        sorts = sorts_of(_logarithms(theta)[0], TUNING.least_axes, tolerance)
         found[kind] = [[members[k] for k in own] for own in sorts]
     return found
 
@@ -211,7 +201,7 @@ def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Float
     found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]
     for sorts in sorts_by_type(follows, tolerance).values():
         for members in sorts:
-            if len(members) >= LEAST_AXES:
+            if len(members) >= TUNING.least_axes:
                 for k, *pair in zip(members, *_compare_axes(*_estimates(follows, members), tolerance), strict=True):
                     found[k] = (pair[0], pair[1])
     return found
@@ -239,7 +229,9 @@ def spread_of(apart: Floats) -> Floats:
     """(p,) standard deviation of most of the distances (m, p) from the median: the largest that a part of them tells,
     so that tails heavier than normal count, and a tenth of odd axes does not."""
     sizes = np.abs(apart)
-    return np.asarray(np.max([np.quantile(sizes, part, axis=0) / ndtri((1 + part) / 2) for part in PARTS], axis=0))
+    return np.asarray(
+        np.max([np.quantile(sizes, part, axis=0) / ndtri((1 + part) / 2) for part in TUNING.verdicts_parts], axis=0)
+    )
 
 
 def ranking(verdicts: Iterable[AxisVerdict]) -> list[int]:
@@ -257,7 +249,7 @@ def when(time: float) -> str:
     """A time [s], as a date (UTC) where it is one, else as hours, minutes and seconds from zero."""
     if not math.isfinite(time):
         return ""
-    if EPOCHS[0] <= time < EPOCHS[1]:
+    if RECORD_TUNING.clock_epochs[0] <= time < RECORD_TUNING.clock_epochs[1]:
         return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M:%S")
     minutes, second = divmod(round(time), 60)
     hours, minute = divmod(minutes, 60)

@@ -12,14 +12,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, schur
 
 from pmfid.errors import UsageError
+from pmfid.linear.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain
 from pmfid.types import Floats
-
-#: Terms of the exponential series once its argument is scaled below SERIES_NORM: beyond float64.
-SERIES_TERMS = 14
-SERIES_NORM = 0.25
-#: Columns of a product of a small matrix with a long one at a time.
-BLOCK = 2048
 
 
 @dataclass(frozen=True)
@@ -114,8 +109,8 @@ def _combine_modes(Q: Floats, modes: list[Floats]) -> Floats:
     """Real part of Q modes, in blocks so small that the product stays in one thread: more threads only wait."""
     real, imag = np.array([mode.real.ravel() for mode in modes]), np.array([mode.imag.ravel() for mode in modes])
     result = np.empty(real.shape)
-    for first in range(0, real.shape[1], BLOCK):
-        part = slice(first, first + BLOCK)
+    for first in range(0, real.shape[1], TUNING.experiment_block):
+        part = slice(first, first + TUNING.experiment_block)
         result[:, part] = Q.real @ real[:, part] - Q.imag @ imag[:, part]
     return result
 
@@ -123,8 +118,8 @@ def _combine_modes(Q: Floats, modes: list[Floats]) -> Floats:
 def product(matrix: Floats, rows: Floats) -> Floats:
     """matrix (n, n) times rows (n, N), in blocks for the same reason."""
     result = np.empty(rows.shape)
-    for first in range(0, rows.shape[1], BLOCK):
-        part = slice(first, first + BLOCK)
+    for first in range(0, rows.shape[1], TUNING.experiment_block):
+        part = slice(first, first + TUNING.experiment_block)
         result[:, part] = matrix @ rows[:, part]
     return result
 
@@ -142,27 +137,18 @@ def _recur_varying(phi: Floats, forced: Floats, start: Floats) -> Floats:
 def _exponential(matrices: Floats) -> Floats:
     """exp of each of (k, n, n) by scaling, series and squaring; scipy's goes through them one by one."""
     size = float(np.max(np.sum(np.abs(matrices), axis=-1)))
-    squarings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / SERIES_NORM))))
+    squarings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / TUNING.series_norm))))
     scaled = matrices / 2.0**squarings
     unit = np.eye(matrices.shape[-1])
-    result = unit + scaled / SERIES_TERMS
-    for term in range(SERIES_TERMS - 1, 0, -1):
+    result = unit + scaled / TUNING.series_terms
+    for term in range(TUNING.series_terms - 1, 0, -1):
         result = unit + scaled @ result / term
     for _ in range(squarings):
         result = result @ result
     return np.asarray(result)
 
 
-#: Instants closer than this to an even spacing, in parts of the step, are evenly spaced: clocks and decimals do that.
-EVEN = 5e-3
-#: Two instants closer than this, in parts of the median step, are one.
-SAME = 1e-9
-#: A longer step, in medians, is a gap: what the input did in it is not known.
-GAP = 1.75
 HOLDS = ("zoh", "foh")
-#: Samples of the response from reference to input, and how many samples of a record there must be for each of them.
-RESPONSE = 200
-SAMPLES_PER_COEFFICIENT = 10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -271,7 +257,7 @@ class Experiment(Presentable):
         median = float(np.median(steps))
         mean = float(np.mean(steps))
         even = self.times[0] + mean * np.arange(self.times.size)
-        return mean if np.max(np.abs(self.times - even)) < EVEN * mean else median
+        return mean if np.max(np.abs(self.times - even)) < TUNING.experiment_even * mean else median
 
     @cached_property
     def explained_input(self) -> Floats | None:
@@ -282,7 +268,7 @@ class Experiment(Presentable):
             return None
         known = np.isfinite(self.u)
         reference = self.reference * _shrinking(self.reference)  # the impulse response grows by as much
-        length = max(1, min(RESPONSE, self.u.size // SAMPLES_PER_COEFFICIENT))
+        length = max(1, min(TUNING.experiment_response, self.u.size // TUNING.samples_per_coefficient))
         lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), reference], length)
         columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
         kept = _count_columns(columns[known], self.u[known])
@@ -319,7 +305,7 @@ class Experiment(Presentable):
     def stretches(self, delay: int = 0) -> list[RecordStretch]:
         """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
         u, t = self.u, self.times
-        limit = GAP * self.period if self.gap is None else self.gap
+        limit = TUNING.experiment_gap * self.period if self.gap is None else self.gap
         known = np.isfinite(u)
         broken = np.flatnonzero(~known[:-1] | (np.diff(t) > limit)) + 1
         parts = []
@@ -338,7 +324,7 @@ class Experiment(Presentable):
         if part.size < delay + 2 or not np.any(measured[delay:]):
             return None
         even = t[0] + self.period * np.arange(t.size)
-        if np.max(np.abs(t - even)) < EVEN * self.period:
+        if np.max(np.abs(t - even)) < TUNING.experiment_even * self.period:
             filled = np.interp(even, even[measured], y[measured])
             cut = slice(None, u.size - delay)
             rows = np.flatnonzero(measured[delay:])
@@ -360,17 +346,17 @@ class Experiment(Presentable):
         """The grid has the instants of the output and those at which the late input changes."""
         measured = np.isfinite(y)
         late = t + delay * self.period
-        inside = (t >= late[0] - SAME) & (t <= late[-1])
+        inside = (t >= late[0] - TUNING.experiment_same) & (t <= late[-1])
         merged = np.union1d(t[inside], late[late <= t[-1]])
-        grid_t = merged[np.r_[True, np.diff(merged) > SAME * self.period]]
-        rows_of = np.searchsorted(grid_t, t - SAME * self.period)
+        grid_t = merged[np.r_[True, np.diff(merged) > TUNING.experiment_same * self.period]]
+        rows_of = np.searchsorted(grid_t, t - TUNING.experiment_same * self.period)
         rows = np.flatnonzero(measured & inside & (rows_of < grid_t.size))
         if grid_t.size < 2 or rows.size < 2:
             return None
         filled = np.interp(grid_t, t[measured], y[measured])
         signals = _finite([u] + ([] if reference is None else [reference]))
         if held:
-            index = np.searchsorted(late, grid_t + SAME * self.period, side="right") - 1
+            index = np.searchsorted(late, grid_t + TUNING.experiment_same * self.period, side="right") - 1
             inputs = [signal[index] for signal in signals]
         else:
             inputs = [np.interp(grid_t, late, signal) for signal in signals]

@@ -13,19 +13,11 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.residuals import Noise, is_white, prewhiten_problem, residual_noise
 from pmfid.linear.responses import Structure
-from pmfid.linear.solve import REFINEMENTS, ProcessProblem, Solution, descend, first_guess, refine, visit
+from pmfid.linear.solve import ProcessProblem, Solution, descend, first_guess, refine, visit
+from pmfid.linear.tuning import TUNING
 
-#: A model is judged once a step would lower its sum of squares by less than this part.
-SETTLED = 1e-6
-PASSES = 10
-#: Poles of the smaller one of two models that the colour of the noise is taken from; the other one has the most poles.
-MIDDLE = 3
-#: Best structures among those that did not settle, which are given more passes.
-RETRIED = 8
 #: Structures that are tried before none is recommended; the reason to refuse an estimate.
 TRIED, UNSTABLE = 8, "the estimate is unstable"
-#: A model counts as follows the record no closer than this part of the output: two such models are equally good.
-EXACT = 1e-7
 #: Delays in whole samples, and orders, that are searched where nothing else is said.
 ORDERS = range(1, 6)
 DELAYS = range(6)
@@ -138,7 +130,9 @@ def _finish(
 ) -> list[OrderCandidate]:
     """Those that did not settle and may win once more, with all the patience that an estimate has."""
     best = min((candidate.bic for candidate in found if candidate.settled), default=math.inf)
-    contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[:RETRIED]
+    contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[
+        : TUNING.order_retried
+    ]
     better = {id(c): again(c.n, c.m, c.delay) or c for c in contenders}
     return [better.get(id(candidate), candidate) for candidate in found]
 
@@ -160,10 +154,10 @@ def _colour(
 ) -> Noise | None:
     """Of what the best of a middle and of the largest order leaves; None where no such model follows the record."""
     best, noise = math.inf, None
-    for n in sorted({max(orders), min(max(orders), MIDDLE)}):
+    for n in sorted({max(orders), min(max(orders), TUNING.order_middle)}):
         for delay in delays:
             problem = _problem(experiments, Structure(n, n - 1, offset), delay, cutoff)
-            point = _refine_structure(problem, SETTLED, PASSES)
+            point = _refine_structure(problem, TUNING.order_settled, TUNING.order_passes)
             criterion = math.inf if point is None else _bic(problem, point.point.cost, point.point.error.size)
             if point is not None and criterion < best:
                 best, noise = criterion, residual_noise(problem, point.point)
@@ -182,7 +176,9 @@ def _try(
 ) -> OrderCandidate | None:
     problem = _problem(experiments, Structure(n, m, offset), delay, cutoff)
     white = problem if colour is None else prewhiten_problem(problem, colour)
-    solution = _refine_structure(white, SETTLED, REFINEMENTS if thorough else PASSES, descending=thorough)
+    solution = _refine_structure(
+        white, TUNING.order_settled, TUNING.solve_refinements if thorough else TUNING.order_passes, descending=thorough
+    )
     return None if solution is None else _make_candidate(problem, white, colour, solution, delay)
 
 
@@ -210,7 +206,7 @@ def _refine_structure(
 def _bic(problem: ProcessProblem, cost: float, samples: int, effective: float | None = None) -> float:
     """Schwarz's criterion; effective: number of samples, where the noise is not white."""
     power = sum(float(np.sum(stretch.y[stretch.rows] ** 2)) for stretch in problem.stretches)
-    left, count = max(cost, EXACT**2 * power, 1e-300) / samples, effective or samples
+    left, count = max(cost, TUNING.order_exact**2 * power, 1e-300) / samples, effective or samples
     return count * math.log(left) + problem.structure.size * math.log(count)
 
 

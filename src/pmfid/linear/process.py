@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pmfid.errors import UsageError
 from pmfid.linear.experiment import Grid, RecordStretch
 from pmfid.linear.responses import Structure, channels
+from pmfid.linear.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Complex, Floats
 
@@ -56,8 +57,6 @@ def root_with_bars(value: complex, std: Floats) -> str:
     return f"{value.real:.5g} ± {std[0]:.2g} {sign} j ({abs(value.imag):.5g} ± {std[1]:.2g})"
 
 
-#: Standard deviations over which the spread of a root is measured.
-INTERVAL = 2.0
 #: Name and unit of what a constant input makes in the end: the output, its speed, its acceleration.
 GAINS = (("gain", ""), ("velocity gain", "1/s"), ("acceleration gain", "1/s^2"))
 
@@ -337,11 +336,11 @@ class Process(Presentable):
         with np.errstate(all="ignore"):
             linear = _deviation(slope, cov)
             step = np.zeros(coefficients.size)
-            step[: cov.shape[0]] = INTERVAL * (cov @ slope) / linear if linear > 0 else 0.0
+            step[: cov.shape[0]] = TUNING.process_interval * (cov @ slope) / linear if linear > 0 else 0.0
         if not np.all(np.isfinite([*step, linear])):
             return np.full(2, np.inf)
         ends = [_nearest(_roots(coefficients + sign * step), root) - root for sign in (1.0, -1.0)]
-        return np.asarray(np.max(np.abs([[end.real, end.imag] for end in ends]), axis=0) / INTERVAL)
+        return np.asarray(np.max(np.abs([[end.real, end.imag] for end in ends]), axis=0) / TUNING.process_interval)
 
 
 def _deviation(slope: Floats, cov: Floats) -> float:

@@ -10,18 +10,8 @@ from scipy.special import chdtrc
 
 from pmfid.linear.experiment import Grid, RecordStretch
 from pmfid.linear.solve import ProcessPoint, ProcessProblem
+from pmfid.linear.tuning import TUNING
 from pmfid.types import Flags, Floats, Places
-
-#: Orders that are tried: up to this, and no more than a part of the samples.
-MOST, PART = 40, 8
-#: Passes that restore the part of the noise that the fit took, and the largest power, over the power of the residual.
-PASSES, LARGEST = 3, 3.0
-#: Part of the samples whose follower may be missing; lags that tell whether the noise is white.
-GAPS, SOON = 0.02, 11
-#: Frequencies over which a spectrum is averaged.
-EFFECTIVE = 4096
-#: Steps between the ends of a line and its beginning, on the circle of a transform, at least.
-ROUND = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +29,7 @@ class Noise:
 
     def effective(self, samples: int) -> float:
         """Number of samples of white noise whose correlations would be as uncertain as these (Bartlett 1935)."""
-        spectrum = self._spectrum(EFFECTIVE)
+        spectrum = self._spectrum(TUNING.residuals_effective)
         return samples * float(np.mean(spectrum) ** 2 / np.mean(spectrum**2))
 
     def covariance(self, weights: Floats, place: Places) -> Floats:
@@ -65,19 +55,21 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
     """Of a residual (N,) at rising places (N,), its order by Akaike's criterion with the correction of Hurvich and Tsai
     (1989). taken: orthonormal columns (N, q) which a fit took out of the noise, not necessarily all of them: their
     expected part of each autocovariance is put back."""
-    most = min(MOST, max(1, error.size // PART))
+    most = min(TUNING.residuals_most, max(1, error.size // TUNING.residuals_part))
     laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))
     pairs = np.maximum(_autocovariance(there, most), 1e-9)
     # divided by one number, not by the count of pairs: else it need not be the covariance of anything, and lines appear
     raw = _autocovariance(laid, most) / pairs[0]
-    if pairs[0] - pairs[1] > GAPS * error.size and np.any(np.abs(raw[1:SOON]) > 4 * raw[0] / np.sqrt(error.size)):
+    if pairs[0] - pairs[1] > TUNING.residuals_gaps * error.size and np.any(
+        np.abs(raw[1 : TUNING.residuals_soon]) > 4 * raw[0] / np.sqrt(error.size)
+    ):
         raw = _correlate_over_gaps(error, place, most)
     noise = _from_autocovariance(raw, error.size)
     if taken is None or taken.shape[1] == 0:
         return noise
-    for _ in range(PASSES):
+    for _ in range(TUNING.residuals_passes):
         put_back = raw + _compute_fit_effect(noise, taken, place, most) / pairs[0]
-        if not put_back[0] < LARGEST * raw[0]:
+        if not put_back[0] < TUNING.residuals_largest * raw[0]:
             break
         noise = _from_autocovariance(put_back, error.size)
     return noise
@@ -147,19 +139,14 @@ def _place_on_line(columns: Floats, place: Places, size: int) -> Floats:
 
 def _size(place: Places) -> int:
     """Of a transform in which the end of the line does not reach its beginning."""
-    return 1 << int(2 * (place[-1] - place[0]) + ROUND).bit_length()
-
-
-LAGS = 25
-#: Normal deviate of the bounds: 99 % of independent residuals lie within.
-DEVIATE = 2.576
+    return 1 << int(2 * (place[-1] - place[0]) + TUNING.residuals_round).bit_length()
 
 
 def is_white(error: Floats) -> bool:
     """Whether so few autocorrelations of a residual (n,) are beyond their bounds that chance explains them."""
     power = max(float(error @ error), 1e-300)
-    auto = np.array([correlate_at_lag(error, error, lag) for lag in range(1, LAGS + 1)]) / power
-    return few_beyond(auto, DEVIATE / float(np.sqrt(max(error.size, 1))))
+    auto = np.array([correlate_at_lag(error, error, lag) for lag in range(1, TUNING.residuals_lags + 1)]) / power
+    return few_beyond(auto, TUNING.residuals_deviate / float(np.sqrt(max(error.size, 1))))
 
 
 def few_beyond(correlations: Floats, bound: float) -> bool:
@@ -172,20 +159,6 @@ def correlate_at_lag(early: Floats, late: Floats, lag: int) -> float:
     if lag < 0:
         return correlate_at_lag(late, early, -lag)
     return float(early[: early.size - lag] @ late[lag:]) if lag < early.size else 0.0
-
-
-#: Two periods are the same if no input differs by more than this part of its range.
-SAME = 1e-6
-#: Samples around the first change of the input that a period must show again, before all are compared.
-LOOK = 4
-#: Samples of a period, at least, beyond the parameters: else there is nothing left to tell from.
-LEAST = 8
-#: Lines on either side of a harmonic that it is compared with, at least, harmonics among them.
-AROUND = 6
-#: Effects of parameters that are combinations of others up to this part.
-RCOND = 1e-7
-#: The residual repeats where so few records without an error of the model would seem to.
-CHANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +186,8 @@ def period_of(u: Floats) -> int | None:
     change = np.flatnonzero(np.abs(np.diff(u)) > 0)
     if not change.size:
         return None
-    limit, first = SAME * float(np.ptp(u)), max(0, int(change[0]) + 1 - LOOK)
-    look = u[first : first + 2 * LOOK]
+    limit, first = TUNING.residuals_same * float(np.ptp(u)), max(0, int(change[0]) + 1 - TUNING.residuals_look)
+    look = u[first : first + 2 * TUNING.residuals_look]
     windows = np.lib.stride_tricks.sliding_window_view(u[first:], look.size)
     for period in np.flatnonzero(np.all(np.abs(windows - look) <= limit, axis=1)):
         if 1 < period <= u.size // 2 and np.all(np.abs(u[period:] - u[:-period]) <= limit):
@@ -227,14 +200,14 @@ def phases_of(stretches: Sequence[RecordStretch], unknowns: int) -> Phases | Non
     index, start = [], 0
     for stretch in stretches:
         period = period_of(stretch.inputs[0]) if stretch.grid.uniform else None
-        if period is None or period < unknowns + LEAST:
+        if period is None or period < unknowns + TUNING.residuals_least:
             return None
         index.append(start + stretch.rows % period)
         start += period
     places = np.concatenate(index)
     counts = np.bincount(places, minlength=start)
     used = np.flatnonzero(counts > 1)
-    if used.size < unknowns + LEAST:
+    if used.size < unknowns + TUNING.residuals_least:
         return None
     number = np.full(start, -1)
     number[used] = np.arange(used.size)
@@ -262,11 +235,11 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], ph
     columns = whiten_columns(noise, np.column_stack([error, known]), place)
     size = np.linalg.norm(columns, axis=0)
     effects = columns[:, 1:] / np.where(size > 0, size, 1.0)[1:]
-    white = columns[:, 0] - effects @ np.linalg.lstsq(effects, columns[:, 0], rcond=RCOND)[0]
+    white = columns[:, 0] - effects @ np.linalg.lstsq(effects, columns[:, 0], rcond=TUNING.residuals_rcond)[0]
     ends = np.cumsum([stretch.rows.size for stretch in stretches])
     parts = zip(stretches, np.split(white, ends[:-1]), strict=True)
     evidence = np.concatenate([_evidence(stretch, part) for stretch, part in parts])
-    return bool(evidence.size and chdtrc(2 * evidence.size, float(np.sum(evidence))) < CHANCE)
+    return bool(evidence.size and chdtrc(2 * evidence.size, float(np.sum(evidence))) < TUNING.residuals_chance)
 
 
 def _evidence(stretch: RecordStretch, white: Floats) -> Floats:
@@ -278,17 +251,13 @@ def _evidence(stretch: RecordStretch, white: Floats) -> Floats:
     power = np.abs(np.fft.rfft(line[stretch.grid.size - times * period :])) ** 2
     numbers = np.arange(power.size)
     between = (numbers % times > 0).astype(float)
-    near = np.ones(2 * max(times, AROUND) + 1)
+    near = np.ones(2 * max(times, TUNING.residuals_around) + 1)
     count = np.convolve(between, near, "same")
     level = np.convolve(between * power, near, "same") / np.maximum(count, 1.0)
     harmonics = numbers[times:-1:times]
     harmonics = harmonics[(count[harmonics] > 0) & (level[harmonics] > 0)]
     many = count[harmonics]
     return np.asarray(2 * many * np.log1p(power[harmonics] / level[harmonics] / many))
-
-
-#: Less than this part of the samples left by the filter, which needs its whole past: it is not used.
-KEPT = 0.6
 
 
 def prewhiten_problem(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
@@ -300,7 +269,7 @@ def prewhiten_problem(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
     found = [_whiten_stretch(stretch, weights) for stretch in problem.stretches]
     least = 2 * problem.structure.size
     usable = tuple(stretch for stretch in found if stretch is not None and stretch.rows.size > least)
-    if sum(s.rows.size for s in usable) < KEPT * sum(s.rows.size for s in problem.stretches):
+    if sum(s.rows.size for s in usable) < TUNING.residuals_kept * sum(s.rows.size for s in problem.stretches):
         return problem
     return replace(problem, stretches=usable)
 
@@ -324,19 +293,12 @@ def _whiten_stretch(stretch: RecordStretch, weights: Floats) -> RecordStretch | 
     )
 
 
-#: Steps between the stretches on the line of all samples: more than what a noise usually remembers.
-APART = 100
-#: Degrees of freedom, at least: the effective number of samples bounds how well the power of the noise is known, and
-#: Student's t has a larger variance than a normal deviate.
-LEAST_FREE = 4.0
-
-
 def places(problem: ProcessProblem) -> Places:
     """(N,) where each measured sample of all stretches lies on a line of even steps."""
     found, start = [], 0
     for stretch in problem.stretches:
         found.append(start + stretch.rows)
-        start += stretch.grid.size + APART
+        start += stretch.grid.size + TUNING.residuals_apart
     return np.concatenate(found).astype(np.int64)
 
 
@@ -353,7 +315,7 @@ def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -
     place = np.arange(error.size) if place is None else place
     Q, R = np.linalg.qr(zeta)
     noise = fit_noise(error, place, Q)
-    free = max(noise.effective(error.size) - zeta.shape[1], LEAST_FREE)
+    free = max(noise.effective(error.size) - zeta.shape[1], TUNING.least_free)
     return np.asarray(free / (free - 2) * (R.T @ noise.covariance(Q, place) @ R))
 
 

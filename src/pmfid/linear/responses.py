@@ -11,6 +11,7 @@ from scipy.linalg import schur, solve_sylvester
 
 from pmfid._stage import first_order
 from pmfid.linear.experiment import Grid, RecordStretch, product, respond, transition
+from pmfid.linear.tuning import TUNING
 from pmfid.types import Floats
 
 
@@ -37,10 +38,6 @@ def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, 
 def _reverse_time(w: Floats, held: bool) -> Floats:
     """w (channels, N) for time that runs backward: a held value belongs to the step before it then."""
     return np.concatenate([w[:, -2::-1], w[:, :1]], axis=1) if held else w[:, ::-1]
-
-
-#: A dead time that ends so close before an instant, in parts of the step, ends there.
-SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -73,10 +70,12 @@ def delay_states(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, de
 def _places(grid: Grid, t: Floats, steps: Floats, dead_time: float) -> tuple[NDArray[np.int64], Floats]:
     """(N,) the last instant at or before each reading, negative where there is none, and the time from there to it."""
     if isinstance(grid.steps, float):
-        whole = int(np.ceil(dead_time / grid.steps - SAME))
+        whole = int(np.ceil(dead_time / grid.steps - TUNING.responses_same))
         rest = max(0.0, whole * grid.steps - dead_time)
-        return np.arange(grid.size) - whole, np.full(grid.size, rest if rest > SAME * grid.steps else 0.0)
-    wanted, close = t - dead_time, SAME * float(np.median(steps))
+        return np.arange(grid.size) - whole, np.full(
+            grid.size, rest if rest > TUNING.responses_same * grid.steps else 0.0
+        )
+    wanted, close = t - dead_time, TUNING.responses_same * float(np.median(steps))
     index = np.searchsorted(t, wanted + close, side="right") - 1
     return index, np.maximum(0.0, wanted - t[np.maximum(index, 0)]) * (index >= 0)
 

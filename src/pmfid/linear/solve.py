@@ -11,24 +11,8 @@ from scipy.linalg import qr, solve_triangular
 from pmfid.errors import NotIdentifiableError
 from pmfid.linear.experiment import RecordStretch
 from pmfid.linear.responses import Structure, linearise, simulate, stable
+from pmfid.linear.tuning import TUNING
 from pmfid.types import Floats
-
-REFINEMENTS = 30
-DESCENTS = 60
-#: A step that would lower the sum of squares by less than this part has settled: 1e-4 standard deviations or less.
-SETTLED = 1e-12
-#: ... or by less than this part of the output's sum of squares: what is left is rounding.
-ROUNDING = 1e-20
-#: A pole that would grow by more than this power of e within the record is at the bound of `stable`.
-EDGE = 0.9
-#: Part of a sensitivity that must not follow from the others.
-APART = 1e-7
-#: Unknown poles from which on the first optimum may be a local one.
-SEVERAL = 3
-#: Another optimum is better if its sum of squares is lower by this part.
-LOWER = 1e-9
-#: Further filter poles to start from, in parts of the first, where that does not settle.
-STARTS = (1.0, 3.0, 1 / 3, 10.0)
 
 
 @dataclass(frozen=True)
@@ -169,7 +153,12 @@ def possible(problem: ProcessProblem, theta: Floats) -> Floats:
     return theta
 
 
-def refine(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTLED, most: int = REFINEMENTS) -> Solution:
+def refine(
+    problem: ProcessProblem,
+    start: ProcessPoint,
+    settled: float = TUNING.solve_settled,
+    most: int = TUNING.solve_refinements,
+) -> Solution:
     """Instruments and filter follow the estimate; the best point on the way, where it does not settle."""
     point = best = start
     for passes in range(1, most + 1):
@@ -186,10 +175,10 @@ def refine(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTLE
     return Solution(best, False, most)
 
 
-def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTLED) -> Solution:
+def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = TUNING.solve_settled) -> Solution:
     """Damped Gauss-Newton steps (Levenberg and Marquardt) on the sum of squares of the output error."""
     point, damping = start, 1e-3
-    for passes in range(1, DESCENTS + 1):
+    for passes in range(1, TUNING.solve_descents + 1):
         size = np.maximum(np.linalg.norm(point.zeta, axis=0), 1e-300)
         scaled = point.zeta / size
         normal, slope = scaled.T @ scaled, scaled.T @ point.error
@@ -209,29 +198,30 @@ def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = SETTL
         else:
             # no step is downhill: rounding, or the way down leads beyond the stable models
             return Solution(point, not _has_pole_at_edge(problem, point.theta), passes)
-    return Solution(point, False, DESCENTS)
+    return Solution(point, False, TUNING.solve_descents)
 
 
 def _has_pole_at_edge(problem: ProcessProblem, theta: Floats) -> bool:
     """Is a pole as far in the right half-plane as it may be?"""
     poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
-    return bool(np.any(poles.real * problem.duration > EDGE))
+    return bool(np.any(poles.real * problem.duration > TUNING.solve_edge))
 
 
-def small(point: ProcessPoint, step: Floats, settled: float = SETTLED) -> bool:
+def small(point: ProcessPoint, step: Floats, settled: float = TUNING.solve_settled) -> bool:
     """Whether such a step would lower the sum of squares by next to nothing."""
     if not np.all(np.isfinite(step)):
         return False
     predicted = float(np.sum((point.zeta @ step) ** 2))
-    return predicted <= max(settled * point.cost, ROUNDING * point.power)
+    return predicted <= max(settled * point.cost, TUNING.solve_rounding * point.power)
 
 
 def solve(problem: ProcessProblem) -> Solution:
-    """From least squares by refinement; if that does not settle, by descent, and from other filters. With SEVERAL poles
+    """From least squares by refinement; if that does not settle, by descent, and from other filters. With
+    solve_several poles
     or more one of them may miss its resonance, so all filters are tried and the best solution counts."""
     best: Solution | None = None
-    every = problem.structure.free >= SEVERAL and not problem.referenced
-    for pole in STARTS:
+    every = problem.structure.free >= TUNING.solve_several and not problem.referenced
+    for pole in TUNING.solve_starts:
         solution = refine(problem, first_guess(problem, pole))
         if not solution.settled and not problem.referenced:
             solution = descend(problem, solution.point)
@@ -252,7 +242,7 @@ def _better(solution: Solution, best: Solution) -> bool:
     """Settled where the other is not, or with a lower sum of squares than rounding explains."""
     if solution.settled != best.settled:
         return solution.settled
-    return solution.point.cost < (1 - LOWER) * best.point.cost
+    return solution.point.cost < (1 - TUNING.solve_lower) * best.point.cost
 
 
 def _reason(problem: ProcessProblem) -> str:
@@ -278,7 +268,7 @@ def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
     what goes straight through (m = n), which jumps with the input."""
     data, point = filter_problem(problem, pole), first_guess(problem, pole)
     theta, missed = point.theta, _missed_by_lines(problem, pole, data)
-    for passes in range(1, REFINEMENTS + 1):
+    for passes in range(1, TUNING.solve_refinements + 1):
         simulated = [
             simulate(problem.structure, theta, initial, stretch)
             for initial, stretch in zip(point.initial, problem.stretches, strict=True)
@@ -331,12 +321,6 @@ def _replace_output(stretch: RecordStretch, signal: Floats) -> RecordStretch:
     return replace(stretch, y=np.interp(times, times[stretch.rows], signal[stretch.rows]))
 
 
-#: Passes for each whole number of samples, and how many of the best are followed to the end.
-PASSES, FOLLOWED = 2, 2
-#: Samples beyond the largest of these that the dead time may still reach.
-BEYOND = 2.0
-
-
 def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least: int) -> tuple[RecordStretch, ...]:
     """Only outputs from `time` on after the first instant: before, the late input is not known. Stretches with fewer
     than `least` of them are left out."""
@@ -357,7 +341,7 @@ def solve_dead_time(
     places = np.arange(0.0, latest + 1e-6 * step, step)
     trimmed = replace(problem, stretches=keep_outputs_after(problem.stretches, latest, least))
     starts = _minima(places, np.array([_cost(trimmed, float(place)) for place in places]))
-    bound = min(latest, float(np.max(starts)) + BEYOND * step)
+    bound = min(latest, float(np.max(starts)) + TUNING.solve_beyond * step)
     wide = replace(problem, stretches=keep_outputs_after(problem.stretches, bound, least))
     best: tuple[ProcessProblem, Solution] | None = None
     failure = NotIdentifiableError("no dead time lets the model follow the record; try another structure or cutoff")
@@ -380,7 +364,7 @@ def _cost(problem: ProcessProblem, dead_time: float) -> float:
     fixed = replace(problem, structure=replace(problem.structure, dead_time=dead_time, latest=None))
     with np.errstate(all="ignore"):
         try:
-            cost = refine(fixed, first_guess(fixed, 1.0), most=PASSES).point.cost
+            cost = refine(fixed, first_guess(fixed, 1.0), most=TUNING.solve_passes).point.cost
         except (np.linalg.LinAlgError, ValueError):
             return np.inf
     return cost if np.isfinite(cost) else np.inf
@@ -390,5 +374,5 @@ def _minima(places: Floats, costs: Floats) -> Floats:
     """The best local minima, best first; the first place where there is none."""
     around = np.r_[np.inf, costs, np.inf]
     low = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]) & np.isfinite(costs))
-    order = low[np.argsort(costs[low])][:FOLLOWED]
+    order = low[np.argsort(costs[low])][: TUNING.solve_followed]
     return places[order] if order.size else places[:1]

@@ -17,10 +17,11 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.cause import TRANSITION, Cause, ChangeEvidence, explain, new_gain
+from pmfid.monitor.cause import Cause, ChangeEvidence, explain, new_gain
 from pmfid.monitor.detectors import Detector
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
 from pmfid.monitor.scores import Blocks, Disturbed, Scale, ScoreFilter, Scoring, Watched, start_blocks
+from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Floats
 
@@ -107,17 +108,6 @@ class Watching:
         )
 
 
-#: Time without informative blocks after which the state is CANNOT_TELL [s], and the least number of such blocks.
-SILENT_TIME, SILENT_BLOCKS = 2.0, 6
-#: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
-MODEL_INFORMATION, REFERENCE_INFORMATION = 15.0, 60.0
-#: Information after which a cause is named if all others are excluded, and after which the most likely one is: if
-#: there is no estimate, and if there is one. If friction is small, only braking separates mass from gain.
-CAUSE_INFORMATION, CAUSE_BLIND, CAUSE_LATEST = 4.0, 16.0, 32.0
-#: Information of a single block counts up to here: a wrong model errs in each block in another way.
-MOST_INFORMATION = 1.5
-#: Share of the earlier information that the estimator keeps at the first suspicion.
-KEEP = 0.003
 #: Status bits of estimates that are not used.
 UNUSABLE = Status.NOT_AN_ESTIMATE | Status.FALLBACK
 FIRST = np.zeros(1, np.int64)
@@ -151,7 +141,7 @@ class WatchedAxis:
             self.watch.tolerance,
             self._front.noise(),
             lambda theta: start_blocks(self._front, theta),
-            max(SILENT_BLOCKS, round(SILENT_TIME / self._block_time)),
+            max(TUNING.silent_blocks, round(TUNING.silent_time / self._block_time)),
             self._block_time,
         )
 
@@ -212,14 +202,14 @@ class WatchedAxis:
         own, rest, watcher = self._own, self._rest, self.watching.watcher
         information = watcher.counted(own, rest, unit)
         if self.state == SUSPICIOUS:
-            rest.gathered[0] += min(information, MOST_INFORMATION)
+            rest.gathered[0] += min(information, TUNING.most_information)
             rest.suspected[0] += 1
             return self._alarm(estimate)
         if not watcher.crossed(own, information, estimate.status):
             return []
-        rest.gathered[0] = min(information, MOST_INFORMATION)
+        rest.gathered[0] = min(information, TUNING.most_information)
         rest.crossed[0], rest.suspected[0] = own.statistic[0], 1
-        self.estimator.open_memory(KEEP)
+        self.estimator.open_memory(TUNING.axis_keep)
         return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
 
     def _look_around(self, estimate: Estimate) -> list[Event]:
@@ -236,7 +226,9 @@ class WatchedAxis:
     def _alarm(self, estimate: Estimate) -> list[Event]:
         units, begun = self._rest.recent(0, int(self._own.units[0]))
         cause, gathered = self._cause(units, estimate), float(self._rest.gathered[0])
-        ends = gathered >= CAUSE_INFORMATION and cause.largest <= self.watch.tolerance  # a single fault, as a rule
+        ends = (
+            gathered >= TUNING.cause_information and cause.largest <= self.watch.tolerance
+        )  # a single fault, as a rule
         if gathered < _enough(cause) and not ends:
             return []
         if ends or abs(cause.relative) <= self.watch.tolerance:
@@ -266,7 +258,7 @@ class WatchedAxis:
 
     def _cause(self, units: Floats, estimate: Estimate) -> Cause:
         reference, scale = self.reference, self.watching.rescale(self._own.sigma[0])
-        latest = max(0, len(units) - int(self._rest.suspected[0])) + TRANSITION
+        latest = max(0, len(units) - int(self._rest.suspected[0])) + TUNING.cause_transition
         names, gain = self._front.names, self._given_gain
         fixed = () if self.known is None else tuple(self.known.given)
         friction = self._friction()
@@ -299,12 +291,12 @@ class WatchedAxis:
         rest.gathered[0] += information
         if rest.refined[0]:
             rest.settled += rows
-        if not rest.refined[0] and rest.gathered[0] >= MODEL_INFORMATION and self._usable(estimate):
+        if not rest.refined[0] and rest.gathered[0] >= TUNING.model_information and self._usable(estimate):
             rest.before[0] = self.reference
             self.estimator.open_memory(1.0)  # standard errors need not remember the change
             self._refer(np.array(estimate.theta))
             rest.settled[:], rest.refined[0] = 0.0, 1
-        elif rest.refined[0] and rest.gathered[0] >= REFERENCE_INFORMATION:
+        elif rest.refined[0] and rest.gathered[0] >= TUNING.reference_information:
             return self._end_settling()
         return []
 
@@ -343,5 +335,5 @@ class WatchedAxis:
 def _enough(cause: Cause) -> float:
     """Information at which a cause is named."""
     if cause.others is None:
-        return CAUSE_BLIND
-    return CAUSE_LATEST if cause.others else CAUSE_INFORMATION
+        return TUNING.cause_blind
+    return TUNING.cause_latest if cause.others else TUNING.cause_information

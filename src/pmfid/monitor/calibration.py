@@ -24,21 +24,15 @@ from pmfid.monitor.scores import (
     scores,
     start_blocks,
 )
+from pmfid.monitor.tuning import TUNING
 from pmfid.types import Counts, Floats
-
-#: Lengths of sums that are compared [blocks]; the longest is what the detectors look back on.
-LENGTHS = (1, 2, 4, 8, 16, 32)
-#: Units of a piece, and what more of them may change the variance of their sum by.
-PIECES, SAME = (1, 2, 4, 8, 16), 0.1
-#: Excess of a record's power over the simulated one that counts: in standard errors, and as a ratio.
-LARGER, AT_LEAST = 3.0, 1.3
 
 
 def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
-    """Mean square of sums of blocks x, w: (runs, n, p), over their information; of each of LENGTHS, (lengths, p), and
-    standard errors of that. Sums without information count for nothing; edge: as in `detectors`."""
+    """Mean square of sums of blocks x, w: (runs, n, p), over their information; of each of calibration_lengths,
+    (lengths, p), and standard errors of that. Sums without information count for nothing; edge: as in `detectors`."""
     means, errors = [], []
-    for length in LENGTHS:
+    for length in TUNING.calibration_lengths:
         n = x.shape[1] // length * length
         sums = [part[:, :n].reshape(x.shape[0] * (n // length), length, x.shape[2]).sum(axis=1) for part in (x, w)]
         informed = sums[1].mean(axis=1) > 0
@@ -53,7 +47,7 @@ def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edg
     """Whether sums of blocks of the record x, w: (n, p) deviate by more than those of the simulation (runs, n, p)."""
     mean, error = powers(record[0][None], record[1][None], edge)
     normal, _ = powers(*simulated, edge)
-    return bool(np.any(mean - np.maximum(LARGER * error, (AT_LEAST - 1) * normal) > normal))
+    return bool(np.any(mean - np.maximum(TUNING.calibration_larger * error, (TUNING.at_least - 1) * normal) > normal))
 
 
 def piece_length(x: Floats) -> int:
@@ -61,13 +55,13 @@ def piece_length(x: Floats) -> int:
 
     It is the smallest number whose sums have, per unit and within chance, the variance of sums of four times as many.
     """
-    for length in PIECES[:-1]:
+    for length in TUNING.calibration_pieces[:-1]:
         n = len(x) // (4 * length)
         chance = 2 * math.sqrt(2 / max(n, 1))
         short, long = (_variance(x, pieces) for pieces in (length, 4 * length))
-        if np.all(np.abs(long / short - 1) <= max(SAME, chance)):
+        if np.all(np.abs(long / short - 1) <= max(TUNING.calibration_same, chance)):
             return length
-    return PIECES[-1]
+    return TUNING.calibration_pieces[-1]
 
 
 def _variance(x: Floats, length: int) -> Floats:
@@ -97,17 +91,6 @@ def _rows(n: int, shape: tuple[int, int], length: int, rng: np.random.Generator)
     """(runs, n) places in a record of n."""
     starts = rng.integers(n, size=(shape[0], -(-shape[1] // length), 1))
     return np.asarray(((starts + np.arange(length)) % n).reshape(shape[0], -1)[:, : shape[1]])
-
-
-#: Information of a unit [average blocks]; the first size at which neighbouring units correlate by less than ALIKE.
-SIZES = (16.0, 32.0, 64.0)
-ALIKE = 0.3
-#: Least units for a scale.
-LEAST_UNITS = 100
-#: Part of the units of normal work that deviate within the limit.
-WITHIN = 0.97
-#: Passes in which limit and mean are found.
-PASSES = 5
 
 
 @dataclass(frozen=True)
@@ -154,12 +137,14 @@ def sum_blocks(blocks: Blocks, information: Floats, size: float) -> Blocks:
 
 def learn(blocks: Blocks, information: Floats) -> NormalWork:
     """From the blocks of normal work and their (n,) information, in average blocks."""
-    found = _learn_units(units := sum_blocks(blocks, information, SIZES[0]), SIZES[0])
-    for size in SIZES[1:]:
+    found = _learn_units(
+        units := sum_blocks(blocks, information, TUNING.calibration_sizes[0]), TUNING.calibration_sizes[0]
+    )
+    for size in TUNING.calibration_sizes[1:]:
         larger = sum_blocks(blocks, information, size)
-        if _alike(found.scale.standardise(found.weigh(found.centre(units)))[0]) <= ALIKE:
+        if _alike(found.scale.standardise(found.weigh(found.centre(units)))[0]) <= TUNING.calibration_alike:
             return found
-        if len(larger.score) < LEAST_UNITS:
+        if len(larger.score) < TUNING.least_units:
             return found
         units, found = larger, _learn_units(larger, size)
     return found
@@ -173,43 +158,21 @@ def _alike(x: Floats) -> float:
 def _learn_units(units: Blocks, size: float) -> NormalWork:
     p = units.score.shape[1]
     found = NormalWork(size, np.zeros(p), make_scale(units), np.full(p, np.inf))
-    for _ in range(PASSES):
+    for _ in range(TUNING.calibration_passes):
         counted = found.weigh(found.centre(units))
         step = np.linalg.solve(counted.cross.sum(axis=0), counted.score.sum(axis=0))
         found = replace(found, offset=found.offset + step)
         scale = make_scale(found.weigh(found.centre(units)))
         x, _ = scale.standardise(found.centre(units))
-        found = replace(found, scale=scale, limit=np.quantile(np.abs(x), WITHIN, axis=0))
+        found = replace(found, scale=scale, limit=np.quantile(np.abs(x), TUNING.calibration_within, axis=0))
     x, w = found.scale.standardise(found.weigh(found.centre(units)))
     sigma = np.sqrt((x**2).mean(axis=0))
     scale = replace(found.scale, sigma=found.scale.sigma * sigma, energy=found.scale.energy * w.mean(axis=0))
     return replace(found, scale=scale, limit=found.limit / sigma)
 
 
-#: Length of one simulated run [s], and of the intervals whose maxima are counted.
-RUN_TIME = 1800.0
-INTERVAL_TIME = 30.0
-#: Simulated time, in asked times between false alarms, and its limits [h].
-HOURS_PER_MTBF, LEAST_HOURS, MOST_HOURS = 4.0, 20.0, 100.0
-#: Maxima that the line through the tail is fitted to.
-TAIL = 100
-#: Difference of a record's noise from the simulated noise, in standard errors, from which the record's noise is used.
-NOISIER = 3.0
-#: Hours of resampled work for one hour of simulated work, and the number of runs that these hours are drawn in.
-RESAMPLED, RUNS = 4.0, 64
-#: Parts of a record whose thresholds are compared, and how much rarer than asked alarms are made at most, by what the
-#: record leaves in doubt: less often is better than more often.
-PARTS, CAREFUL = 4, 2.0
-#: Discount of a unit of work in the memory of `ChiSquare`.
-UNIT_KEEP = 0.85
-#: A simulated machine that goes further runs away [counts].
-MOST_COUNTS = 2.0**53
-#: Blocks that a simulated run must have.
-LEAST_BLOCKS = 200
-#: Least blocks of a record of normal work: the scatter of fewer does not determine its noise.
-LEAST_RECORD_BLOCKS = 8
 #: Units of work in the record whose scatter gives thresholds: each quarter needs a scatter of its own.
-LEAST_RECORD_UNITS = PARTS * LEAST_RECORD_BLOCKS
+LEAST_RECORD_UNITS = TUNING.calibration_parts * TUNING.least_record_blocks
 
 
 @dataclass(frozen=True)
@@ -229,7 +192,7 @@ class Tail:
 
     def threshold(self, mtbf_hours: float) -> float:
         """The threshold for a mean time between false alarms [h], a standard error on the rare side."""
-        careful = min(math.exp(self.doubt(mtbf_hours)), CAREFUL)
+        careful = min(math.exp(self.doubt(mtbf_hours)), TUNING.calibration_careful)
         return _line(self.level, self.slope, self.rate, careful * mtbf_hours)
 
     def doubt(self, mtbf_hours: float) -> float:
@@ -302,7 +265,7 @@ class Calibration:
 
     def detectors(self, estimator: Estimator) -> dict[str, Detector]:
         """By name, as they were calibrated."""
-        keep = block_keep(estimator) if self.work is None else UNIT_KEEP
+        keep = block_keep(estimator) if self.work is None else TUNING.unit_keep
         return make_detectors(keep, self.chi_square)
 
     def deviations(self, blocks: Blocks) -> tuple[Floats, Floats]:
@@ -320,7 +283,7 @@ def block_keep(estimator: Estimator) -> float:
 
 def simulated_hours(mtbf_hours: float) -> float:
     """How long to simulate for a mean time between false alarms; both in h."""
-    return min(max(HOURS_PER_MTBF * mtbf_hours, LEAST_HOURS), MOST_HOURS)
+    return min(max(TUNING.hours_per_mtbf * mtbf_hours, TUNING.least_hours), TUNING.most_hours)
 
 
 def calibrate(
@@ -411,15 +374,22 @@ def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, coun
     found = replace(plain, work=work, record_hours=record_hours)
     x, w = found.deviations(blocks)
     _check_units(len(x), u.size * estimator.dt)
-    found = replace(found, chi_square=_precision(ChiSquare(UNIT_KEEP), x[None], w[None]))
+    found = replace(found, chi_square=_precision(ChiSquare(TUNING.unit_keep), x[None], w[None]))
     rng, unit_time, length = np.random.default_rng(seed), 3600 * record_hours / len(x), piece_length(x)
-    size = math.ceil(RESAMPLED * plain.hours * 3600 / unit_time / RUNS)
+    size = math.ceil(TUNING.calibration_resampled * plain.hours * 3600 / unit_time / TUNING.calibration_runs)
     detectors = found.detectors(estimator)
-    top = round(RESAMPLED * TAIL)
-    whole = _tails(detectors, *resample_units(x, w, (RUNS, size), length, rng), unit_time, top)
+    top = round(TUNING.calibration_resampled * TUNING.calibration_tail)
+    whole = _tails(detectors, *resample_units(x, w, (TUNING.calibration_runs, size), length, rng), unit_time, top)
     quarters = [
-        _tails(detectors, *resample_units(*part, (RUNS // PARTS, size), length, rng), unit_time, top // PARTS)
-        for part in zip(np.array_split(x, PARTS), np.array_split(w, PARTS), strict=True)
+        _tails(
+            detectors,
+            *resample_units(*part, (TUNING.calibration_runs // TUNING.calibration_parts, size), length, rng),
+            unit_time,
+            top // TUNING.calibration_parts,
+        )
+        for part in zip(
+            np.array_split(x, TUNING.calibration_parts), np.array_split(w, TUNING.calibration_parts), strict=True
+        )
     ]
     tails = {
         name: replace(tail, parts=tuple((part[name].level, part[name].slope, part[name].rate) for part in quarters))
@@ -438,7 +408,9 @@ def _check_units(units: int, time: float) -> None:
         )
 
 
-def _tails(detectors: dict[str, Detector], x: Floats, w: Floats, block_time: float, top: int = TAIL) -> dict[str, Tail]:
+def _tails(
+    detectors: dict[str, Detector], x: Floats, w: Floats, block_time: float, top: int = TUNING.calibration_tail
+) -> dict[str, Tail]:
     nothing = np.zeros(x.shape[-1])
     return {name: fit_tail(statistics(found, x, w, nothing), block_time, top) for name, found in detectors.items()}
 
@@ -447,8 +419,8 @@ def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Count
     """Of a record of normal work, once the model has its velocity; raises UsageError if hardly any are left."""
     start = start_blocks(estimator, theta)
     blocks = scores(estimator, theta, u, counts, left_out)[start:]
-    if len(blocks.score) < LEAST_RECORD_BLOCKS:
-        least = (start + LEAST_RECORD_BLOCKS) * block_samples(estimator) * estimator.dt
+    if len(blocks.score) < TUNING.least_record_blocks:
+        least = (start + TUNING.least_record_blocks) * block_samples(estimator) * estimator.dt
         raise UsageError(
             f"the record of normal work has {u.size * estimator.dt:.3g} s, its scatter shows from {least:.3g} s on: "
             "record longer, 10 minutes or more for good thresholds"
@@ -464,8 +436,8 @@ def replays(
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Blocks]:
-    """Blocks of simulated runs of RUN_TIME, `hours` in all: the input from a random moment on, over and over."""
-    samples, runs = round(RUN_TIME / estimator.dt), max(1, round(hours * 3600 / RUN_TIME))
+    """Blocks of simulated runs of run_time, `hours` in all: the input from a random moment on, over and over."""
+    samples, runs = round(TUNING.run_time / estimator.dt), max(1, round(hours * 3600 / TUNING.run_time))
     for run in range(runs):
         start = int(rng.integers(u.size))
         part = np.resize(np.roll(u, -start), samples)
@@ -478,7 +450,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
     """Counts (n,) of the model at theta (p,) under u (n,); phase: of the start on the lattice, in counts."""
     mean = mean_velocity(estimator.equation, theta, estimator.dt, u)
     position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
-    if not np.max(np.abs(position)) < MOST_COUNTS * estimator.encoder.resolution:
+    if not np.max(np.abs(position)) < TUNING.most_counts * estimator.encoder.resolution:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
             f"the model with the normal parameters ({values}) runs away under the recorded input: give nominal values "
@@ -487,7 +459,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
     return quantize(position + phase * estimator.encoder.resolution, estimator.encoder.resolution)
 
 
-def fit_tail(statistic: Floats, block_time: float, top: int = TAIL) -> Tail:
+def fit_tail(statistic: Floats, block_time: float, top: int = TUNING.calibration_tail) -> Tail:
     """The tail of the `top` maxima over intervals of the statistic (runs, n) of blocks of block_time [s]."""
     maxima, hours = _maxima(statistic, block_time)
     top = min(top, maxima.size // 4)
@@ -496,7 +468,7 @@ def fit_tail(statistic: Floats, block_time: float, top: int = TAIL) -> Tail:
 
 def _maxima(statistic: Floats, block_time: float) -> tuple[Floats, float]:
     """Maxima over intervals, falling, and their hours."""
-    size = max(1, round(INTERVAL_TIME / block_time))
+    size = max(1, round(TUNING.interval_time / block_time))
     n = statistic.shape[1] // size
     maxima = np.sort(statistic[:, : n * size].reshape(-1, size).max(axis=1))[::-1]
     return maxima, maxima.size * size * block_time / 3600
@@ -513,7 +485,7 @@ def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
     x, _ = scale.standardise(blocks)
     power = (x**2).mean(axis=0)
     error = (x**2).std(axis=0) / math.sqrt(len(x))
-    return np.where(np.abs(power - 1) > NOISIER * error, np.sqrt(power), 1.0)
+    return np.where(np.abs(power - 1) > TUNING.calibration_noisier * error, np.sqrt(power), 1.0)
 
 
 def _precision(detector: ChiSquare, x: Floats, w: Floats) -> tuple[tuple[float, ...], ...]:
@@ -530,9 +502,10 @@ def _stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
 
 
 def _check(blocks: Blocks) -> None:
-    if len(blocks.score) < LEAST_BLOCKS:
+    if len(blocks.score) < TUNING.least_blocks:
         raise UsageError(
-            f"the cutoff gives {len(blocks.score)} blocks in {RUN_TIME:g} s, not {LEAST_BLOCKS}; use a higher one"
+            f"the cutoff gives {len(blocks.score)} blocks in {TUNING.run_time:g} s, not {TUNING.least_blocks}; "
+            "use a higher one"
         )
     mean = blocks.cross.mean(axis=0)
     size = np.sqrt(np.abs(np.diagonal(mean)))

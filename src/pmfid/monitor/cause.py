@@ -9,24 +9,11 @@ import numpy as np
 
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.monitor.scores import Blocks, Scale
+from pmfid.monitor.tuning import TUNING
 from pmfid.types import Flags, Floats
 
 #: A guide that runs dry has more friction of every kind.
 FRICTION = "friction"
-#: Keeps the instruments of a few blocks apart.
-RIDGE = 1e-6
-#: Blocks that a change may be spread over: the one it falls into, and the one whose filters remember that.
-TRANSITION = 2
-#: Least information, in average blocks, that remains for the size when these blocks are left out.
-LEAST_INFORMATION = 2.0
-#: A cause is excluded if it leaves this much more of the estimate's deviation unexplained than another cause does
-#: [squared standard errors]: three standard errors.
-EXCLUDED = 9.0
-#: Relative error of a size from blocks in addition to its standard error: the simulated motion reverses at other
-#: instants than the changed plant.
-MOVED = 0.05
-#: Number of neighbours with which the deviation of a block correlates.
-LAGS = 2
 
 
 @dataclass(frozen=True)
@@ -83,7 +70,7 @@ def explain(
     excludes are left out, and the size combines blocks and estimate.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
-    Z = Z + RIDGE * np.diag(np.diagonal(Z[0]))
+    Z = Z + TUNING.cause_ridge * np.diag(np.diagonal(Z[0]))
     free = [i for i, name in enumerate(names) if name not in fixed]
     further = {INPUT_GAIN: theta} | ({} if friction is None else {FRICTION: friction})
     directions, called = np.vstack([np.eye(theta.size)[free], *further.values()]), [*(names[i] for i in free), *further]
@@ -112,7 +99,7 @@ def _possible(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> Fl
     """(k,) whether the estimate leaves a change along each of the directions (k, p) possible."""
     size, known, total = _measure_along(evidence, theta, directions)
     left = total - size**2 * known
-    return np.asarray(left < left.min() + EXCLUDED)
+    return np.asarray(left < left.min() + TUNING.cause_excluded)
 
 
 def _combine_sizes(
@@ -121,7 +108,7 @@ def _combine_sizes(
     """Size along a direction (p,) and its standard deviation, from blocks and estimate. A difference beyond their
     standard errors is an error of the blocks."""
     size, std = by_blocks
-    doubt = std**2 + (MOVED * size) ** 2
+    doubt = std**2 + (TUNING.cause_moved * size) ** 2
     if evidence is None:
         return size, float(np.sqrt(doubt))
     other, known, _ = (np.ravel(part)[0] for part in _measure_along(evidence, theta, direction[None]))
@@ -165,9 +152,9 @@ def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[
     """
     by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the parameters that it moves
     information = np.cumsum(by_block[::-1])[::-1]
-    possible = range(start, min(start + TRANSITION + 1, len(information)))
+    possible = range(start, min(start + TUNING.cause_transition + 1, len(information)))
     found = [_fit(blocks[k:], scale, direction) for k in possible if k == start or information[k] > 0]
-    chosen = sum(information[k] > LEAST_INFORMATION for k in possible[1 : len(found)])
+    chosen = sum(information[k] > TUNING.least_information for k in possible[1 : len(found)])
     size, std = found[chosen]
     others = [abs(other - size) for other, _ in found[max(0, chosen - 1) :]] if len(found) > 1 else [std]
     return size, float(np.hypot(std, min(max(others), abs(size))))
@@ -177,7 +164,9 @@ def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]
     """The change along a direction (p,) that all blocks show, and its standard deviation: the larger one of what the
     noise of normal work makes it, and of what the blocks leave unexplained, with its correlation."""
     W, Z = blocks.cross.sum(axis=0), blocks.square.sum(axis=0)
-    weight = np.linalg.solve(Z + RIDGE * np.diag(np.diagonal(Z)) + np.finfo(float).tiny * np.eye(len(Z)), W @ direction)
+    weight = np.linalg.solve(
+        Z + TUNING.cause_ridge * np.diag(np.diagonal(Z)) + np.finfo(float).tiny * np.eye(len(Z)), W @ direction
+    )
     match, known = blocks.score @ weight, blocks.cross @ direction @ weight
     total = max(float(known.sum()), np.finfo(float).tiny)
     size = float(match.sum()) / total
@@ -186,7 +175,11 @@ def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]
     rest = match - size * known
     n = len(rest)
     spread = float(
-        rest @ rest + 2 * sum((1 - k / (LAGS + 1)) * (rest[k:] @ rest[:-k]) for k in range(1, min(n, LAGS + 1)))
+        rest @ rest
+        + 2
+        * sum(
+            (1 - k / (TUNING.cause_lags + 1)) * (rest[k:] @ rest[:-k]) for k in range(1, min(n, TUNING.cause_lags + 1))
+        )
     )
     spread = max(spread, 0.0) * n / max(1, n - 1)
     return size, float(np.sqrt(max(noise / total, spread / total**2)))

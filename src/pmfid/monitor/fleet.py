@@ -19,6 +19,7 @@ from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, Event, FleetRows,
 from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
 from pmfid.monitor.saved import AxisStates, check_states, make_parts, read, write_states
 from pmfid.monitor.scores import Sampled, Watched
+from pmfid.monitor.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats, Places
 
 #: Numbers of the states in which an axis is not quiet.
@@ -101,10 +102,6 @@ class Quiet:
 
 
 T = TypeVar("T")
-#: Axes that are computed at once: their arrays stay in the processor's cache.
-GROUP = 256
-#: Samples of a piece: an axis that becomes suspicious goes through it twice.
-PIECE = 100
 
 
 class MonitorFleet:
@@ -168,8 +165,8 @@ class MonitorFleet:
         fit."""
         places, inputs, read_counts = self._check_arrays(index, u, counts)
         rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
-        for group in _slices(len(inputs), GROUP):
-            for time in _slices(inputs.shape[1], PIECE):
+        for group in _slices(len(inputs), TUNING.fleet_group):
+            for time in _slices(inputs.shape[1], TUNING.fleet_piece):
                 self._run(places[group], inputs[group, time], read_counts[group, time], rows, (group, time))
         rows.events.sort(key=lambda one: one[:2])
         return rows

@@ -22,6 +22,7 @@ from pmfid.monitor.axis import FIRST, WatchedAxis
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, FleetRows, Outlier, Settled
 from pmfid.monitor.saved import AxisStates, check_states, read, write_states
 from pmfid.monitor.scores import Sampled, ScoreFilter, reference_kernel
+from pmfid.monitor.tuning import TUNING
 from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import Status
 
@@ -31,19 +32,6 @@ if TYPE_CHECKING:
     from pmfid.estimators.recursive import RecursiveEstimator
     from pmfid.monitor.calibration import Calibration
     from pmfid.monitor.events import Watch
-
-#: Change of the input over lost samples, relative to its usual change over as many samples, from which it has switched
-#: in one of them. Which one is unknown.
-SWITCHED = 6.0
-#: An input that is the same as before in more than this part of the samples, and of whose changes more than that part
-#: come alone, is held for several of them; one that rests now and then is not.
-HELD, ALONE = 0.5, 0.9
-#: Relative error of the filtered input, by the unknown instant of a switch, from which the switch matters.
-DOUBTFUL = 0.01
-#: Most missing samples that are guessed, and the same in time constants of the filters; the larger one holds.
-FEW, SHORT = 8, 0.25
-#: Time in which the filters forget an impulse, in their time constants.
-FORGOTTEN = 4.5
 
 
 @dataclass(frozen=True)
@@ -57,7 +45,7 @@ class GuessedSamples:
 def longest(rate: float) -> int:
     """Most lost samples that are guessed; after a longer gap the filters settle again. rate: a sample period over the
     time constant of the filters."""
-    return max(FEW, round(SHORT / rate))
+    return max(TUNING.monitor_few, round(TUNING.monitor_short / rate))
 
 
 def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> GuessedSamples | None:
@@ -70,10 +58,10 @@ def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> Gue
     if last.lost or not (last.known and math.isfinite(u)):
         return None
     n, leap = missing + 1, u - last.input
-    held = last.same > HELD and last.alone > ALONE
-    if not held and abs(leap) > SWITCHED * n * last.usual:
+    held = last.same > TUNING.monitor_held and last.alone > TUNING.monitor_alone
+    if not held and abs(leap) > TUNING.monitor_switched * n * last.usual:
         return None
-    back = min(n if n > FEW + 1 else 1, last.fresh - 1)
+    back = min(n if n > TUNING.monitor_few + 1 else 1, last.fresh - 1)
     speed = (last.counts - last.before(back)) / back if back else 0.0
     bend = (counts - last.counts - speed * n) / (n * (n + back))
     moved = (round(k * (speed + bend * (k + back))) for k in range(1, n))
@@ -83,9 +71,9 @@ def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> Gue
 
 def _doubt(last: Inputs, rate: float, missing: int, leap: float) -> int:
     """Number of samples to doubt, because a held input may have switched at any instant of the gap."""
-    if abs(leap) * missing * rate / math.sqrt(12) <= DOUBTFUL * math.sqrt(last.power):
+    if abs(leap) * missing * rate / math.sqrt(12) <= TUNING.monitor_doubtful * math.sqrt(last.power):
         return 0
-    return missing + round(FORGOTTEN / rate)
+    return missing + round(TUNING.monitor_forgotten / rate)
 
 
 #: Signal of an outlier by its status bit.

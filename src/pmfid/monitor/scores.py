@@ -15,6 +15,7 @@ from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLE
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import take_guard
+from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Floats, Places
 
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 UNUSABLE = int(Status.SETTLING | Status.SAMPLE_REJECTED)
 #: The same for an axis with unmodelled static friction: the axis rests while its model creeps on.
 UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
-
-#: Time until the model's velocity is the plant's, in the plant's time constants, and the most blocks of it.
-START_TIME_CONSTANTS, MOST_START_BLOCKS = 4.0, 60
 
 
 @dataclass(frozen=True)
@@ -76,8 +74,8 @@ def start_blocks(estimator: Estimator, theta: Floats) -> int:
     It converges with the plant's own time constant, mass over viscous friction.
     """
     mass, viscous = estimator.equation.role_values(theta)[:2]
-    time = START_TIME_CONSTANTS * mass / max(viscous, 1e-300)
-    return 1 + min(MOST_START_BLOCKS, math.ceil(time / (block_samples(estimator) * estimator.dt)))
+    time = TUNING.start_time_constants * mass / max(viscous, 1e-300)
+    return 1 + min(TUNING.most_start_blocks, math.ceil(time / (block_samples(estimator) * estimator.dt)))
 
 
 @dataclass(frozen=True)
@@ -204,8 +202,6 @@ def make_scale(blocks: Blocks) -> Scale:
     return Scale(inverse, w.mean(axis=0), np.sqrt((x**2).mean(axis=0)))
 
 
-#: Units that an alarm looks back on.
-LOOK_BACK = 64
 #: What follows from other arrays, and is not saved.
 DERIVED = {"saved": False}
 
@@ -336,7 +332,7 @@ class Watched(RowArrays):
 
 @dataclass
 class Disturbed(RowArrays):
-    """Data that alarms use and change. units: (n, LOOK_BACK, width) the last, in a ring; begun: (n, LOOK_BACK) their
+    """Data that alarms use and change. units: (n, look_back, width) the last, in a ring; begun: (n, look_back) their
     times; gathered: information since the suspicion, or since the alarm; suspected: units since the suspicion; crossed:
     the statistic at it; refined: whether the estimate is the model already; before: (n, p) the reference until then;
     settled: (n, width) sum of the blocks relative to that model; gain: of the input, over that of the estimator;
@@ -358,8 +354,8 @@ class Disturbed(RowArrays):
         """`axes` axes without an alarm."""
         width = width_of(p)
         return cls(
-            np.zeros((axes, LOOK_BACK, width)),
-            np.zeros((axes, LOOK_BACK)),
+            np.zeros((axes, TUNING.look_back, width)),
+            np.zeros((axes, TUNING.look_back)),
             np.zeros(axes),
             np.zeros(axes, np.int64),
             np.zeros(axes),
@@ -372,5 +368,5 @@ class Disturbed(RowArrays):
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:
         """The last units (m, width) of an axis and their times (m,), in order; units: number of all so far."""
-        order = np.arange(max(0, units - LOOK_BACK), units) % LOOK_BACK
+        order = np.arange(max(0, units - TUNING.look_back), units) % TUNING.look_back
         return self.units[axis, order], self.begun[axis, order]

@@ -22,12 +22,11 @@ from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_e
 from pmfid.design.solver import solve
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.record import read_record
 
 __all__ = ["Spec", "load_spec", "make_problem"]
 
-#: Largest limit, in any unit: no machine reaches it.
-MOST_LIMIT = 1e100
 
 Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
 Positive = Annotated[float, Field(gt=0)]
@@ -114,7 +113,7 @@ class LimitsSpec(FileSection):
     @model_validator(mode="after")
     def _limits(self) -> Self:
         for name, value in self.model_dump(exclude_none=True).items():
-            if np.max(np.abs(value)) > MOST_LIMIT:
+            if np.max(np.abs(value)) > TUNING.most_limit:
                 raise ValueError(f"{name} = {value!r} limits nothing; leave it out, or give what the machine bears")
         return self
 

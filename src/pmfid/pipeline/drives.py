@@ -26,12 +26,13 @@ from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import construct_estimator, like
 from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.known import PIECE, Known, Posterior
+from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Fit, Track, join_tracks
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
 from pmfid.io.tables import Table
 from pmfid.models.drive import EquationModel
@@ -43,6 +44,7 @@ from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.filling import doubt, fill_by_motion
 from pmfid.records.gaps import describe_missing
 from pmfid.records.joining import join_records, unbroken
@@ -55,9 +57,6 @@ if TYPE_CHECKING:
     from pmfid._estimate import Estimate
 
 __all__ = ["check_direction"]
-
-#: Largest ratio of the unexplained part after integration to the unexplained part of the record as it is.
-BETTER = 0.5
 
 
 def check_direction(record: Record, axis: Axis) -> str:
@@ -78,7 +77,7 @@ def check_direction(record: Record, axis: Axis) -> str:
         risen = IV(EquationModel(above), finer, record.dt, config.pole, order=config.order).fit(u, position)
     except (NotIdentifiableError, UsageError):
         return ""
-    if not risen.relative_error < BETTER * plain:
+    if not risen.relative_error < TUNING.drives_better * plain:
         return ""
     return (
         f"[model] direction is that of the output's change, but {axis.record.output!r} is a velocity: the equation "
@@ -100,11 +99,6 @@ def _integrate_equation(equation: Equation) -> Equation | None:
     )
     above = Equation(unknown, known)
     return None if above.without_simulation else above
-
-
-CHUNK = 100_000
-#: Largest part of the motion that a simulation which follows the motion leaves unexplained.
-FOLLOWED = 0.2
 
 
 class Drives(Kind[Record]):
@@ -256,7 +250,7 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
     if not relative > 1:
         return []
     sentence, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", judgement.adequacy
-    if adequacy is not None and adequacy.left < FOLLOWED:
+    if adequacy is not None and adequacy.left < TUNING.drives_followed:
         return make_notes(
             "relative_error",
             [
@@ -440,7 +434,7 @@ def _run(
     """The tracks of a run over the record, without and with prior information. Chunks give the same numbers as one run;
     in a gap the estimate stays."""
     n, parts, reported = record.u.size, list[Track](), list[Track]()
-    chunk = CHUNK if known is None else PIECE
+    chunk = TUNING.drives_chunk if known is None else ESTIMATOR_TUNING.known_piece
     edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), n]
     for place, (first, last) in enumerate(pairwise(edges)):
         if place % 2 == 1:

@@ -8,19 +8,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.config.axis import Axis, check_sampling
-from pmfid.diagnostics.drives import SIGNIFICANT, correlation_score
+from pmfid.diagnostics.drives import correlation_score
+from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.cutoff import choose_cutoff
-from pmfid.estimators.friction_curve import NODES, FrictionCurve
+from pmfid.estimators.friction_curve import FrictionCurve
 from pmfid.estimators.friction_curve import friction_curve as curve_of
 from pmfid.estimators.iv import IV
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.arrays import axis_of
 from pmfid.pipeline.drives import match_kind
 from pmfid.pipeline.known import check_numbers_known
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.joining import unbroken
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
@@ -28,8 +31,6 @@ from pmfid.types import Counts, Floats
 
 #: Keys of forces other than friction, which a friction curve does not model.
 OTHER_FORCES = ("spring", "gravity", "cogging", "friction_period")
-#: Largest time constant of the filters that is chosen [samples]: after slower filters nearby speeds look alike.
-SLOWEST = 30
 FEEDBACK = (
     "the input follows the part that the curve leaves unexplained, as under position control, or with a dead time or a "
     "lag that [model] does not have (see pmfid identify): the curve may be off by many of its standard errors, most of "
@@ -45,7 +46,7 @@ def friction_curve(
     encoder: Encoder,
     dt: float,
     cutoff: float | None = None,
-    nodes: int = NODES,
+    nodes: int = ESTIMATOR_TUNING.friction_curve_nodes,
     rising_from: float | None = None,
 ) -> FrictionCurve:
     """Estimate friction over velocity without an assumed law, and the mass, as `pmfid friction` does.
@@ -96,7 +97,9 @@ def friction_curve(
     return _estimate_curve(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
 
 
-def record_curve(record: Record, axis: Axis, nodes: int = NODES, rising_from: float | None = None) -> FrictionCurve:
+def record_curve(
+    record: Record, axis: Axis, nodes: int = ESTIMATOR_TUNING.friction_curve_nodes, rising_from: float | None = None
+) -> FrictionCurve:
     """The friction curve of a record that was read for `axis`, without samples that no motion explains."""
     record, axis = unbroken(record), match_kind(record, axis)
     repaired, encoder = repair_as_configured(record, axis), axis.encoder.make_encoder(record.resolution)
@@ -123,7 +126,9 @@ def _estimate_curve(
     if model.dead_time == ESTIMATE:
         raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")
     free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time)
-    cutoff = axis.estimator.cutoff or max(choose_cutoff([free], encoder, dt, u, counts), 1 / (SLOWEST * dt))
+    cutoff = axis.estimator.cutoff or max(
+        choose_cutoff([free], encoder, dt, u, counts), 1 / (TUNING.friction_slowest * dt)
+    )
     estimator = IV(free, encoder, dt, cutoff, order=axis.estimator.order)
     found = curve_of(estimator, u, counts, nodes, rising_from)
     if not found.mass_std < found.mass:
@@ -133,7 +138,7 @@ def _estimate_curve(
             "cutoff, or record reversals and speeds that vary"
         )
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
-    follows = correlation_score(found.error, change) > SIGNIFICANT
+    follows = correlation_score(found.error, change) > DIAGNOSTIC_TUNING.significant
     return replace(found, notes=(FEEDBACK,) if follows else (), motion=model.equation.motion)
 
 

@@ -21,7 +21,8 @@ from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import SAME_PERIOD, ProcessSolver, make_problem, process_of, with_dead_time
+from pmfid.estimators.srivc import ProcessSolver, make_problem, process_of, with_dead_time
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import make_notes, sort_findings
 from pmfid.io.tables import Table
 from pmfid.linear.experiment import Experiment
@@ -98,7 +99,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
     """The estimator that a configuration asks for, at the period of the first record."""
     model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
     check_sampling(axis, dt)
-    if any(abs(experiment.period / dt - 1) > SAME_PERIOD for experiment in experiments):
+    if any(abs(experiment.period / dt - 1) > ESTIMATOR_TUNING.same_period for experiment in experiments):
         raise UsageError("the records differ in their sample period; decimate them to one, or identify them one by one")
     method = method_of(axis, AUTOMATIC)
     if method not in methods_for(model):

@@ -10,8 +10,9 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from pmfid.diagnostics.matter import NORMAL_95, Matter, weigh_findings
+from pmfid.diagnostics.matter import Matter, weigh_findings
 from pmfid.diagnostics.processes import Assessment
+from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.known import Known, choose_naming
@@ -164,7 +165,7 @@ class Result(Presentable):
         None: there is no model spread. The interval of a positive mass or friction does not extend below zero."""
         if self.model_spread is None:
             return None
-        half = NORMAL_95 * np.hypot(self.theta_std, self.model_spread)
+        half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(self.theta_std, self.model_spread)
         positive = np.zeros(self.theta.size, dtype=bool)
         positive[: len(self.estimator.equation.names)] = self.estimator.equation.positive
         low = self.theta - half

@@ -14,18 +14,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmfid.errors import UsageError, printable
+from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["Stored", "read_stored"]
 
-#: Largest file that is read [bytes]: a result has some kilobytes.
-LARGEST = 10_000_000
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml that it was identified with"
-#: Most letters of a text from the file in a message.
-LONGEST = 150
-#: Relative difference below which a number from a file and a configured one are the same.
-SAME = 1e-6
 #: Prefixes of names that are no parameters of the motion: unknowns of a pre-filter, and an estimated input gain, which
 #: has a check of its own.
 NOT_OF_MOTION = ("prefilter_", "input_gain")
@@ -84,14 +79,14 @@ class Stored:
     def check_known(self, what: str, value: float) -> None:
         """Raises UsageError if `what`, "input_gain" or "dead_time", had another value at the time of the estimate."""
         then = self.input_gain if what == "input_gain" else self.dead_time
-        if then is not None and not abs(then - value) <= SAME * max(abs(then), abs(value)):
+        if then is not None and not abs(then - value) <= TUNING.stored_same * max(abs(then), abs(value)):
             self._refuse(f"it was identified with {what} = {then:.9g}, and [model] has {value:.9g}; {SAME_AXIS}")
 
     def check_equation(self, text: str) -> None:
         """Raises UsageError for the parameters of another equation: the names do not show a known dead time, the speed
         of a friction or the pitch of a force."""
         if self.equation is not None and self.equation != text:
-            stored = printable(" ".join(self.equation.split()))[:LONGEST]
+            stored = printable(" ".join(self.equation.split()))[: TUNING.stored_longest]
             self._refuse(f"it was identified with {stored}, and [model] says {text}; {SAME_AXIS}")
 
     def _refuse(self, text: str) -> NoReturn:
@@ -101,8 +96,8 @@ class Stored:
 def read_stored(path: Path) -> Stored:
     """The parameters in the file at `path`. Raises UsageError with the first problem of a file that is no result."""
     try:
-        if path.stat().st_size > LARGEST:
-            raise UsageError(f"{path}: more than {LARGEST} bytes are no result; {REMEDY}")
+        if path.stat().st_size > TUNING.stored_largest:
+            raise UsageError(f"{path}: more than {TUNING.stored_largest} bytes are no result; {REMEDY}")
         raw = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_number)
         found = _File.model_validate(raw)
     except OSError as error:

@@ -18,12 +18,13 @@ from pmfid.diagnostics.term_trials import Trial, known_shapes
 from pmfid.diagnostics.terms import FittedCandidate, Terms, changed_fields, search
 from pmfid.diagnostics.verdict import verdict
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import MISSED, PARTS, PeriodicForce, setting, weigh
+from pmfid.estimators.adequacy import PeriodicForce, setting, weigh
 from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.results import Fit
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import Finding, codes, texts
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
@@ -32,13 +33,11 @@ from pmfid.pipeline.identify import explain_error, identify
 from pmfid.pipeline.kinds import Progress
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.pipeline.result import DriveResult
+from pmfid.pipeline.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.records.joining import unbroken
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
-
-#: Part of the motion that counts as slow.
-SLOW = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: 
     place, velocity = (x - chosen.difference.slack)[v != 0], v[v != 0]
     whole = last.resistance(place, velocity)
     apart = balance.resistance(place, velocity) - whole
-    slow = np.abs(velocity) <= np.quantile(np.abs(velocity), SLOW)
+    slow = np.abs(velocity) <= np.quantile(np.abs(velocity), TUNING.terms_slow)
     every, low = (
         np.sqrt((np.mean(apart[part] ** 2) + beyond) / np.mean(whole[part] ** 2)) for part in (v[v != 0] != 0, slow)
     )
@@ -390,7 +389,10 @@ def round_up(number: float) -> float:
 
 def _fast_enough(data: Record, axis: Axis) -> Axis:
     """With a cutoff: if none is given, one after whose filters a part of the record can be predicted."""
-    found, least = Drives().prepare_axis(data, axis), choose_cutoff(data.u.size // PARTS, data.dt)
+    found, least = (
+        Drives().prepare_axis(data, axis),
+        choose_cutoff(data.u.size // ESTIMATOR_TUNING.adequacy_parts, data.dt),
+    )
     if axis.estimator.cutoff is not None or least is None or found.estimator.pole >= least:
         return found
     return found.model_copy(update={"estimator": found.estimator.model_copy(update={"cutoff": least})})
@@ -405,9 +407,9 @@ def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
 def _check(method: IntervalML, record: Record) -> None:
     """Raises NotIdentifiableError for a record too short or too poor for a search."""
     n, dt = record.u.size, record.dt
-    needed = PARTS * shortest_part(method)
+    needed = ESTIMATOR_TUNING.adequacy_parts * shortest_part(method)
     if n < needed:
-        cutoff = choose_cutoff(n // PARTS, dt)
+        cutoff = choose_cutoff(n // ESTIMATOR_TUNING.adequacy_parts, dt)
         shorter = f", or use a cutoff of at least {round_up(cutoff):g} rad/s" if cutoff else ""
         raise NotIdentifiableError(
             f"{n} samples are too few to tell terms apart on parts of them: record at least {needed} "
@@ -470,7 +472,10 @@ def _list_hidden(found: Terms, force: str) -> Iterator[Hidden]:
     for candidate, std in zip(adequacy.forces, adequacy.size_std, strict=True):
         if candidate.changes and candidate.name != "cogging":
             unit = "s" if candidate.name == "dead_time" else force
-            sizes[candidate.says] = (max(MISSED * float(std), sizes.get(candidate.says, (0.0, ""))[0]), unit)
+            sizes[candidate.says] = (
+                max(ESTIMATOR_TUNING.adequacy_missed * float(std), sizes.get(candidate.says, (0.0, ""))[0]),
+                unit,
+            )
     yield from (Hidden(says, size, unit) for says, (size, unit) in sizes.items())
 
 

@@ -16,13 +16,11 @@ from pmfid.pipeline.identify import check, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.known import set_stored_gain
 from pmfid.pipeline.stored import Stored
+from pmfid.pipeline.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
 __all__ = ["Validation", "read_records", "validate_parameters", "validate_stored"]
-
-#: A free run explains the counts if its error is below this multiple of the encoder's error.
-WITHIN = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,7 +145,7 @@ def _horizon(horizon: Horizon) -> dict[str, object]:
 
 def _remarks(run: FreeRun) -> list[str]:
     remarks = []
-    if run.encoder is not None and run.rmse <= WITHIN * run.encoder:
+    if run.encoder is not None and run.rmse <= TUNING.validation_within * run.encoder:
         remarks.append(f"{run.name}: the free run explains every count, the error is that of the encoder")
     if run.rmse >= min(run.mean, run.standstill):
         better = [f for f in run.horizons if f.rmse < 0.5 * f.standstill]

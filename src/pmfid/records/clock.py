@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
+from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
@@ -26,22 +27,6 @@ _NAMES = {
     "us": r"[uµμ]s|[uµμ]secs?|micros|microseconds?",
     "ns": r"ns|nsecs?|nanos|nanoseconds?",
 }
-#: Sample periods of machine axes [s], the first included, the last excluded: drives log every 10 us to 100 ms.
-_SHORTEST, _LONGEST = 0.999e-5, 0.1
-#: Seconds since 1970 at the beginning of 2000 and of 2100.
-EPOCHS = (946_684_800.0, 4_102_444_800.0)
-#: Steps may differ from their median by this part without a note.
-EVEN = 0.1
-#: Steps that differ by less than this part are an even grid without a further test.
-PLAIN = 1e-6
-#: A step is a multiple of another one within this part.
-WHOLE = 0.01
-#: Largest deviation of a stamp from an even grid by chance [sample periods].
-FURTHEST = 0.9
-#: Stamps that are averaged to detect a missing sample; largest mean by chance, in standard deviations.
-GROUP, MOST_BY_CHANCE = 50, 5.0
-#: A period and a time column agree within this part.
-_SAME = 0.01
 
 
 def time_factor(config: RecordConfig) -> float:
@@ -79,7 +64,7 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     factor = UNITS[epoch] if epoch else time_factor(config)
     _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if jitter > 1e-3 else []
-    if grid and jitter > EVEN:
+    if grid and jitter > TUNING.clock_even:
         notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, which is taken")
     if factor != 1:
         unit = next(unit for unit, length in UNITS.items() if length == factor)
@@ -103,23 +88,23 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     after a missing sample.
     """
     n = time.size
-    if n < GROUP or not np.all(np.isfinite(time)):
+    if n < TUNING.clock_group or not np.all(np.isfinite(time)):
         return 0.0, False
     k, since = np.arange(n, dtype=np.float64), time - time[0]
     k -= (n - 1) / 2
     period = float(np.dot(k, since) * 12 / (n * (n * n - 1.0)))
     if not period > 0:
         return 0.0, False
-    if _furthest(np.diff(time), period) < PLAIN * period:
+    if _furthest(np.diff(time), period) < TUNING.clock_plain * period:
         return period, True
     since -= np.mean(since)
     since /= period
     late = np.subtract(since, k, out=k)
     del since
-    together = np.convolve(late, np.full(GROUP, 1 / GROUP), mode="valid")
+    together = np.convolve(late, np.full(TUNING.clock_group, 1 / TUNING.clock_group), mode="valid")
     furthest, of_group = (_furthest(values, 0.0) for values in (late, together))
-    chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(GROUP)
-    even = furthest < FURTHEST and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
+    chance = TUNING.most_by_chance * np.std(late) / np.sqrt(TUNING.clock_group)
+    even = furthest < TUNING.clock_furthest and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
     return float(period), bool(even)
 
 
@@ -139,8 +124,13 @@ def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
     unit, or if the unit is known."""
     if config.time_unit or config.dt is not None or named_unit(config.time or ""):
         return None
-    dated = [unit for unit, length in UNITS.items() if EPOCHS[0] <= first * length < EPOCHS[1]]
-    return next((unit for unit in dated if _SHORTEST <= step * UNITS[unit] < _LONGEST), None)
+    dated = [
+        unit for unit, length in UNITS.items() if TUNING.clock_epochs[0] <= first * length < TUNING.clock_epochs[1]
+    ]
+    return next(
+        (unit for unit in dated if TUNING.shortest_plain_period <= step * UNITS[unit] < TUNING.longest_plain_period),
+        None,
+    )
 
 
 def _check_unit(
@@ -148,14 +138,20 @@ def _check_unit(
 ) -> None:
     """`step` is the mean step of the time column in its own unit; counted: it may count the samples."""
     if config.dt is not None:
-        if abs(step * factor - config.dt) <= _SAME * config.dt:
+        if abs(step * factor - config.dt) <= TUNING.clock_same * config.dt:
             return
-        fitting = [unit for unit, length in UNITS.items() if abs(step * length - config.dt) <= _SAME * config.dt]
+        fitting = [
+            unit for unit, length in UNITS.items() if abs(step * length - config.dt) <= TUNING.clock_same * config.dt
+        ]
         remedy = f'give time_unit = "{fitting[0]}"' if fitting else "correct dt, or convert the time column to s"
         raise UsageError(
             f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {step:g}; {remedy}"
         )
-    if epoch or config.time_unit is not None or _SHORTEST <= step * factor < _LONGEST:
+    if (
+        epoch
+        or config.time_unit is not None
+        or TUNING.shortest_plain_period <= step * factor < TUNING.longest_plain_period
+    ):
         return
     if counted:
         raise UsageError(
@@ -163,7 +159,11 @@ def _check_unit(
             'period; if it is a time, give [record] time_unit = "ms" (0.001 s), or "s"'
         )
     taken = next(unit for unit, length in UNITS.items() if length == factor)
-    others = [unit for unit, length in UNITS.items() if _SHORTEST <= step * length < _LONGEST]
+    others = [
+        unit
+        for unit, length in UNITS.items()
+        if TUNING.shortest_plain_period <= step * length < TUNING.longest_plain_period
+    ]
     ways = " or ".join(f'"{unit}" ({step * UNITS[unit]:g} s)' for unit in others)
     raise UsageError(
         f"the time column {config.time!r} steps by {step:g}, a sample period of {step * factor:g} s for an axis if "
@@ -192,7 +192,7 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
             f"first after row {k + 1}, t = {time[k]:.9g}; cut the record at the gap"
         )
     worst = float(np.max(np.abs(steps - median)) / median)
-    if worst > EVEN:
+    if worst > TUNING.clock_even:
         raise UsageError(
             f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
             f"resample the record to a fixed rate"
@@ -210,26 +210,6 @@ def _back(k: int, median: float) -> str:
 
 
 Number = TypeVar("Number", bound=np.generic)
-#: Longest step without a missing sample, in medians.
-MISSING = 1.5
-#: Largest distance of a step from a whole number of periods on an even grid [periods].
-NEAR = 0.3
-#: Longest step that determines the period [periods]: a pause need not be a whole number.
-SHORT = 5
-#: Relative accuracy of the period.
-SETTLED = 1e-9
-#: Largest standard deviation of stamps around a grid [periods]; random stamps have 0.29.
-SCATTER = 0.2
-#: A row within EARLY periods after another one is odd if no larger part of the rows than RARE is.
-EARLY, RARE = 0.3, 0.001
-#: Most iterations between grid and places.
-TURNS = 5
-#: Least part of the steps of a grid that are single periods.
-SINGLE = 0.3
-#: Steps beyond the median that tell missing lines from rounded stamps: of a pause or two the output says too little.
-LONG_STEPS = 5
-#: Longest gap on the grid [samples]. Longer gaps are shortened: the motion restarts after a gap of any length.
-LONGEST = 1000
 
 
 @dataclass(frozen=True)
@@ -300,12 +280,12 @@ def left_out(
 def is_steady(time: Floats) -> bool:
     """Does the time (n,) rise without a step in which samples are missing?"""
     steps = np.diff(time)
-    return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= MISSING * np.median(steps))
+    return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= TUNING.clock_missing * np.median(steps))
 
 
 def misses_lines(time: Floats, output: Floats) -> bool | None:
     """Whether lines are missing (True) or stamps are rounded (False), where steps of stamps (n,) are whole multiples of
-    the median step. None if there are fewer than LONG_STEPS of them, or if the output (n,) shows no difference.
+    the median step. None if there are fewer than long_steps of them, or if the output (n,) shows no difference.
 
     Over a step of k periods the output changes by k times its usual change if lines are missing, by its usual change if
     stamps are rounded. The usual change is the mean of those in the two neighbouring steps.
@@ -316,7 +296,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
         return None
     steps /= median
     times = np.rint(steps)
-    if np.max(np.abs(steps - times)) > WHOLE or np.min(times) < 1:
+    if np.max(np.abs(steps - times)) > TUNING.clock_whole or np.min(times) < 1:
         return None
     long = np.flatnonzero(times[1:-1] > 1) + 1
     long = long[(times[long - 1] == 1) & (times[long + 1] == 1)]
@@ -324,7 +304,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
     usual, change = (changes[long - 1] + changes[long + 1]) / 2, changes[long]
     known = np.isfinite(usual) & np.isfinite(change)
     usual, change, times = usual[known], change[known], times[long][known]
-    if change.size < LONG_STEPS:
+    if change.size < TUNING.long_steps:
         return None
     if_missing, if_rounded = float(np.sum(np.abs(change - times * usual))), float(np.sum(np.abs(change - usual)))
     return None if if_missing == if_rounded else if_missing < if_rounded
@@ -335,7 +315,7 @@ def _even_stamps(time: Floats) -> Floats:
     k = np.arange(time.size, dtype=np.float64)
     period, start = np.polyfit(k, time - time[0], 1)
     line = time[0] + start + period * k
-    return line if period > 0 and _furthest(np.abs(time - line), 0.0) < FURTHEST * period else time
+    return line if period > 0 and _furthest(np.abs(time - line), 0.0) < TUNING.clock_furthest * period else time
 
 
 def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
@@ -352,12 +332,16 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     """The rows without the few that closely follow another one, as at the start of a logger: no grid has a place for
     them."""
     steps = np.diff(_take_rows(time, rows))
-    early = np.r_[False, (steps > 0) & (steps < EARLY * np.median(steps))] if steps.size else np.zeros(rows.size, bool)
+    early = (
+        np.r_[False, (steps > 0) & (steps < TUNING.clock_early * np.median(steps))]
+        if steps.size
+        else np.zeros(rows.size, bool)
+    )
     count = int(np.count_nonzero(early))
-    if not 0 < count <= max(1, RARE * rows.size):
+    if not 0 < count <= max(1, TUNING.clock_rare * rows.size):
         return rows, ()
     note = "rows come" if count > 1 else "row comes"
-    return rows[~early], (f"{count} {note} less than {EARLY:g} of a period after another: left out",)
+    return rows[~early], (f"{count} {note} less than {TUNING.clock_early:g} of a period after another: left out",)
 
 
 def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
@@ -369,24 +353,24 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
     if not (steps.size and np.min(steps) > 0):
         return None
     period = float(np.median(steps))
-    period = float(np.mean(steps[np.abs(steps - period) <= (MISSING - 1) * period]))
-    for _ in range(TURNS):
+    period = float(np.mean(steps[np.abs(steps - period) <= (TUNING.clock_missing - 1) * period]))
+    for _ in range(TUNING.clock_turns):
         numbers = np.maximum(1, np.rint(steps / period)).astype(np.intp)
-        short = numbers <= SHORT
+        short = numbers <= TUNING.clock_short
         before, period = period, float(np.sum(steps[short]) / np.sum(numbers[short]))
-        if abs(period - before) <= SETTLED * period:
+        if abs(period - before) <= TUNING.clock_settled * period:
             break
     places = np.r_[0, np.cumsum(numbers)]
-    if np.mean(numbers == 1) < SINGLE:
+    if np.mean(numbers == 1) < TUNING.clock_single:
         return None
-    if np.max(np.abs(steps / period - numbers)[short]) <= NEAR:
+    if np.max(np.abs(steps / period - numbers)[short]) <= TUNING.clock_near:
         return places, period
     return _place_by_line(time, places)
 
 
 def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
     """Places and period for stamps that scatter by chance, from places (n,) that are nearly right."""
-    for _ in range(TURNS):
+    for _ in range(TUNING.clock_turns):
         period, start = np.polyfit(places, time - time[0], 1)
         at = (time - time[0] - start) / period
         found = np.rint(at).astype(np.intp)
@@ -394,10 +378,10 @@ def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.i
             break
         places = found
     rises = bool(np.min(np.diff(found)) > 0)
-    return (found - found[0], float(period)) if rises and np.std(at - found) < SCATTER else None
+    return (found - found[0], float(period)) if rises and np.std(at - found) < TUNING.clock_scatter else None
 
 
 def _shorten_gaps(places: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Places with gaps of at most LONGEST samples."""
+    """Places with gaps of at most clock_longest samples."""
     steps = np.diff(places, prepend=places[:1])
-    return np.cumsum(np.minimum(steps, LONGEST + 1, out=steps), out=steps)
+    return np.cumsum(np.minimum(steps, TUNING.clock_longest + 1, out=steps), out=steps)

@@ -13,15 +13,9 @@ from pmfid.estimators.bridges import Body
 from pmfid.estimators.iv import IV
 from pmfid.estimators.motion import rms
 from pmfid.models.equation import MASS
-from pmfid.records.gaps import ALWAYS, Gap, best_of, fill_gaps, gaps_of, is_held
+from pmfid.records.gaps import Gap, best_of, fill_gaps, gaps_of, is_held
+from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
-
-#: Variance of a count [counts^2].
-COUNT = 1 / 12
-#: Information on position and velocity before the record [1/counts^2, s^2/counts^2]: practically none.
-NOTHING = 1e-12
-#: Right-hand sides that are solved at once.
-CHUNK = 256
 
 
 @dataclass(frozen=True)
@@ -43,7 +37,7 @@ def smooth_deviation(
     n, g = deviation.size, events.size
     segment = np.repeat(np.arange(g), np.diff(np.r_[events, n]))
     response = _travel(np.asarray((np.arange(n) - events[segment]) * dt, np.float64), decay)
-    weight = there / COUNT
+    weight = there / TUNING.filling_count
     one, first, second, right, right_first = (
         np.add.reduceat(weight * part, events)
         for part in (np.ones(n), response, response**2, deviation, response * deviation)
@@ -51,8 +45,10 @@ def smooth_deviation(
     lasting = np.diff(events) * dt
     along, kept, free, still = _travel(lasting, decay), np.exp(-decay * lasting), 1 / steps[1:], 1 / moves[1:]
     band = np.zeros((4, 2 * g))  # of the lower triangle; position and velocity in turn
-    band[0, 0::2] = one + np.r_[still, NOTHING] + np.r_[NOTHING, still]
-    band[0, 1::2] = second + np.r_[still * along**2 + free * kept**2, NOTHING] + np.r_[NOTHING, free]
+    band[0, 0::2] = one + np.r_[still, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, still]
+    band[0, 1::2] = (
+        second + np.r_[still * along**2 + free * kept**2, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, free]
+    )
     band[1, 0::2] = first + np.r_[still * along, 0.0]
     band[1, 1:-1:2] = -still * along
     band[2, 0:-2:2], band[2, 1:-2:2] = -still, -free * kept
@@ -72,32 +68,13 @@ def _travel(time: Floats, decay: float) -> Floats:
 def _variances(factor: Floats, kept: Floats) -> Floats:
     """(g - 1,) posterior variances of the steps velocity - kept * velocity before."""
     variances = np.empty(kept.size)
-    for first in range(0, kept.size, CHUNK):
-        own = np.arange(first, min(first + CHUNK, kept.size))
+    for first in range(0, kept.size, TUNING.filling_chunk):
+        own = np.arange(first, min(first + TUNING.filling_chunk, kept.size))
         sides = np.zeros((factor.shape[1], own.size))
         columns = np.arange(own.size)
         sides[2 * own + 3, columns], sides[2 * own + 1, columns] = 1.0, -kept[own]
         variances[own] = np.sum(sides * cho_solve_banded((factor, True), sides), axis=0)
     return variances
-
-
-#: Most iterations of estimate and filling: the filled samples hardly change the estimate.
-TURNS = 3
-#: Relative change of the parameters below which the iteration ends.
-SETTLED = 1e-4
-#: Error of the velocity at an event by wrong parameters, as a part of the root mean square velocity: before and after
-#: the inputs are found.
-WRONG = (1e-2, 1e-3)
-#: The same of the position [counts].
-SHIFT = 0.1
-#: Interval of further events, in filter time constants and in samples: a deviation is as smooth as the motion.
-OFTEN, FEWEST = 2.0, 8
-#: Seed of the samples that `doubt` removes.
-AGAIN = 16
-#: Largest standard deviation of a known instant [samples].
-KNOWN = 0.25
-#: Largest distance of the deviation in a gap from the line between its neighbours [counts].
-WITHIN = 1.0
 
 
 class FilledMachine(Body):
@@ -111,7 +88,7 @@ class FilledMachine(Body):
     @property
     def often(self) -> int:
         """Samples in which a wrong parameter changes the deviation of the velocity little."""
-        return max(FEWEST, round(OFTEN / (self.cutoff * self.dt)))
+        return max(TUNING.filling_fewest, round(TUNING.filling_often / (self.cutoff * self.dt)))
 
     @property
     def push(self) -> float:
@@ -127,14 +104,17 @@ def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
         theta = method.settle_iteration(u, counts)[1]
-        for _ in range(TURNS):
+        for _ in range(TUNING.filling_turns):
             machine = FilledMachine(method.equation, theta, method.dt, method.encoder.resolution, method.cutoff)
             u, counts = line[0].copy(), line[1].copy()
             for part in parts:
                 if not np.all(there[part]):
                     u[part], counts[part] = _fill_part(machine, line[0][part], line[1][part], there[part], held)
             before, theta = theta, method.settle_iteration(u, counts)[1]
-            if np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny)) < SETTLED:
+            if (
+                np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny))
+                < TUNING.filling_settled
+            ):
                 break
     except (NotIdentifiableError, np.linalg.LinAlgError):
         return None
@@ -147,7 +127,7 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     An equal part of the measured samples is removed and filled again. The change of the parameters estimates their
     error by the samples that are really missing.
     """
-    chance, part = np.random.default_rng(AGAIN), 1 - float(np.mean(there[np.isfinite(u)]))
+    chance, part = np.random.default_rng(TUNING.filling_again), 1 - float(np.mean(there[np.isfinite(u)]))
     fewer = there & (chance.random(u.size) >= part)
     fewer[[0, -1]] = True
     places = np.flatnonzero(fewer)
@@ -167,7 +147,7 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
     gap = _doubtful(u, there, held)
     missed, none = _estimate_input_errors(gap, u, there, held), np.zeros(0, np.intp)
     u = u.copy()
-    for wrong in WRONG:
+    for wrong in TUNING.filling_wrong:
         position, velocity = machine.motion(u, speed)
         found, events = _deviation(machine, gap, missed, place - position, velocity, there, wrong)
         speed += found.start
@@ -179,10 +159,15 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
         gap, missed = Gap(none, none), missed[:0]
     position, velocity = machine.motion(u, speed)
     deviation = place - position
-    smooth = _deviation(machine, gap, missed, deviation, velocity, there, WRONG[-1])[0].deviation
+    smooth = _deviation(machine, gap, missed, deviation, velocity, there, TUNING.filling_wrong[-1])[0].deviation
     rows = np.flatnonzero(there)
     line = np.interp(np.arange(u.size), rows, deviation[rows])
-    filled = np.floor(position + np.clip(smooth, line - WITHIN, line + WITHIN)).astype(np.int64) + counts[0]
+    filled = (
+        np.floor(position + np.clip(smooth, line - TUNING.filling_within, line + TUNING.filling_within)).astype(
+            np.int64
+        )
+        + counts[0]
+    )
     for k in none if held else np.flatnonzero(by_motion):
         u[gap.before[k] + 1 : gap.after[k]] = np.nan
     return u, np.where(there, counts, filled)
@@ -191,7 +176,7 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
 def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
     """The gaps in which the motion determines the input (n,): changes of a held input, and long gaps of any other."""
     gap = gaps_of(there)
-    found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > ALWAYS)
+    found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > TUNING.gaps_always)
     return Gap(gap.before[found], gap.after[found])
 
 
@@ -220,7 +205,7 @@ def _deviation(
     events = np.unique(np.concatenate([often, gap.after, turns]))
     at = np.searchsorted(events, gap.after)
     steps = np.full(events.size, max((wrong * rms(velocity)) ** 2, np.finfo(float).tiny))
-    moves = np.full(events.size, SHIFT**2)
+    moves = np.full(events.size, TUNING.filling_shift**2)
     steps[at] += (machine.push * missed) ** 2
     moves[at] += steps[at] * (gap.missing * machine.dt) ** 2 / 4
     return smooth_deviation(deviation, there, events, steps, moves, machine.decay, machine.dt), events
@@ -233,7 +218,7 @@ def _decide(machine: FilledMachine, gap: Gap, u: Floats, steps: Floats, variance
     total = np.r_[0.0, np.cumsum(u)]
     inside = total[gap.after] - total[gap.before + 1] + steps / machine.push
     later = np.clip((inside - gap.missing * before) / change, 0.0, gap.missing)  # samples after the change
-    known = np.sqrt(variance) < KNOWN * np.abs(machine.push * change)
+    known = np.sqrt(variance) < TUNING.filling_known * np.abs(machine.push * change)
     later = np.where(known, np.rint(later), later)
     whole = np.floor(later).astype(np.intp)
     for k in range(before.size):

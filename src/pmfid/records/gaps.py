@@ -7,12 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
-
-#: Samples farther away than NEAR times `half` lie beyond another gap and have the weight FAR_WEIGHT.
-NEAR, FAR_WEIGHT = 3.0, 1e-6
-#: Most and fewest samples that are left out for the error; missing samples that are filled at once.
-MOST, FEWEST, CHUNK = 1000, 30, 20_000
 
 
 @dataclass(frozen=True)
@@ -27,8 +23,8 @@ class Polynomial:
         whole = np.empty(int(places[-1]) + 1)
         missing = np.setdiff1d(np.arange(whole.size), places)
         whole[places] = u
-        for first in range(0, missing.size, CHUNK):
-            at = missing[first : first + CHUNK]
+        for first in range(0, missing.size, TUNING.gaps_chunk):
+            at = missing[first : first + TUNING.gaps_chunk]
             start = np.clip(np.searchsorted(places, at) - self.half, 0, places.size - 2 * self.half)
             whole[at] = self._interpolate_at(u, places, start[:, None] + np.arange(2 * self.half), at)
         return whole
@@ -38,9 +34,9 @@ class Polynomial:
         too few."""
         first = np.arange(self.half, places.size - self.half - length + 1)
         first = first[places[first + length - 1] - places[first] == length - 1]
-        if first.size < FEWEST:
+        if first.size < TUNING.gaps_fewest:
             return np.inf
-        first = first[:: -(-first.size // MOST)]
+        first = first[:: -(-first.size // TUNING.gaps_most)]
         neighbours = np.r_[np.arange(-self.half, 0), np.arange(length, length + self.half)]
         rows, missed = first[:, None] + neighbours, np.zeros(first.size)
         for k in range(length):
@@ -52,7 +48,7 @@ class Polynomial:
     ) -> Floats:
         """Values (t,) at places (t,), by the samples in rows (t, 2 half)."""
         apart = (places[rows] - at[:, None]).astype(np.float64)
-        weight = np.where(np.abs(apart) <= NEAR * self.half, 1.0, FAR_WEIGHT)
+        weight = np.where(np.abs(apart) <= TUNING.gaps_near * self.half, 1.0, TUNING.far_weight)
         powers = (apart / np.max(np.abs(apart), axis=1, keepdims=True))[..., None] ** np.arange(self.degree + 1)
         weighted = (weight[..., None] * powers).transpose(0, 2, 1)
         level = np.mean(u[rows], axis=1)
@@ -76,21 +72,6 @@ def best_of(u: Floats, places: NDArray[np.intp]) -> Polynomial:
     """The polynomial with the smallest error on the samples u (m,) at rising places (m,); the line if there are too
     few."""
     return min(TRIED, key=lambda tried: tried.estimate_error(u, places, 1) if places.size > 2 * tried.half else np.inf)
-
-
-#: Least part of the samples in which a held input does not change.
-HELD = 0.5
-#: Quantile of the times for which a held input keeps its values; shorter gaps are filled.
-SHORTEST = 0.02
-#: Lengths of gaps [samples] that may be filled.
-LENGTHS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 100)
-#: Largest error of the interpolated mean input over a gap, as a part of the root mean square input.
-FAITHFUL = 0.1
-#: If more than the part SCATTERED of the samples stays missing, gaps of up to ALWAYS samples are filled in any case:
-#: between scattered gaps no motion could restart.
-ALWAYS, SCATTERED = 8, 0.02
-#: Samples without input between two joined records.
-APART = 20
 
 
 @dataclass(frozen=True)
@@ -117,7 +98,7 @@ def is_held(u: Floats, there: Flags) -> bool:
     """Does the input (n,) keep its values for several samples? An input that sometimes rests, and otherwise changes in
     every sample, does not."""
     pairs = there[1:] & there[:-1]
-    return bool(np.any(pairs) and np.mean((np.diff(u) == 0)[pairs]) > HELD and _longest_held(u, there) > 0)
+    return bool(np.any(pairs) and np.mean((np.diff(u) == 0)[pairs]) > TUNING.gaps_held and _longest_held(u, there) > 0)
 
 
 def fill_gaps(
@@ -137,8 +118,8 @@ def fill_gaps(
     else:
         local = best_of(u, places)
         line, longest = local.fill_grid(u, places), _longest_bridged(local, u, places, int(np.max(gap.missing)))
-    if np.mean(~there & ~np.isnan(line)) > SCATTERED:
-        longest = max(longest, min(ALWAYS, int(np.quantile(gap.missing, 0.99)) if gap.missing.size else 0))
+    if np.mean(~there & ~np.isnan(line)) > TUNING.gaps_scattered:
+        longest = max(longest, min(TUNING.gaps_always, int(np.quantile(gap.missing, 0.99)) if gap.missing.size else 0))
     longest = longest if bridged else 0
     for first, last in zip(gap.before, gap.after, strict=True):
         if last - first - 1 > longest:
@@ -165,16 +146,16 @@ def _longest_held(u: Floats, there: Flags) -> int:
     places = np.flatnonzero(there)
     changes = places[1:][np.diff(u[places]) != 0]
     if changes.size < 2:
-        return LENGTHS[-1]
-    return int(min(LENGTHS[-1], np.quantile(np.diff(changes), SHORTEST) - 1))
+        return TUNING.gaps_lengths[-1]
+    return int(min(TUNING.gaps_lengths[-1], np.quantile(np.diff(changes), TUNING.gaps_shortest) - 1))
 
 
 def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp], most: int) -> int:
     """Longest gap that interpolation fills faithfully [samples], by the samples u (m,) at their places (m,); at most
     the longest gap of the record."""
     size, longest = float(np.sqrt(np.mean(u**2))), 0
-    for length in LENGTHS:
-        if u.size < 10 * (length + 2) or local.estimate_error(u, places, length) > FAITHFUL * size * length:
+    for length in TUNING.gaps_lengths:
+        if u.size < 10 * (length + 2) or local.estimate_error(u, places, length) > TUNING.gaps_faithful * size * length:
             break
         longest = length
         if length >= most:

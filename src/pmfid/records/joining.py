@@ -8,12 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.records.gaps import APART
 from pmfid.records.record import Record
+from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
-
-#: Largest relative difference of sample periods, which tolerances of clocks explain.
-SAME_PERIOD = 1e-3
 
 
 def join_records(records: Sequence[Record], place_matters: bool) -> Record:
@@ -30,7 +27,7 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
             "known; identify them one by one"
         )
     for record in records[1:]:
-        if abs(record.dt / first.dt - 1) > SAME_PERIOD:
+        if abs(record.dt / first.dt - 1) > TUNING.joining_same_period:
             raise UsageError(
                 f"{record.name} has a sample period of {record.dt:g} s, {first.name} one of {first.dt:g} s: identify "
                 "them one by one"
@@ -51,7 +48,7 @@ def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Co
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
     if first:
         return record.u, counts, there
-    gap = np.full(APART, np.nan), np.full(APART, start), np.zeros(APART, bool)
+    gap = np.full(TUNING.gaps_apart, np.nan), np.full(TUNING.gaps_apart, start), np.zeros(TUNING.gaps_apart, bool)
     return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there]
 
 

@@ -12,18 +12,10 @@ from pmfid.config.axis import Axis
 from pmfid.estimators.plants import plant_of
 from pmfid.findings import Finding, codes, texts
 from pmfid.records.record import Record
+from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Floats
 
 __all__ = ["Wrap", "wrap_of"]
-
-#: Once the wrap is undone: largest change, as a part of the range; largest roughness, as a part of the former one.
-ROOM, SMOOTHER = 0.25, 0.1
-#: Jumps of one size differ by at most this part of it.
-ALIKE = 0.05
-#: Largest relative distance of a range from whole turns.
-WHOLE_TURNS = 0.005
-#: Largest width of a counter; least range of the counts, for over fewer any motion may look like a jump.
-MOST_BITS, LEAST = 32, 8
 
 
 @dataclass(frozen=True)
@@ -47,7 +39,7 @@ class Wrap:
             return what, f"give [encoder] bits = {self.bits}"
         travel = self.span * resolution
         turns = round(travel / (2 * math.pi))
-        whole = turns > 0 and abs(travel / (2 * math.pi * turns) - 1) < WHOLE_TURNS
+        whole = turns > 0 and abs(travel / (2 * math.pi * turns) - 1) < TUNING.whole_turns
         return (
             what,
             f'give [encoder] range = "{turns} rev"' if whole else f'give [encoder] range = "{travel:.9g} {unit}"',
@@ -60,7 +52,9 @@ def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
     change, extent = np.diff(counts), int(np.ptp(counts))
     jumps = np.abs(change) > extent / 2
     usual = int(np.max(np.abs(change[~jumps]), initial=0))
-    if extent < LEAST or not np.any(jumps) or usual == 0:  # without motion between the jumps, these are the motion
+    if (
+        extent < TUNING.outliers_least or not np.any(jumps) or usual == 0
+    ):  # without motion between the jumps, these are the motion
         return None
     for span in _spans(change, jumps, usual, extent):
         undone = (change + span // 2) % span - span // 2
@@ -78,37 +72,18 @@ def _smooth(
     """Do the undone changes give a motion in which the former jumps are like the other changes?"""
     rough, smooth = (float(np.sum(np.diff(series.astype(np.float64)) ** 2)) for series in (change, undone))
     alike = np.max(np.abs(undone[jumps])) <= 2 * usual + 2
-    return bool(alike and np.max(np.abs(undone)) <= ROOM * span and smooth <= SMOOTHER * rough)
+    return bool(
+        alike and np.max(np.abs(undone)) <= TUNING.outliers_room * span and smooth <= TUNING.outliers_smoother * rough
+    )
 
 
 def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, extent: int) -> list[int]:
     """Ranges to try: the range of a counter, and the size of the jumps, for another period such as a turn."""
     counter = 2 ** math.ceil(math.log2(extent + 1))
     sizes = np.abs(change[jumps])
-    spans = [counter] if counter <= 2**MOST_BITS else []
+    spans = [counter] if counter <= 2**TUNING.most_bits else []
     typical = round(float(np.median(sizes)) + float(np.median(np.abs(change[~jumps]))))
-    return [*spans, max(typical, extent + 1)] if np.ptp(sizes) <= ALIKE * extent + 2 * usual else spans
-
-
-#: Changes of the counts in the window of the median that predicts one change. The median follows a velocity that steps,
-#: and five wrong changes in a row do not move it. Steps of the velocity are searched in the same window.
-AROUND = 11
-#: Allowed deviation from the median [counts], and as a multiple of the usual deviation plus the step of the velocity.
-COUNTS, TIMES = 10.0, 4.0
-#: Quantile of the deviations that counts as usual.
-USUAL = 0.95
-#: Most passes: wrong changes close together hide each other.
-PASSES = 4
-#: Largest part of wrong changes; above it, the errors are not single samples.
-MOST_CHANGES = 0.04
-#: Least ratio of a spike to the quantile 1 - MOST_INPUTS of the input; answer of the velocity, as a multiple of its
-#: usual change over ANSWER_SAMPLES samples, above which the input is no spike.
-SPIKE, ANSWER, ANSWER_SAMPLES = 50.0, 3.0, 10
-MOST_INPUTS = 0.01
-#: Windows that are sorted at once: the windows of a long record need eleven times its memory.
-CHUNK = 65_536
-#: Rows that a sentence names.
-NAMED = 4
+    return [*spans, max(typical, extent + 1)] if np.ptp(sizes) <= TUNING.outliers_alike * extent + 2 * usual else spans
 
 
 @dataclass(frozen=True)
@@ -151,7 +126,10 @@ def repair_record(record: Record) -> RepairedRecord:
         runs, moves, counts = [], [], record.counts
     rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
     spikes = _spikes(record.u, counts)
-    left_out = [("count_jump", text) for text in (*_wrong(rows), *(_describe_shift(run) for run in moves[:NAMED]))]
+    left_out = [
+        ("count_jump", text)
+        for text in (*_wrong(rows), *(_describe_shift(run) for run in moves[: TUNING.outliers_named]))
+    ]
     left_out += [("invalid_input", text) for text in _spiky(spikes)]
     if not left_out:
         return RepairedRecord(record)
@@ -168,7 +146,7 @@ def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
 def _find_runs(counts: Counts) -> tuple[list[_WrongRun], Counts]:
     """Runs of changes that are no motion, and the counts (n,) without them; no runs if some remain after all passes."""
     found, left = list[_WrongRun](), counts
-    for _ in range(PASSES):
+    for _ in range(TUNING.outliers_passes):
         runs = _runs(left)
         if not runs:
             return found, left
@@ -181,16 +159,16 @@ def _runs(counts: Counts) -> list[_WrongRun]:
     change = np.diff(counts).astype(np.float64)
     usual, limit = _predict_changes(change)
     wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
-    if not 0 < wild.size <= max(2, MOST_CHANGES * change.size):
+    if not 0 < wild.size <= max(2, TUNING.most_changes * change.size):
         return []
-    near = np.split(wild, np.flatnonzero(np.diff(wild) > AROUND // 2) + 1)
+    near = np.split(wild, np.flatnonzero(np.diff(wild) > TUNING.outliers_around // 2) + 1)
     return [run for part in near for run in _split_runs(counts, part, usual, limit)]
 
 
 def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
     """(n,): changes near either end of the record that lie on the line through the next two. There the mirrored window
     does not show how a motion starts."""
-    half, found = min(AROUND // 2, change.size - 2), np.zeros(change.size, dtype=bool)
+    half, found = min(TUNING.outliers_around // 2, change.size - 2), np.zeros(change.size, dtype=bool)
     for own, near, next_one in ((slice(0, half), 1, 2), (slice(change.size - half, None), -1, -2)):
         line = 2 * np.roll(change, -near) - np.roll(change, -next_one)
         found[own] = np.abs(change - line)[own] <= limit[own]
@@ -219,16 +197,21 @@ def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) ->
 def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
     """The predicted changes of the counts (n,), and the allowed deviations (n,)."""
     windows = _stack_neighbours(change)
-    middle = np.concatenate([np.median(windows[k : k + CHUNK], axis=1) for k in range(0, len(windows), CHUNK)])
+    middle = np.concatenate(
+        [
+            np.median(windows[k : k + TUNING.outliers_chunk], axis=1)
+            for k in range(0, len(windows), TUNING.outliers_chunk)
+        ]
+    )
     steps = np.max(_stack_neighbours(np.abs(np.diff(middle, append=middle[-1:]))), axis=1)
     moving = middle != 0
-    usual = float(np.quantile(np.abs(change - middle)[moving], USUAL)) if np.any(moving) else 0.0
-    return middle, COUNTS + TIMES * (usual + steps)
+    usual = float(np.quantile(np.abs(change - middle)[moving], TUNING.outliers_usual)) if np.any(moving) else 0.0
+    return middle, TUNING.outliers_counts + TUNING.outliers_times * (usual + steps)
 
 
 def _stack_neighbours(values: Floats) -> Floats:
-    """(n, AROUND): a window around each of the values (n,), mirrored at the ends."""
-    half = min(AROUND // 2, values.size - 1)
+    """(n, outliers_around): a window around each of the values (n,), mirrored at the ends."""
+    half = min(TUNING.outliers_around // 2, values.size - 1)
     return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
 
 
@@ -253,15 +236,15 @@ def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     """Samples of the input (n,) that are spikes: the counts (n,) do not follow them."""
     size = np.abs(np.nan_to_num(u))  # in a gap nobody knows it
-    large = np.flatnonzero(size > SPIKE * np.quantile(size, 1 - MOST_INPUTS, method="lower"))
-    if large.size == 0 or counts.size < 4 * ANSWER_SAMPLES:
+    large = np.flatnonzero(size > TUNING.outliers_spike * np.quantile(size, 1 - TUNING.most_inputs, method="lower"))
+    if large.size == 0 or counts.size < 4 * TUNING.answer_samples:
         return large[:0]
-    travelled = np.pad(counts.astype(np.float64), 2 * ANSWER_SAMPLES, mode="edge")
-    half = ANSWER_SAMPLES
+    travelled = np.pad(counts.astype(np.float64), 2 * TUNING.answer_samples, mode="edge")
+    half = TUNING.answer_samples
     answer = np.abs(travelled[2 * half :] - 2 * travelled[half:-half] + travelled[: -2 * half])[half:-half]
     moving = answer[answer > 0]
-    usual = float(np.quantile(moving, USUAL)) if moving.size else 0.0
-    return large[answer[large] <= ANSWER * usual]
+    usual = float(np.quantile(moving, TUNING.outliers_usual)) if moving.size else 0.0
+    return large[answer[large] <= TUNING.outliers_answer * usual]
 
 
 def _bridge_input(u: Floats, places: NDArray[np.intp]) -> Floats:
@@ -272,8 +255,8 @@ def _bridge_input(u: Floats, places: NDArray[np.intp]) -> Floats:
 
 def _format_rows(rows: list[int]) -> str:
     """The numbers of rows for people, counted from 1."""
-    shown = ", ".join(str(row + 1) for row in rows[:NAMED])
-    more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    shown = ", ".join(str(row + 1) for row in rows[: TUNING.outliers_named])
+    more = f" and {len(rows) - TUNING.outliers_named} more" if len(rows) > TUNING.outliers_named else ""
     return f"row{'s' * (len(rows) > 1)} {shown}{more}"
 
 

@@ -18,15 +18,13 @@ from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
 from pmfid.records.gaps import describe_missing, fill_gaps
 from pmfid.records.resampling import resample_uneven
+from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
 
 __all__ = ["measure_travel"]
-
-#: Largest distance of a velocity from a multiple of a step, as a part of the step.
-WHOLE = 1e-3
 
 
 def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats, str]:
@@ -37,7 +35,7 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
     These add up to the counts again. Any other velocity is linear between samples.
     """
     steps = velocity * (dt / resolution)
-    if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < WHOLE):
+    if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < TUNING.record_whole):
         return np.cumsum(np.rint(steps)) * resolution, "the velocity is the change of counts, which are added up"
     line = np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2)
     return line, "the velocity is integrated along lines between samples: an offset of it grows into the position"
@@ -59,12 +57,6 @@ def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str,
     return unwrapped, (f"the output wrapped {times} time{'s' * (times != 1)} (undone)",) if times else ()
 
 
-# Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
-_MAX_COUNT = 2.0**53
-#: Rows that are tested for counts; whole numbers without exception, and more of them than this differ, are counts.
-DISTINCT, MOST_WHOLE = 10_000, 20
-
-
 def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
     """Counts (n,) of the output column (n,) [unit of y, or counts] as `axis` describes it, and notes for people. Raises
     UsageError for a column that is neither counts nor a position, and beyond 2**53 counts."""
@@ -82,7 +74,9 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
 
 def _check_position(output: Floats, axis: Axis) -> None:
     """Refuses whole numbers as a position with a resolution below 1: such a column holds counts."""
-    whole = np.array_equal(output, np.rint(output)) and np.unique(output[:DISTINCT]).size > MOST_WHOLE
+    whole = (
+        np.array_equal(output, np.rint(output)) and np.unique(output[: TUNING.record_distinct]).size > TUNING.most_whole
+    )
     if whole and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
         raise UsageError(
             f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
@@ -94,7 +88,7 @@ def _check_position(output: Floats, axis: Axis) -> None:
 def _whole(output: Floats) -> Counts:
     rounded = np.rint(output)
     off = np.subtract(output, rounded)
-    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= _MAX_COUNT) | (output <= -_MAX_COUNT))
+    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= TUNING.max_count) | (output <= -TUNING.max_count))
     del off  # of a long record it is a good part of the memory
     if len(bad):
         raise UsageError(
@@ -109,7 +103,7 @@ def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
     which a position below an edge still belongs to it. Raises UsageError beyond 2**53 counts."""
     with np.errstate(over="ignore"):
         counts = np.floor(y / step + tolerance)
-    bad = np.flatnonzero(np.abs(counts) >= _MAX_COUNT)
+    bad = np.flatnonzero(np.abs(counts) >= TUNING.max_count)
     if len(bad):
         raise UsageError(
             f"the position {y[bad[0]]:.9g} in row {bad[0] + 1} is more than 2**53 counts of {step:g}; "
@@ -139,9 +133,6 @@ def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
     if largest > 0.25:
         notes.append(f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous")
     return np.concatenate((counts[:1], counts[0] + np.cumsum(steps))), tuple(notes)
-
-
-MIN_SAMPLES = 10
 
 
 @dataclass(frozen=True)
@@ -326,10 +317,10 @@ def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> 
     u, y = columns["input"], columns["output"]
     repeated = np.r_[False, (u[1:] == u[:-1]) & (y[1:] == y[:-1])]
     rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config, y)
-    if rows.rows.size < MIN_SAMPLES:
+    if rows.rows.size < TUNING.min_samples:
         raise UsageError(
             f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "
-            f"{MIN_SAMPLES} are needed; leave out less, or record longer"
+            f"{TUNING.min_samples} are needed; leave out less, or record longer"
         )
     return rows, (*notes, *rows.notes)
 
@@ -339,8 +330,10 @@ def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]
     if len(set(lengths.values())) > 1:
         raise UsageError(f"the columns differ in length: {lengths}; save them over the same samples")
     n = len(columns["input"])
-    if n < MIN_SAMPLES:
-        raise UsageError(f"the record has {n} sample{'s' * (n != 1)}, at least {MIN_SAMPLES} are needed; record longer")
+    if n < TUNING.min_samples:
+        raise UsageError(
+            f"the record has {n} sample{'s' * (n != 1)}, at least {TUNING.min_samples} are needed; record longer"
+        )
 
 
 def _check_not_empty(label: str, values: Floats) -> None:

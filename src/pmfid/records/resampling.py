@@ -7,23 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.records.clock import EVEN, LONGEST, even_grid, find_places, is_steady, misses_lines
+from pmfid.records.clock import even_grid, find_places, is_steady, misses_lines
+from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
-
-#: Steps that differ from their median by less than this part are taken as even.
-EVEN_STEPS = 0.02
-#: Stamps are the instants of the samples if they leave less than this part of what an even clock leaves unexplained.
-EXPLAINED = 0.9
-#: A step beyond this many usual ones is a gap: nothing is interpolated across a gap.
-LONGEST_STEP = 3.5
-#: Part of the steps, the shortest ones, whose mean is usual.
-USUAL = 0.98
-#: Length of a record in median steps, as a multiple of its samples, from which on missing lines do not explain it.
-MOST_MISSING = 2.0
-#: Two halves of a record agree on the period within this part: half of it is an error of the mass that matters.
-SAME_PERIOD = 0.01
-#: Fewest samples for a decision.
-FEWEST = 50
 
 
 @dataclass(frozen=True)
@@ -40,31 +26,31 @@ class Resampled:
 def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
     """The record (N,) on an even grid, or None if its clock is even but for gaps, or is no clock at all.
 
-    A gap of more than LONGEST samples is shortened, whatever its stamps say: the motion restarts after it anyway.
+    A gap of more than clock_longest samples is shortened, whatever its stamps say: the motion restarts after it anyway.
     The input is held from stamp to stamp, and its mean over each interval of the grid is taken: no impulse is lost.
     The output is interpolated by a cubic that keeps its shape (Fritsch and Carlson 1980).
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
     stamps, u, y = time[known], u[known], y[known]
-    if stamps.size < FEWEST or not _is_uneven(stamps, y):
+    if stamps.size < TUNING.resampling_fewest or not _is_uneven(stamps, y):
         return None
     from scipy.interpolate import PchipInterpolator
 
     steps = np.diff(stamps)
     period = _usual_step(steps)
     by_stamps, by_clock = _measure_unexplained(stamps, y)
-    if by_clock < EXPLAINED * by_stamps:
+    if by_clock < TUNING.resampling_explained * by_stamps:
         return _take_even_clock(stamps, u, y)
-    steps = np.minimum(steps, LONGEST * period)
+    steps = np.minimum(steps, TUNING.clock_longest * period)
     stamps = stamps[0] + np.r_[0.0, np.cumsum(steps)]
     grid = stamps[0] + period * np.arange(int((stamps[-1] - stamps[0]) / period) + 1)
     after = np.clip(np.searchsorted(stamps, grid, side="right"), 1, stamps.size - 1)
-    gap = (steps > LONGEST_STEP * period)[after - 1] & (grid != stamps[after - 1])
+    gap = (steps > TUNING.longest_step * period)[after - 1] & (grid != stamps[after - 1])
     impulse = np.r_[0.0, np.cumsum(u[:-1] * steps)]
     ends = np.r_[grid, grid[-1] + period]
     total = np.interp(ends, stamps, impulse) + u[-1] * np.maximum(ends - stamps[-1], 0.0)
     position = PchipInterpolator(stamps, y)(grid)
-    apart = float(np.sqrt(np.mean((steps[steps <= LONGEST_STEP * period] / period - 1) ** 2)))
+    apart = float(np.sqrt(np.mean((steps[steps <= TUNING.longest_step * period] / period - 1) ** 2)))
     return Resampled(grid, np.where(gap, np.nan, np.diff(total) / period), np.where(gap, np.nan, position), apart)
 
 
@@ -74,32 +60,38 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
     period, start = np.polyfit(k, stamps, 1)
     half = stamps.size // 2
     halves = [np.polyfit(k[part], stamps[part], 1)[0] for part in (slice(half), slice(half, None))]
-    jitter = float(np.std(np.diff(stamps)) / period) if abs(halves[0] - halves[1]) > SAME_PERIOD * period else 0.0
+    jitter = (
+        float(np.std(np.diff(stamps)) / period)
+        if abs(halves[0] - halves[1]) > TUNING.resampling_same_period * period
+        else 0.0
+    )
     return Resampled(start + period * k, u, y, jitter)
 
 
 def _usual_step(steps: Floats) -> float:
     """The mean of the steps (n,) without gaps; in bursts most steps are shorter than that."""
-    mean = np.mean(steps[steps <= np.quantile(steps, USUAL)])
-    return float(np.mean(steps[steps <= LONGEST_STEP * mean]))
+    mean = np.mean(steps[steps <= np.quantile(steps, TUNING.resampling_usual)])
+    return float(np.mean(steps[steps <= TUNING.longest_step * mean]))
 
 
 def _is_uneven(stamps: Floats, y: Floats) -> bool:
     steps = np.diff(stamps)
     median = float(np.median(steps))
-    if not (np.min(steps) > 0 and np.max(np.abs(steps - median)) > EVEN_STEPS * median):
+    if not (np.min(steps) > 0 and np.max(np.abs(steps - median)) > TUNING.even_steps * median):
         return False
-    if np.sum(steps) > MOST_MISSING * steps.size * median:  # bursts, or lines that are missing more often than not
+    if (
+        np.sum(steps) > TUNING.most_missing * steps.size * median
+    ):  # bursts, or lines that are missing more often than not
         return True
     if misses_lines(stamps, y) is not None:
         return False
     steady, even = is_steady(stamps), even_grid(stamps)[1]
-    if steady and not even and np.max(np.abs(steps - median)) > EVEN * median:
+    if steady and not even and np.max(np.abs(steps - median)) > TUNING.clock_even * median:
         return True
     if steady or even:
         by_stamps, by_clock = _measure_unexplained(stamps, y)
-        late = by_clock < EXPLAINED * by_stamps and not steady
-        return late or by_stamps < EXPLAINED * by_clock
+        late = by_clock < TUNING.resampling_explained * by_stamps and not steady
+        return late or by_stamps < TUNING.resampling_explained * by_clock
     return find_places(stamps) is None
 
 
@@ -107,6 +99,6 @@ def _measure_unexplained(stamps: Floats, y: Floats) -> tuple[float, float]:
     """How far the output (n,) is off lines through its neighbours, by the stamps (n,) and by an even clock."""
     steps = np.diff(stamps)
     part = steps[:-1] / (steps[:-1] + steps[1:])
-    single: Flags = (steps[:-1] + steps[1:]) < 2 * LONGEST_STEP * _usual_step(steps)
+    single: Flags = (steps[:-1] + steps[1:]) < 2 * TUNING.longest_step * _usual_step(steps)
     change, whole = y[1:-1] - y[:-2], y[2:] - y[:-2]
     return float(np.sum(np.abs(change - part * whole)[single])), float(np.sum(np.abs(change - 0.5 * whole)[single]))

@@ -21,11 +21,12 @@ from pmfid.diagnostics.balance import (
     residual_sentence,
     simulation_sentence,
 )
-from pmfid.diagnostics.drives import MEMORIES
+from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import PmfidError
 from pmfid.pipeline.result import DriveResult
-from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, decimation, figure_style
+from pmfid.report.figures import COLOURS, GREY, MAGENTA, decimation, figure_style
 from pmfid.report.html import Section, svg
+from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 
 
@@ -35,7 +36,7 @@ def followed_figure(
     """Measured and simulated output (n,) over time t (n,) [s], below them an error (n,); output, left: labels of both.
     shaded: time [s] of the first samples, which the start was fitted to."""
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 4.4), layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         for signal, label, style in zip(signals, ("measured", "simulated"), ("-", "--"), strict=True):
             i = decimation(signal)
@@ -52,9 +53,6 @@ def followed_figure(
     return figure
 
 
-MAX_DOTS = 1200
-
-
 def simulation_figure(balance: Balance) -> Figure:
     """Filtered velocity measured and simulated, and the position measured less simulated, over time."""
     followed = balance.measured, balance.simulated
@@ -67,7 +65,7 @@ def residual_figure(balance: Balance) -> Figure:
     """The residual over velocity and position: samples, and means with two standard errors."""
     own = balance.estimator.equation.motion
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.4), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         views = (
             (balance.velocity, balance.residual, balance.by_velocity, f"filtered velocity [{own.speed}]"),
@@ -88,7 +86,7 @@ def friction_figure(balance: Balance) -> Figure:
     """Friction force over velocity, measured, with the model's line."""
     own = balance.estimator.equation.motion
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.8), layout="constrained")
         axes = figure.subplots()
         if balance.friction is not None:
             left = balance.friction.left
@@ -109,7 +107,7 @@ def correlation_figure(balance: Balance) -> Figure:
     found, dt = correlations(balance), balance.estimator.dt
     lags = np.arange(found.own.size) * dt
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.2), layout="constrained")
         own, cross = figure.subplots(1, 2)
         own.plot(lags, found.own, label="residual")
         own.plot(lags, found.encoder, "--", color=GREY, label="encoder's error alone, filtered")
@@ -128,7 +126,7 @@ def correlation_figure(balance: Balance) -> Figure:
 
 
 def _dots(axes: Axes, x: Floats, y: Floats) -> None:
-    every = -(-x.size // MAX_DOTS)
+    every = -(-x.size // TUNING.max_dots)
     axes.plot(x[::every], y[::every], ".", color=COLOURS[4], alpha=0.7, ms=3.5, mew=0, label="samples")
 
 
@@ -195,6 +193,7 @@ def _window(result: DriveResult, balance: Balance) -> str:
         return ""
     start, end = balance.t[0], balance.t[-1]
     return (
-        f"\n\nAll model checks are from {start:.4g} s to {end:.4g} s, {MEMORIES:g} memories of the estimate, with its "
+        f"\n\nAll model checks are from {start:.4g} s to {end:.4g} s, {DIAGNOSTIC_TUNING.drives_memories:g} "
+        "memories of the estimate, with its "
         "last value."
     )

@@ -10,11 +10,7 @@ from pmfid.pipeline.identify import Comparison
 from pmfid.pipeline.result import ProcessResult
 from pmfid.report.figures import GREY, figure_style
 from pmfid.report.html import Section, svg, write_json, write_report
-
-#: Most panels in a row; the numbers of more would not fit.
-PANELS = 4
-#: A fit beyond this [percent] is shown by its size alone.
-HUGE = 1e5
+from pmfid.report.tuning import TUNING
 
 
 def write_comparison(out: Path, comparison: Comparison) -> None:
@@ -54,17 +50,18 @@ def _fit(percent: float | None) -> str:
     """A useless estimate's fit may have any number of digits; an unstable one has none."""
     if percent is None:
         return "–"
-    return f"{percent:.2f}" if abs(percent) < HUGE else f"{percent:.2g}"
+    return f"{percent:.2f}" if abs(percent) < TUNING.comparison_huge else f"{percent:.2g}"
 
 
 def comparison_dots(comparison: Comparison) -> Figure:
-    """One panel for each parameter, PANELS in a row: estimates by method with error bars of two standard deviations.
+    """One panel for each parameter, comparison_panels in a row: estimates by method with error bars of two standard
+    deviations.
 
     Thin lines show the model spread if it is known.
     """
     first = next(iter(comparison.results.values()))
     methods = list(comparison.results)
-    lines, columns = -(-len(first.names) // PANELS), min(PANELS, len(first.names))
+    lines, columns = -(-len(first.names) // TUNING.comparison_panels), min(TUNING.comparison_panels, len(first.names))
     with figure_style():
         figure = Figure(figsize=(10, lines * (1.2 + 0.34 * len(methods))), layout="constrained")
         grid = figure.subplots(lines, columns, sharey=True, squeeze=False)

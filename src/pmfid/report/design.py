@@ -17,14 +17,13 @@ from pmfid.design.encoder_error import is_counted
 from pmfid.design.fisher import CRITERIA
 from pmfid.design.problem import Design, Problem
 from pmfid.design.rounds import Commissioning
-from pmfid.report.figures import COLOURS, GREY, MAGENTA, WIDTH, Style, figure_style
+from pmfid.report.figures import COLOURS, GREY, MAGENTA, Style, figure_style
 from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["ellipse_figure", "gathering_figure", "motion_figure"]
 
-#: chi-square of two degrees of freedom at 95 %.
-CHI2 = 5.991
 LINE_STYLES = ("-", "--", "-.", ":")
 
 #: name -> (input (n,), position (n+1,), velocity (n+1,))
@@ -34,7 +33,7 @@ Inputs = Mapping[str, tuple[Floats, Floats, Floats]]
 def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
     """Input, velocity and position over time, with their limits dashed."""
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 6.2), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 6.2), layout="constrained")
         panels = figure.subplots(3, 1, sharex=True)
         for axes, label, limit in zip(
             panels,
@@ -59,7 +58,7 @@ def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
 def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -> Figure:
     """Value of the criterion for the samples so far; curves: name -> (t (N,), value (N,))."""
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.2), layout="constrained")
         axes = figure.add_subplot()
         for name, look in _looks(curves):
             axes.plot(*curves[name], **look)
@@ -77,7 +76,7 @@ def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, 
     if not pairs:
         return None
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.6 if len(pairs) > 1 else 4.4), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.6 if len(pairs) > 1 else 4.4), layout="constrained")
         panels = figure.subplots(1, len(pairs), squeeze=False)[0]
         for axes, (i, j) in zip(panels, pairs, strict=True):
             for name, look in _looks(fishers):
@@ -95,7 +94,7 @@ def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: Style) -> 
         return
     covariance = np.linalg.inv(fisher)[np.ix_(pair, pair)]
     angle = np.linspace(0, 2 * np.pi, 200)
-    circle = np.sqrt(CHI2) * np.array([np.cos(angle), np.sin(angle)])
+    circle = np.sqrt(TUNING.design_chi2) * np.array([np.cos(angle), np.sin(angle)])
     axes.plot(*(np.linalg.cholesky(covariance) @ circle), **look)
 
 

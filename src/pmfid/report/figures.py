@@ -19,15 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
 from pmfid.estimators.results import Track
+from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-MAX_POINTS = 2000
 #: Okabe and Ito (2008): eight colours that colour-blind readers tell apart; yellow and black are left out.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
 MAGENTA = "#CC0099"
 GREY = "#777777"
-WIDTH = 9.0
 #: With these bits set an estimate is not to be relied on.
 DOUBTFUL = Status.POOR_EXCITATION | Status.COMPENSATION_HELD
 NO_ESTIMATE = Status.STARTING | Status.SETTLING
@@ -76,7 +75,7 @@ def save_png(figure: Figure, path: Path, width: int = 1200) -> None:
         figure.savefig(path, format="png", dpi=width / figure.get_figwidth(), metadata={"Software": None})
 
 
-def decimation(y: ArrayLike, limit: int = MAX_POINTS) -> NDArray[np.int64]:
+def decimation(y: ArrayLike, limit: int = TUNING.max_points) -> NDArray[np.int64]:
     """Indices of at most `limit` (>= 4) samples of y (n,), rising: the ends, and the extremes of equal parts.
 
     All n where these are not more; a sample that is not finite is no extreme.
@@ -92,12 +91,12 @@ def decimation(y: ArrayLike, limit: int = MAX_POINTS) -> NDArray[np.int64]:
 
 
 def stretches(t: ArrayLike, flags: Flags) -> list[tuple[float, float]]:
-    """(start, length) in s of the stretches where flags (n,) is set, at most MAX_POINTS / 2 of them.
+    """(start, length) in s of the stretches where flags (n,) is set, at most max_points / 2 of them.
 
     Of a long record each group of neighbouring samples counts as set where one of them is.
     """
     t = np.asarray(t, float)
-    starts = np.arange(0, t.size, -(-t.size // MAX_POINTS))
+    starts = np.arange(0, t.size, -(-t.size // TUNING.max_points))
     grouped = np.logical_or.reduceat(flags, starts)
     change = np.flatnonzero(np.diff(np.r_[False, grouped, False].astype(np.int8)))
     edges = np.r_[t[starts], _end(t)][change]
@@ -126,7 +125,7 @@ def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike]
 def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Floats | None) -> None:
     theta, band = _mask_start(track, name), 2 * track.theta_std[:, track.names.index(name)]
     low, high = theta - band, theta + band
-    i = np.union1d(decimation(low, MAX_POINTS // 2), decimation(high, MAX_POINTS // 2))
+    i = np.union1d(decimation(low, TUNING.max_points // 2), decimation(high, TUNING.max_points // 2))
     shown = np.isfinite(band[i])
     _line(axes, t, theta, color=COLOURS[0], label="estimate")
     axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, zorder=1, label="±2 std")
@@ -201,7 +200,7 @@ def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
     t, bits = _time(t, {"status": status}), np.asarray(status)
     occurring = [bit for bit in Status if np.any(bits & bit)]
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.8 + 0.3 * max(1, len(occurring))), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 0.8 + 0.3 * max(1, len(occurring))), layout="constrained")
         axes = figure.add_subplot()
         for row, bit in enumerate(occurring):
             colour = COLOURS[1] if bit in DOUBTFUL else COLOURS[0]
@@ -218,7 +217,7 @@ def residual_figure(t: ArrayLike, residual: ArrayLike, *, unit: str = "N") -> Fi
     """Residual (n,) over time t (n,) [s], and its histogram. Raises UsageError if the lengths differ."""
     t, e = _time(t, {"residual": residual}), np.asarray(residual, float)
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 2.6), layout="constrained")
         axes, side = figure.subplots(1, 2, sharey=True, width_ratios=(4, 1))
         _line(axes, t, e, lw=0.8)
         counts, edges = np.histogram(e[np.isfinite(e)], bins=40)
@@ -247,7 +246,7 @@ def _end(t: Floats) -> float:
 
 
 def _panels(rows: int, height: float, sharey: bool = False) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTH, 0.9 + height * rows), layout="constrained")
+    figure = Figure(figsize=(TUNING.figures_width, 0.9 + height * rows), layout="constrained")
     panels = figure.subplots(rows, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0]
     return figure, list(panels)
 

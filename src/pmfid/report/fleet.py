@@ -18,10 +18,11 @@ from matplotlib.patches import Patch
 
 from pmfid.errors import printable
 from pmfid.fleet.history import History
-from pmfid.fleet.plan import DAY
-from pmfid.fleet.verdicts import LEAST_AXES, when
-from pmfid.report.figures import COLOURS, GREY, WIDTH, figure_style
+from pmfid.fleet.tuning import TUNING as FLEET_TUNING
+from pmfid.fleet.verdicts import when
+from pmfid.report.figures import COLOURS, GREY, figure_style
 from pmfid.report.html import Cell, Section, Table, svg, write_json, write_report
+from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
@@ -33,20 +34,14 @@ KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0], "wa
 MARKERS = {"changed": "o", "drifts": "^", "differs": "s", "wanders": "d"}
 LINES = (("-", "o"), ("--", "^"), (":", "s"), ("-.", "d"))
 MAP = {"change": COLOURS[1], "no estimate": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
-#: Names that are written into a panel, and of a change of so much [%]; rows of the map, and periods of it.
-NAMES, SHOWN, ROWS, COLUMNS = 6, 2.0, 50, 400
-#: Axes whose trend is drawn; letters of a name; rows of the map in which nothing is the matter, to compare with.
-TRENDS, LONGEST, QUIET = 6, 24, 10
 #: Kinds of verdicts with a course over time, and the least height of a panel of it [%].
 MOVING, LEAST_HEIGHT = ("changed", "drifts"), 2.0
-#: Days of a history from which its times are labelled by the date alone.
-DATES = 2.0
 
 
 def spread_figure(found: History) -> Figure:
     """A panel for each parameter: relative distance from the median of the type, and relative change, of each axis."""
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.4), layout="constrained")
         panels = figure.subplots(1, len(found.names), squeeze=False)[0]
         for panel, name in zip(panels, found.names, strict=True):
             _panel(panel, found, name)
@@ -71,7 +66,7 @@ def _panel(panel: Axes, found: History, name: str) -> None:
         which = kinds == kind
         panel.plot(x[which], y[which], MARKERS[kind], color=colour, ms=4)
     most = np.where(kinds == "differs", np.abs(x), np.abs(y))
-    notable = [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > SHOWN]
+    notable = [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > TUNING.fleet_shown]
     for k in _choose_labels(x, y, notable):
         panel.annotate(label_of(axes["axis"][k]), (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
     panel.margins(x=0.15)
@@ -81,13 +76,13 @@ def _panel(panel: Axes, found: History, name: str) -> None:
 
 
 def _choose_labels(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
-    """The first NAMES places whose names do not overlap."""
+    """The first fleet_names places whose names do not overlap."""
     width, height = max(float(np.ptp(x)), 1e-9), max(float(np.ptp(y)), 1e-9)
     found: list[int] = []
     for k in places:
         if all(abs(x[k] - x[j]) > 0.4 * width or abs(y[k] - y[j]) > 0.06 * height for j in found):
             found.append(k)
-    return found[:NAMES]
+    return found[: TUNING.fleet_names]
 
 
 def _set_least_height(panel: Axes) -> None:
@@ -102,14 +97,14 @@ def moving(found: History) -> pl.DataFrame:
     """The first axes whose course over time is their matter."""
     import polars as pl
 
-    return found.named.filter(pl.col("kind").is_in(MOVING)).head(TRENDS)
+    return found.named.filter(pl.col("kind").is_in(MOVING)).head(TUNING.fleet_trends)
 
 
 def ticks_of(times: Floats) -> list[str]:
     """Times [s] as they are written at an axis: by the date alone where that tells them apart."""
     texts = [when(float(time)) for time in times]
-    days = (times[-1] - times[0]) / DAY if times.size else 0.0
-    if days >= DATES or (times.size > 1 and len({text.partition(" ")[0] for text in texts}) == times.size):
+    days = (times[-1] - times[0]) / FLEET_TUNING.plan_day if times.size else 0.0
+    if days >= TUNING.fleet_dates or (times.size > 1 and len({text.partition(" ")[0] for text in texts}) == times.size):
         return [text.partition(" ")[0] for text in texts]
     return [text[5:-3].replace(" ", "\n") if " " in text else text for text in texts]
 
@@ -122,7 +117,7 @@ def trend_figure(found: History) -> Figure:
     named = moving(found)["axis"].to_list()
     with figure_style():
         rows = -(-len(named) // 3)
-        figure = Figure(figsize=(WIDTH, 1.0 + 1.9 * rows), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 1.0 + 1.9 * rows), layout="constrained")
         panels = figure.subplots(rows, 3, squeeze=False).ravel()
         for panel, axis in zip(panels, named, strict=False):
             own = found.periods.filter((pl.col("axis") == axis) & (pl.col("quality") != "none"))
@@ -150,7 +145,7 @@ def trend_figure(found: History) -> Figure:
 def label_of(axis: str) -> str:
     """A name as it can be drawn: short, without control characters, and no formula."""
     text = printable(axis).replace("\n", " ").replace("$", r"\$")
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+    return text if len(text) <= TUNING.fleet_longest else f"{text[: TUNING.fleet_longest - 1]}…"
 
 
 def map_figure(found: History) -> Figure:
@@ -159,7 +154,7 @@ def map_figure(found: History) -> Figure:
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
     shown = found.periods.filter(found.periods["axis"].is_in(order))
-    edges = times[:: -(-times.size // COLUMNS)]
+    edges = times[:: -(-times.size // TUNING.fleet_columns)]
     grid = np.full((len(order), edges.size), len(MAP) - 1)
     levels = {name: level for level, name in enumerate(MAP)}
     for axis, period, quality, findings in shown.select("axis", "period", "quality", "findings").iter_rows():
@@ -167,7 +162,7 @@ def map_figure(found: History) -> Figure:
         level = levels["change" if "changed" in findings.split() else "no estimate" if quality == "none" else quality]
         grid[place[axis], column] = min(level, grid[place[axis], column])
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 1.2 + 0.14 * max(8, len(order))), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 1.2 + 0.14 * max(8, len(order))), layout="constrained")
         axes = figure.subplots()
         norm = BoundaryNorm(np.arange(len(MAP) + 1) - 0.5, len(MAP))
         axes.imshow(grid, cmap=ListedColormap(list(MAP.values())), norm=norm, aspect="auto", interpolation="nearest")
@@ -187,7 +182,7 @@ def _order(found: History) -> list[str]:
     rows = enumerate(found.axes.select("axis", "kind").iter_rows())
     ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
     notable = sum(not quiet or doubts < 0 for quiet, doubts, *_ in ranked)
-    return [axis for *_, axis in ranked][: min(ROWS, notable + QUIET)]
+    return [axis for *_, axis in ranked][: min(TUNING.fleet_rows, notable + TUNING.fleet_quiet)]
 
 
 def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> None:
@@ -199,10 +194,6 @@ def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> 
         label.set_color(KINDS.get(kinds[axis], "black"))
         label.set_fontweight("bold" if kinds[axis] in KINDS else "normal")
     axes.grid(visible=False)
-
-
-#: Most axes and problems in the tables; the files of the same folder have all.
-MOST_AXES, PROBLEMS, OTHERS = 60, 40, 20
 
 
 def write_fleet(out: Path, found: History, name: str) -> None:
@@ -230,11 +221,15 @@ def _attention(found: History) -> Section:
     text += _besides(found)
     rows: list[list[Cell]] = [
         [place, row["axis"], row["why"], row["kind"], _strength(row["score"]), row["type"]]
-        for place, row in enumerate(named.head(MOST_AXES).iter_rows(named=True), 1)
+        for place, row in enumerate(named.head(TUNING.fleet_most_axes).iter_rows(named=True), 1)
     ]
     typed = any(row[-1] for row in rows)
     header = ("", "axis", "why", "verdict", "evidence", *(["type"] if typed else []))
-    more = f"\n\nThe first {MOST_AXES} of {named.height}; all are in axes.parquet." if named.height > MOST_AXES else ""
+    more = (
+        f"\n\nThe first {TUNING.fleet_most_axes} of {named.height}; all are in axes.parquet."
+        if named.height > TUNING.fleet_most_axes
+        else ""
+    )
     table = (header, [row if typed else row[:-1] for row in rows]) if rows else None
     return Section("Who needs attention", text + more, table)
 
@@ -267,12 +262,16 @@ def _unknown(found: History) -> Section | None:
     if not found.unknown.height:
         return None
     findings = dict(found.periods.group_by("axis").agg(pl.col("findings").str.join(" ")).iter_rows())
-    rows: list[list[Cell]] = [[axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(OTHERS)]
+    rows: list[list[Cell]] = [
+        [axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(TUNING.fleet_others)
+    ]
     text = (
         "Of these it is not known whether anything is the matter: they stand still, their counts or their input do not "
         "reach the log, or their records are too short or damaged."
     )
-    return Section("No estimate", text + _first(OTHERS, found.unknown.height), (("axis", "findings"), rows))
+    return Section(
+        "No estimate", text + _first(TUNING.fleet_others, found.unknown.height), (("axis", "findings"), rows)
+    )
 
 
 def _words(codes: str) -> str:
@@ -292,8 +291,10 @@ def _wandering(found: History) -> Section | None:
         "a line explains that no better than a random walk does, so they are not named as changed or drifting. The "
         "size is the root mean square about the mean; the largest come first."
     )
-    rows: list[list[Cell]] = [[row["axis"], row["why"]] for row in wander.head(OTHERS).iter_rows(named=True)]
-    return Section("Axes that wander", text + _first(OTHERS, wander.height), (("axis", "what"), rows))
+    rows: list[list[Cell]] = [
+        [row["axis"], row["why"]] for row in wander.head(TUNING.fleet_others).iter_rows(named=True)
+    ]
+    return Section("Axes that wander", text + _first(TUNING.fleet_others, wander.height), (("axis", "what"), rows))
 
 
 def _strength(score: float) -> str:
@@ -311,8 +312,8 @@ def _trends(found: History) -> Section | None:
         "axes, per day, are in axes.parquet."
     )
     first, last = found.periods["first"].min(), found.periods["last"].max()
-    days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / DAY)  # type: ignore[arg-type]
-    unit = "%/day" if days == 1 else f"% within {when(DAY * days)}"
+    days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / FLEET_TUNING.plan_day)  # type: ignore[arg-type]
+    unit = "%/day" if days == 1 else f"% within {when(FLEET_TUNING.plan_day * days)}"
     header = ("axis", *(f"{name.replace('_', ' ')} [{unit}]" for name in found.names))
     rows: list[list[Cell]] = [
         [row["axis"], *(_slope(days * row[f"{name}_slope"], days * row[f"{name}_slope_std"]) for name in found.names)]
@@ -338,7 +339,8 @@ def _spread(found: History) -> Section | None:
     alone = sum(all(math.isnan(value) for value in row) for row in known.iter_rows())
     if alone:
         text += (
-            f" {alone} axes are of a type with fewer than {LEAST_AXES}: too few to tell what is usual, so they are "
+            f" {alone} axes are of a type with fewer than {FLEET_TUNING.least_axes}: too few to tell what is "
+            "usual, so they are "
             "drawn at 0 across and are judged by their own past alone."
         )
     return Section("From the others, and from their own past", text, svg=svg(spread_figure(found)), first=False)
@@ -351,21 +353,22 @@ def _map(found: History) -> Section | None:
         "A row for each axis, those that need attention at the top, with names in the colour of the verdict; a column "
         "for each period."
     )
-    if found.axes.height > QUIET:
-        text += f" Of the others the first {QUIET}, by how many periods are in doubt; {ROWS} rows at most."
+    if found.axes.height > TUNING.fleet_quiet:
+        text += f" Of the others the first {TUNING.fleet_quiet}, by how many periods are in doubt; "
+        text += f"{TUNING.fleet_rows} rows at most."
     return Section("Map of findings", text, svg=svg(map_figure(found)))
 
 
 def _list_unused(found: History) -> Section | None:
     rows: list[list[Cell]] = [
         [row["axis"] or row["file"], row["code"], row["times"], _from(row["from"]), row["text"]]
-        for row in found.problems.head(PROBLEMS).iter_rows(named=True)
+        for row in found.problems.head(TUNING.fleet_problems).iter_rows(named=True)
     ]
     if not rows:
         return None
     text = "What could not be used as it is, or was left out. Everything else was done."
-    if found.problems.height > PROBLEMS:
-        text += f" The first {PROBLEMS} of {found.problems.height}; all are in problems.parquet."
+    if found.problems.height > TUNING.fleet_problems:
+        text += f" The first {TUNING.fleet_problems} of {found.problems.height}; all are in problems.parquet."
     return Section("What could not be used", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
 
 

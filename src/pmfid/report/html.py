@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from pmfid.errors import UsageError
 from pmfid.report.figures import figure_style
+from pmfid.report.tuning import TUNING
 
 
 def replace_file(path: Path, data: bytes) -> None:
@@ -43,8 +44,6 @@ def write_json(path: Path, content: Mapping[str, object]) -> None:
 
 
 Cell = str | int | float
-#: Letters from which on a cell goes over several lines.
-LONG = 24
 Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 
 
@@ -105,13 +104,13 @@ def _part(section: Section, prefix: str) -> dict[str, object]:
     header, rows = section.table or ((), ())
     texts = [[_text(cell) for cell in row] for row in rows]
     columns = [[row[column] for row in texts] for column in range(len(header))]
-    numeric = [any(map(_is_number, own)) and max(map(len, own)) <= LONG for own in columns]
+    numeric = [any(map(_is_number, own)) and max(map(len, own)) <= TUNING.html_long for own in columns]
     return {
         "heading": section.heading,
         "paragraphs": [part for part in section.text.split("\n\n") if part.strip()],
         "header": list(zip(header, numeric, strict=True)),
         "rows": [list(zip(row, numeric, strict=True)) for row in texts],
-        "long": LONG,
+        "long": TUNING.html_long,
         "code": section.code,
         "svg": _own_ids(section.svg or "", prefix),
         "first": section.first,

@@ -21,7 +21,6 @@ from pmfid.report.figures import (
     COLOURS,
     GREY,
     MAGENTA,
-    WIDTH,
     Style,
     _finish_time,
     _label,
@@ -33,6 +32,7 @@ from pmfid.report.figures import (
     stretches,
 )
 from pmfid.report.html import Section, svg, write_report
+from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
@@ -74,7 +74,7 @@ def run_figure(data: RunData) -> Figure:
     p, strip = len(data.names), _strip_rows(data)
     heights = [1.9] * p + [0.25 + 0.2 * len(strip)] + [1.1] * 3
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 1.1 + sum(heights)), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 1.1 + sum(heights)), layout="constrained")
         panels = list(figure.subplots(p + 4, 1, sharex=True, height_ratios=heights))
         for i in range(p):
             _estimate_panel(panels[i], data, i)
@@ -166,7 +166,7 @@ def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
 def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) -> Figure:
     """Rate of false alarms over the threshold, of each detector relative to its threshold for mtbf_hours."""
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.4), layout="constrained")
         axes = figure.add_subplot()
         for colour, (name, tail) in zip(cycle(COLOURS), tails.items(), strict=False):
             unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
@@ -182,9 +182,6 @@ def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) 
         axes.set_ylabel("false alarms [1/h]")
         figure.legend(loc="outside upper center", ncols=5)
     return figure
-
-
-SHOWN_ALARMS = 200
 
 
 def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory) -> None:
@@ -251,7 +248,7 @@ def _verdict(setup: Setup, run: MonitoredRun) -> Section:
     if not run.alarms:
         return Section("No alarm", text)
     head = ("alarm [s]", "since [s]", "parameter", "change [%]", "change", "std", "unit", "settled on")
-    rows = [_alarm_row(run, alarm) for alarm in run.alarms[:SHOWN_ALARMS]]
+    rows = [_alarm_row(run, alarm) for alarm in run.alarms[: TUNING.shown_alarms]]
     return Section("Alarms", text, (head, rows))
 
 

@@ -31,7 +31,6 @@ from pmfid.report.design import motions_of
 from pmfid.report.figures import (
     COLOURS,
     GREY,
-    WIDTH,
     _finish_time,
     _label,
     _line,
@@ -46,12 +45,11 @@ from pmfid.report.friction import curve_figure
 from pmfid.report.monitored import calibration_figure
 from pmfid.report.result import bode_of, motion_figure, output_figure, step_figure
 from pmfid.report.terms import friction_figure
+from pmfid.report.tuning import TUNING
 from pmfid.report.validation import horizon_figure, run_figure
 from pmfid.status import Status
 
 SAMPLES = "sample [-]"
-#: Axes of a fleet that are drawn one by one.
-MOST_AXES = 50
 
 
 def with_samples(figure: Figure) -> Figure:
@@ -65,7 +63,7 @@ def with_samples(figure: Figure) -> Figure:
 def bars_figure(names: Sequence[str], units: Sequence[str], theta: Sequence[float], std: Sequence[float]) -> Figure:
     """Each parameter on an axis of its own, with two standard deviations where they are known."""
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 0.3 + 0.85 * len(names)), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 0.3 + 0.85 * len(names)), layout="constrained")
         panels = figure.subplots(len(names), 1, squeeze=False)[:, 0]
         for axes, name, unit, value, bar in zip(panels, names, units, theta, std, strict=True):
             known = np.isfinite(bar)
@@ -87,7 +85,7 @@ def fleet_figure(t: ArrayLike, tracks: Tracks, label: str) -> Figure:
     with figure_style():
         figure, panels = _panels(len(tracks.names), 1.9)
         for i, (axes, name, unit) in enumerate(zip(panels, tracks.names, tracks.units, strict=True)):
-            for one in theta[:MOST_AXES, :, i]:
+            for one in theta[: TUNING.plots_most_axes, :, i]:
                 _line(axes, time, one, color=GREY, lw=0.6, alpha=0.6, marker="." if single else None)
             middle, marker = np.median(theta[..., i], axis=0), "o" if single else None
             _line(axes, time, middle, color=COLOURS[0], label="median of all axes", marker=marker)
@@ -112,17 +110,13 @@ def experiment_figure(experiment: Experiment) -> Figure:
     return figure
 
 
-#: Of a figure in a notebook: 9 inches are 900 pixels.
-DPI = 100
-
-
 class Drawing(Figure):
     """A figure that a notebook shows by itself, also where nobody has imported pyplot."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
         with figure_style():
-            self.savefig(buffer, format="png", dpi=DPI)
+            self.savefig(buffer, format="png", dpi=TUNING.plots_dpi)
         return buffer.getvalue()
 
 

@@ -22,7 +22,6 @@ from pmfid.report.checks import model_checks
 from pmfid.report.figures import (
     COLOURS,
     GREY,
-    WIDTH,
     decimation,
     estimate_figure,
     figure_style,
@@ -32,6 +31,7 @@ from pmfid.report.figures import (
     status_figure,
 )
 from pmfid.report.html import Section, replace_file, svg, write_json, write_report
+from pmfid.report.tuning import TUNING
 
 HOW_TO_READ = (
     "std: how far the value varies from record to record of this length. model spread: how far friction, a load or a "
@@ -108,13 +108,6 @@ def _figures(result: DriveResult) -> list[Section]:
     return sections
 
 
-#: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
-DECADES, SETTLING = 1.0, 8.0
-POINTS = 400
-#: Structures in the table of a search.
-ROWS = 15
-
-
 def write_process(out: Path, result: ProcessResult) -> None:
     """Writes report.html and result.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
@@ -160,7 +153,7 @@ def output_figure(result: ProcessResult) -> Figure:
     """Measured and simulated output of every record over time."""
     with figure_style():
         records = result.experiments
-        figure = Figure(figsize=(WIDTH, 2.2 * len(records)), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 2.2 * len(records)), layout="constrained")
         checks = result.assessment
         parts = list(zip(checks.records, checks.samples, checks.simulated, strict=True))
         for row, experiment in enumerate(records):
@@ -189,12 +182,15 @@ def bode_of(process: Process, dt: float) -> Figure:
     corners = np.abs(np.r_[process.poles, process.zeros])
     corners = corners[corners > 0]
     nyquist = np.pi / dt
-    low, high = np.log10(np.min(corners)) - DECADES, min(np.log10(np.max(corners)) + DECADES, np.log10(nyquist))
-    w = np.logspace(low, max(high, low + DECADES), POINTS)
+    low, high = (
+        np.log10(np.min(corners)) - TUNING.result_decades,
+        min(np.log10(np.max(corners)) + TUNING.result_decades, np.log10(nyquist)),
+    )
+    w = np.logspace(low, max(high, low + TUNING.result_decades), TUNING.result_points)
     G, magnitude, phase = process.frequency_response(w)
     size, angle = 20 * np.log10(np.abs(G)), np.unwrap(np.angle(G))
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 5.0), layout="constrained")
         upper = figure.add_subplot(2, 1, 1)
         _draw_band(upper, w, size, 2 * 20 / np.log(10) * magnitude)
         upper.set_ylabel("magnitude [dB]")
@@ -212,10 +208,10 @@ def step_figure(process: Process) -> Figure:
     speeds = np.abs(process.poles.real[process.poles != 0])
     fastest = float(np.max(np.abs(process.poles), initial=0.0)) or 1.0  # integrators alone have no time of their own
     slowest = float(np.max(1 / np.maximum(speeds, 1e-3 * fastest), initial=1 / fastest))
-    t = np.linspace(0, SETTLING * slowest + 2 * process.delay, POINTS)
+    t = np.linspace(0, TUNING.result_settling * slowest + 2 * process.delay, TUNING.result_points)
     y, std = process.step_response(t)
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 2.6), layout="constrained")
         axes = figure.add_subplot()
         _draw_band(axes, t, y, 2 * std)
         axes.set_xlabel("time [s]")
@@ -227,7 +223,7 @@ def correlation_figure(result: ProcessResult) -> Figure:
     """Autocorrelation of the residual, its correlation with the input, and their bounds."""
     checks = result.assessment
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 4.2), layout="constrained")
         panels = (
             (np.arange(checks.autocorrelation.size), checks.autocorrelation, checks.autocorrelation_bound, "residual"),
             (
@@ -270,7 +266,7 @@ def search_rows(search: Search) -> list[list[str]]:
             f"{row.fit:.2f}",
             f"{row.condition:.1e}" + ("" if row.settled else " (not settled)") + (" (refused)" if row.refused else ""),
         ]
-        for row in search.candidates[:ROWS]
+        for row in search.candidates[: TUNING.result_rows]
     ]
 
 
@@ -282,7 +278,7 @@ def search_figure(search: Search) -> Figure:
     sizes = sorted(best)
     values = [search.candidates[best[size]].bic - search.best.bic for size in sizes]
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.0), layout="constrained")
         axes = figure.add_subplot()
         axes.plot(sizes, values, "o-", color=COLOURS[0])
         for size, value in zip(sizes, values, strict=True):

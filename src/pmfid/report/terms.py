@@ -18,14 +18,13 @@ from pmfid.models.equation import (
     Equation,
 )
 from pmfid.pipeline.terms import NestedModel, TermSearch
-from pmfid.report.figures import COLOURS, WIDTH, figure_style
+from pmfid.report.figures import COLOURS, figure_style
 from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 
 Rows = tuple[list[str], list[list[str]]]
 
-#: Velocities at which a curve is drawn to either side.
-POINTS = 400
 BODY = {"mass": (MASS,), "viscous": (VISCOUS_FORWARD, VISCOUS_BACKWARD), "Coulomb": (COULOMB_FORWARD, COULOMB_BACKWARD)}
 
 
@@ -127,7 +126,7 @@ def friction_figure(found: TermSearch) -> Figure:
     last = found.chosen.balance
     models = [model for model in found.models if model.balance is not None]
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 4.2), layout="constrained")
         axes = figure.subplots()
         speeds = np.zeros(0)
         if last is not None and last.friction is not None:
@@ -150,7 +149,7 @@ def friction_figure(found: TermSearch) -> Figure:
 def _sides(speeds: Floats) -> list[Floats]:
     """Velocities to draw at, to either side of rest."""
     ends = float(np.min(speeds, initial=0.0)), float(np.max(speeds, initial=0.0))
-    return [np.linspace(end / POINTS, end, POINTS) for end in ends if end]
+    return [np.linspace(end / TUNING.terms_points, end, TUNING.terms_points) for end in ends if end]
 
 
 def _curve(balance: Balance | None, velocity: Floats) -> Floats:

@@ -9,13 +9,11 @@ from matplotlib.figure import Figure
 from pmfid.diagnostics.free_run import FreeRun
 from pmfid.pipeline.validation import Validation
 from pmfid.report.checks import followed_figure
-from pmfid.report.figures import COLOURS, WIDTH, figure_style, plain_ticks
+from pmfid.report.figures import COLOURS, figure_style, plain_ticks
 from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.tuning import TUNING
 
 Rows = tuple[list[str], list[list[str]]]
-
-#: Records that have a figure of their own.
-MOST_FIGURES = 12
 
 
 def write_validation(out: Path, found: Validation) -> None:
@@ -31,7 +29,7 @@ def write_validation(out: Path, found: Validation) -> None:
         sections.append(Section("Restarted", text, horizon_rows(found), svg(horizon_figure(found))))
     sections += [
         Section(f"Measured and simulated: {run.name}", svg=svg(run_figure(run, found.unit)))
-        for run in found.runs[:MOST_FIGURES]
+        for run in found.runs[: TUNING.most_figures]
     ]
     write_report(out / "validation.html", f"{found.runs[0].name}: predicted", sections)
 
@@ -94,7 +92,7 @@ def run_figure(run: FreeRun, unit: str) -> Figure:
 def horizon_figure(found: Validation) -> Figure:
     """Errors over the interval of restarts; the last point is the error without a restart."""
     with figure_style():
-        figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
+        figure = Figure(figsize=(TUNING.figures_width, 3.6), layout="constrained")
         axes = figure.subplots()
         for number, run in enumerate(found.runs):
             colour, duration = COLOURS[number % len(COLOURS)], float(run.t[-1] - run.t[0])

@@ -12,15 +12,12 @@ from typing import Any
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
 from pmfid.records.record import Record
+from pmfid.service.tuning import TUNING
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
 __all__ = ["Configurations", "arrange_groups", "remember", "tell_configurations"]
 
-#: Time between two reports on the progress of a calibration [s].
-PROGRESS = 10.0
-#: Number of last configurations that are compared with new ones, and number that is kept.
-RECENT, MOST = 100, 1000
 
 Tell = Callable[[dict[str, Any]], None]
 
@@ -60,7 +57,7 @@ class Configurations:
         reported = [monotonic()]
 
         def progress(part: float) -> None:
-            if monotonic() - reported[0] > PROGRESS:
+            if monotonic() - reported[0] > TUNING.arrangement_progress:
                 reported[0] = monotonic()
                 self.tell({"event": "calibration", "config": path.name, "part": part})
 
@@ -98,13 +95,13 @@ def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: 
 
 def remember(engine: StreamEngine) -> None:
     """Appends new configurations to the history, with the time."""
-    known = {entry["digest"] for entry in engine.history[-RECENT:]}
+    known = {entry["digest"] for entry in engine.history[-TUNING.arrangement_recent :]}
     for group in engine.groups:
         if group.prepared.digest not in known:
             entry = {"wall": time(), "config": group.kindred.config, "digest": group.prepared.digest}
             nominal = dict(zip(group.kindred.names, group.kindred.nominal.tolist(), strict=True))
             engine.history.append({**entry, "nominal": nominal})
-    del engine.history[:-MOST]
+    del engine.history[: -TUNING.arrangement_most]
 
 
 def tell_configurations(engine: StreamEngine) -> None:

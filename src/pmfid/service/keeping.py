@@ -8,6 +8,7 @@ from threading import Condition, Thread
 from time import monotonic
 from typing import Any
 
+from pmfid.service.tuning import TUNING
 from pmfid.stream.checkpoint import Draft, StateBuffer, draft, state_size
 from pmfid.stream.commands import Counters
 from pmfid.stream.engine import StreamEngine
@@ -15,15 +16,6 @@ from pmfid.stream.vault import Vault, crash_point
 
 __all__ = ["Checkpoints"]
 
-#: Deliveries that wait for a checkpoint at most: brokers have no more than 65535 messages under way.
-MOST = 50_000
-#: Shortest pause after a checkpoint, in multiples of the time to write it: with many axes a checkpoint has hundreds of
-#: MB, and its checksum and its copies take processor time.
-REST = 4.0
-
-#: New memory of more bytes is made by the writer's thread before the first checkpoint that needs it: it is much slower
-#: than a copy to memory that was used before, and the engine would stand still for seconds.
-LARGE = 2**24
 
 Done = Callable[[], None]
 
@@ -65,7 +57,7 @@ class Checkpoints:
     def call_when_kept(self, done: Done) -> None:
         """Has `done` called after the next durable checkpoint."""
         self._undone.append(done)
-        if self._failing or len(self._undone) > MOST:
+        if self._failing or len(self._undone) > TUNING.keeping_most:
             self._let_go()
 
     def _let_go(self) -> None:
@@ -84,7 +76,7 @@ class Checkpoints:
         elif self._job is None and (monotonic() >= max(self._next, self._rested) or engine.urgent):
             if engine.changes == self._made_at:
                 self._next = monotonic() + self.period
-            elif (size := state_size(engine)) > max(self._room.size, LARGE):
+            elif (size := state_size(engine)) > max(self._room.size, TUNING.keeping_large):
                 self._hand_over(_Job(room=size))
             else:
                 self._next = monotonic() + self.period
@@ -142,7 +134,7 @@ class Checkpoints:
             self._note_failure(error)
         else:
             self._note_success(monotonic() - begun)
-        self._rested = monotonic() + REST * (monotonic() - begun)
+        self._rested = monotonic() + TUNING.keeping_rest * (monotonic() - begun)
         self._call(done)
 
     def _note_failure(self, error: OSError) -> None:

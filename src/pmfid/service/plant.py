@@ -17,6 +17,7 @@ from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
 from pmfid.service.sinks.queued import SinkSection
+from pmfid.service.tuning import TUNING
 from pmfid.service.web.config import HERE, PORT, PageConfig
 
 __all__ = ["REMOVED", "SINKS", "SOURCES"]
@@ -98,8 +99,6 @@ REMOVED: dict[str, str] = {
     "plotjuggler": "use the kind mqtt, to which PlotJuggler subscribes",
 }
 
-#: More axes than one process can serve.
-MOST_AXES = 1_000_000
 #: Names of the service, of axes, sources and sinks: they stand in topics and in names of files.
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 _WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
@@ -137,7 +136,7 @@ class FleetSection(FileSection):
 
     config: Name = Field(description='the AXIS.toml of all of them, as "cell.toml"')
     names: Name = Field(description='a pattern with one number, as "cell-{:05d}"')
-    count: int = Field(ge=1, le=MOST_AXES, description="how many there are; the first has number 0")
+    count: int = Field(ge=1, le=TUNING.most_axes, description="how many there are; the first has number 0")
 
     def expand(self) -> Iterator[str]:
         """Names of the axes. Raises UsageError for a pattern that does not give different words."""
@@ -293,7 +292,7 @@ def _axes(raw: Mapping[str, Any], folder: Path) -> dict[str, Path]:
         axes[name] = folder / _section(f"axes.{name}", AxisSection, table).config
     for key, table in raw.get("fleets", {}).items():
         _add_fleet(axes, key, _section(f"fleets.{key}", FleetSection, table), folder)
-    if len(axes) > MOST_AXES:
+    if len(axes) > TUNING.most_axes:
         raise UsageError(f"{len(axes)} axes are too many for one service; share them out among several")
     return axes
 

@@ -13,12 +13,10 @@ from types import FrameType
 from typing import Any
 
 from pmfid.pipeline.monitored.stream import catch_signals
+from pmfid.service.tuning import TUNING
 from pmfid.stream.commands import Counters
 
 __all__ = ["PauseWatch", "SignalRequests", "notify"]
-
-#: Time between two calls that shows a stopped process [s]: no load delays them as long.
-STOOD = 10.0
 
 
 @dataclass
@@ -53,7 +51,7 @@ class PauseWatch:
         """Tests the time since the last call."""
         now = monotonic()
         stood, self._looked = now - self._looked, now
-        if stood > STOOD:
+        if stood > TUNING.process_stood:
             problem = f"the service stood still for {stood:.0f} s: it was stopped, or its machine had no time for it"
             self.tell({"event": "paused", "seconds": round(stood, 1), "problem": problem})
             self.counters.add("pmfid_paused_seconds_total", stood)

@@ -22,6 +22,7 @@ from pmfid.service.plant import Plant, page_config
 from pmfid.service.process import PauseWatch, SignalRequests, notify
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.sources import Source
+from pmfid.service.tuning import TUNING
 from pmfid.service.web.server import Page
 from pmfid.stream.checkpoint import Snapshot, read_snapshot
 from pmfid.stream.commands import Counters
@@ -33,8 +34,6 @@ from pmfid.stream.vault import Vault
 
 __all__ = ["Running", "Sources"]
 
-#: Pauses after an unexpected error [s]: the first, and the longest.
-FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
 
 Tell = Callable[[dict[str, Any]], None]
 
@@ -68,7 +67,7 @@ class Running:
         return taken
 
     def _run(self) -> None:
-        pause = FIRST_PAUSE
+        pause = TUNING.run_first_pause
         while not self._stopped.is_set():
             try:
                 self.source.run(self._take, self._mark or self.marks.get(self.source.name))
@@ -83,7 +82,7 @@ class Running:
                 self._broken = True
                 self.tell({"event": "source", "source": self.source.name, "problem": problem})
                 self._stopped.wait(pause)
-                pause = min(2 * pause, LONGEST_PAUSE)
+                pause = min(2 * pause, TUNING.run_longest_pause)
         self.ended = True
 
     def stop(self) -> None:
@@ -129,16 +128,6 @@ class Sources:
             one.join(within)
 
 
-#: How often signals are looked at, and how long sources and sinks have to end [s].
-LOOK, ENDING = 0.1, 10.0
-#: Names that a notice lists at most.
-MOST_NAMES = 100
-#: Objects after which garbage is looked for: blocks come and go by tens of thousands, without circles.
-COLLECTED = 50_000
-#: Time since its last tick after which the engine no longer counts as alive [s].
-STUCK = 60.0
-
-
 @dataclass
 class Service:
     """load: reads the plant, at the start and at SIGHUP; log: where notices are printed; until_end: the service ends
@@ -161,7 +150,7 @@ class Service:
             try:
                 self._start(plant)
                 gc.freeze()  # what is there stays: not to be looked through again and again
-                gc.set_threshold(COLLECTED)
+                gc.set_threshold(TUNING.run_collected)
                 notify("READY=1")
                 self._watch()
             finally:
@@ -195,7 +184,7 @@ class Service:
         except BaseException:
             if vault is not None:
                 vault.close()
-            self._log.close(ENDING)
+            self._log.close(TUNING.run_ending)
             raise
 
     def _check_plant(self, plant: Plant) -> Vault | None:
@@ -232,7 +221,7 @@ class Service:
             "fresh": len(fresh),
             "made": saved.wall,
         }
-        self._tell_now({**restored, "changed": changed[:MOST_NAMES]} if changed else restored)
+        self._tell_now({**restored, "changed": changed[: TUNING.most_names]} if changed else restored)
 
     def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
         """A checkpoint and its groups that are still configured so. Raises ValueError for what is none."""
@@ -326,7 +315,7 @@ class Service:
 
     def _alive(self) -> bool:
         """Whether the engine still ticks."""
-        return time.monotonic() - self._engine.beat < STUCK
+        return time.monotonic() - self._engine.beat < TUNING.run_stuck
 
     def _reference(self, axis: str) -> Record | None:
         """The record of normal work of an axis."""
@@ -347,7 +336,7 @@ class Service:
     def _watch(self) -> None:
         alive, standing = time.monotonic(), PauseWatch(self._engine.tell, self.counters)
         while not self._signals.stop and self._thread.is_alive():
-            time.sleep(LOOK)
+            time.sleep(TUNING.run_look)
             standing.look()
             if self._signals.reload:
                 self._signals.reload = False
@@ -385,7 +374,7 @@ class Service:
         changed = sum(name in before for name in fresh)
         reload = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}
         if left := plant.unlike(self._plant):
-            rest = ", ".join(left[:MOST_NAMES])
+            rest = ", ".join(left[: TUNING.most_names])
             problem = f"{rest} as before: only axes and fleets are read again; start the service again for that"
             reload["problem"] = problem
         self._engine.tell(reload)
@@ -394,7 +383,7 @@ class Service:
 
     def _end(self) -> None:
         """Ends the sources first, then the engine after their last delivery, then the outlets."""
-        self._sources.stop(ENDING)
+        self._sources.stop(TUNING.run_ending)
         self._engine.inbox.close()
         if hasattr(self, "_thread"):
             self._thread.join()
@@ -404,7 +393,7 @@ class Service:
         if self._page is not None:
             self._page.stop()
         for sink in self._sinks:
-            sink.close(ENDING)
-        self._log.close(ENDING)
+            sink.close(TUNING.run_ending)
+        self._log.close(TUNING.run_ending)
         if getattr(self, "_problem", None) is not None:
             raise self._problem  # type: ignore[misc]

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from threading import Lock
 
+from pmfid.stream.tuning import TUNING
+
 __all__ = ["Counters"]
 
 #: Sorted pairs of label and value.
@@ -36,10 +38,6 @@ class Counters:
         """All of them now."""
         with self._lock:
             return dict(self._values)
-
-
-#: Commands that wait at most, and the longest note [characters].
-MOST, LONGEST_NOTE = 1000, 2000
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class Commands:
 
     def acknowledge(self, number: int, note: str) -> bool:
         """False if the queue of commands is full."""
-        return self._put(Acknowledge(number, note[:LONGEST_NOTE]))
+        return self._put(Acknowledge(number, note[: TUNING.longest_note]))
 
     def refer(self, axis: str) -> bool:
         """False if the queue of commands is full."""
@@ -88,7 +86,7 @@ class Commands:
 
     def _put(self, command: Command) -> bool:
         with self._lock:
-            if len(self._waiting) >= MOST:
+            if len(self._waiting) >= TUNING.commands_most:
                 return False
             self._waiting.append(command)
             return True

@@ -20,17 +20,10 @@ from pmfid.stream.intake import Intake, Ordered
 from pmfid.stream.notices import Notices, Silence
 from pmfid.stream.outcome import Notice, Outlet
 from pmfid.stream.stepping import FoundEvent, step
+from pmfid.stream.tuning import TUNING
 from pmfid.stream.vault import crash_point
 
 __all__ = ["Inbox"]
-
-#: Most deliveries that wait, and most items in them: beyond, the sources wait.
-MOST, MOST_ITEMS = 8192, 8192
-#: Items that the engine takes at once, apart from those of the last delivery. They fit into the processor's cache; more
-#: items would be stepped more slowly, and a backlog would remain.
-AT_ONCE = 1024
-#: Time over which deliveries are collected [s]: it fills the arrays, and the delay does not show.
-TICK = 0.025
 
 
 class Inbox:
@@ -59,20 +52,20 @@ class Inbox:
 
     @property
     def _full(self) -> bool:
-        return len(self._waiting) >= MOST or self._items >= MOST_ITEMS
+        return len(self._waiting) >= TUNING.engine_most or self._items >= TUNING.most_items
 
     @property
     def _enough(self) -> bool:
-        return self._items >= AT_ONCE or self._full
+        return self._items >= TUNING.at_once or self._full
 
     def take_deliveries(self, timeout: float) -> list[Delivery]:
-        """The oldest deliveries, at the earliest TICK after the last ones, or as soon as AT_ONCE items wait; none after
-        `timeout` [s]."""
+        """The oldest deliveries, at the earliest engine_tick after the last ones, or as soon as at_once items wait;
+        none after `timeout` [s]."""
         with self._changed:
             if not self._waiting and self._open:
                 self._changed.wait_for(lambda: self._waiting or not self._open, timeout)
             if self._waiting and self._open and not self._enough:
-                rest = self._last + TICK - monotonic()
+                rest = self._last + TUNING.engine_tick - monotonic()
                 self._changed.wait_for(lambda: self._enough or not self._open, max(0.0, rest))
             deliveries = list(self._pop_first())
             self._changed.notify_all()
@@ -82,7 +75,7 @@ class Inbox:
 
     def _pop_first(self) -> Iterator[Delivery]:
         items = 0
-        while self._waiting and items < AT_ONCE:
+        while self._waiting and items < TUNING.at_once:
             delivery = self._waiting.popleft()
             items += delivery.size
             self._items -= delivery.size
@@ -101,12 +94,6 @@ class Inbox:
         with self._changed:
             self._open = False
             self._changed.notify_all()
-
-
-#: Time between two looks at the commands while no delivery arrives [s].
-IDLE = 0.1
-#: Limits of latency for which slower deliveries are counted [s].
-SLOW = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 class Keeper(Protocol):
@@ -185,7 +172,7 @@ class StreamEngine:
 
     def run(self) -> None:
         """Ticks until the inbox is closed and empty, then makes a last checkpoint."""
-        while self.tick(IDLE):
+        while self.tick(TUNING.engine_idle):
             pass
         self._speak()
         self.keeper.offer(self, last=True)
@@ -265,7 +252,7 @@ class StreamEngine:
         self.counters.put("pmfid_inbox_deliveries", len(self.inbox))
         ages = np.array([now - delivery.received for delivery in batch if delivery.received])
         self.counters.put("pmfid_latency_seconds", float(ages.max(initial=0.0)))
-        for limit in SLOW:
+        for limit in TUNING.engine_slow:
             self.counters.add("pmfid_deliveries_slower_total", int(np.sum(ages > limit)), than=f"{limit:g}")
 
     def _obey(self) -> None:

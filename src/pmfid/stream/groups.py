@@ -24,15 +24,10 @@ from pmfid.records.record import Record
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
+from pmfid.stream.tuning import TUNING
 
 __all__ = ["Timed"]
 
-#: Number of consecutive lines before the window that show a clock set back.
-MOST_LATE = 5
-#: Number of consecutive samples after lines of another period until samples are used again.
-PROBATION = 50
-#: Most lines that wait, and number of last lines that are recognised if a source repeats them after a restart.
-MOST, KNOWN = 100_000, 1000
 
 _LINE = struct.Struct("<ddq")
 
@@ -54,7 +49,7 @@ class Timed:
         self._grid = self._make_grid()
         self._held: list[Line] = []
         self._newest, self._late_in_row = -math.inf, 0
-        self._recent: deque[str] = deque(maxlen=KNOWN)  # digests of lines
+        self._recent: deque[str] = deque(maxlen=TUNING.groups_known)  # digests of lines
         self._latest = -math.inf
         self._before: frozenset[str] = frozenset()  # digests of before the restart
         self._until = -math.inf  # the latest time of these
@@ -96,16 +91,16 @@ class Timed:
         insort(self._held, line, key=_get_time)
         due = 0
         while due < len(self._held) and (
-            self._held[due].time <= self._newest - self.window or len(self._held) - due > MOST
+            self._held[due].time <= self._newest - self.window or len(self._held) - due > TUNING.groups_most
         ):
             due += 1
         ready, self._held = self._held[:due], self._held[due:]
         return ready
 
     def _take_late(self, line: Line) -> list[Line]:
-        """Passes a late line to the timeline, which classifies it; MOST_LATE of them show a clock set back."""
+        """Passes a late line to the timeline, which classifies it; most_late of them show a clock set back."""
         self._late_in_row += 1
-        if self._late_in_row < MOST_LATE:
+        if self._late_in_row < TUNING.most_late:
             return [line]
         held, self._held = self._held, []
         self._newest, self._late_in_row = line.time, 0
@@ -117,7 +112,7 @@ class Timed:
         except UsageError as error:
             if not self._doubtful:
                 verdict.events.append({"event": "period", "problem": str(error)})
-            self._grid, self._doubtful = self._make_grid(), PROBATION
+            self._grid, self._doubtful = self._make_grid(), TUNING.groups_probation
             verdict.refused += 1
             return []
         samples = [one for one in found if isinstance(one, Sample)]
@@ -125,7 +120,7 @@ class Timed:
         return self._check_probation(samples, verdict) if self._doubtful and samples else samples
 
     def _check_probation(self, samples: list[Sample], verdict: ItemReport) -> list[Sample]:
-        """Refuses samples after lines of another period, until PROBATION samples fit."""
+        """Refuses samples after lines of another period, until groups_probation samples fit."""
         verdict.refused += len(samples)
         self._doubtful = max(0, self._doubtful - len(samples))
         if self._doubtful:
@@ -159,7 +154,7 @@ class Timed:
         self._newest, self._late_in_row = float(saved["newest"]), int(saved["behind"])
         self._doubtful = int(saved["doubtful"])
         self._held = [Line(*entry) for entry in saved["held"]]
-        self._recent = deque((str(digest) for digest in saved["recent"]), KNOWN)
+        self._recent = deque((str(digest) for digest in saved["recent"]), TUNING.groups_known)
         self._latest = self._until = float(saved["latest"])
         self._before = frozenset(self._recent)
         self._grid = self._make_grid()
@@ -190,11 +185,6 @@ def _piece(samples: list[Sample], received: float, turn: int) -> list[SamplePiec
     u, counts = np.array([s.u for s in samples]), np.array([s.counts for s in samples], np.int64)
     times = np.array([s.time for s in samples])
     return [SamplePiece(lead, False, u, counts, math.nan, 0, received, turn, times)]
-
-
-#: Number of notices of a kind, such as bad lines and gaps, that an axis gets one by one. Later notices come after
-#: twice as many events each.
-EACH_NOTICE = 10
 
 
 @dataclass(frozen=True)
@@ -278,8 +268,8 @@ class Seat:
         """Counts an event of a kind. Returns whether it becomes a notice; the count alone decides, so a restart changes
         nothing."""
         times = self.notice_counts[kind] = self.notice_counts.get(kind, 0) + 1
-        rounds, rest = divmod(times, EACH_NOTICE)
-        return times <= EACH_NOTICE or (rest == 0 and rounds.bit_count() == 1)
+        rounds, rest = divmod(times, TUNING.each_notice)
+        return times <= TUNING.each_notice or (rest == 0 and rounds.bit_count() == 1)
 
 
 @dataclass

@@ -14,12 +14,11 @@ from pmfid.stream.delivery import Block, Delivery, Lines, Table, Unusable
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.order import ItemReport, Positions, SamplePiece, clock_runs, period_fits, rate_fits, rate_is_due
 from pmfid.stream.stepping import Batch, FoundEvent, GroupQueue
+from pmfid.stream.tuning import TUNING
 from pmfid.types import Flags, Floats
 
 __all__ = ["Seating", "Seatings", "Tables"]
 
-#: Most names of tables whose seating is cached.
-MOST_NAMES = 2**17
 
 #: The groups of the blocks of a table, and the numbers (k,) of their axes in the group, -1 for axes of other groups.
 Seating = list[tuple[Group, NDArray[np.int64]]]
@@ -75,7 +74,7 @@ class Seatings:
 
     def _get_seating(self, names: tuple[str, ...]) -> Seating | None:
         if names not in self._known:
-            if self._names > MOST_NAMES:
+            if self._names > TUNING.intake_most_names:
                 self._known, self._names = {}, 0
             self._known[names] = self._find_seating(names)
             self._names += len(names)

@@ -14,12 +14,9 @@ from numpy.typing import NDArray
 from pmfid.stream.commands import Counters
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.outcome import AlarmRecord, Alarms, Notice, Outlet
+from pmfid.stream.tuning import TUNING
 
 __all__ = ["Notices"]
-
-#: Smallest number of a notice of the service: microseconds since 1970, beyond the numbers of all axes; and the
-#: number of notices reserved for each axis.
-OWN, OF_AXIS = 10**15, 10**9
 
 
 @dataclass
@@ -34,12 +31,12 @@ class Notices:
     outlets: Sequence[Outlet]
     alarms: Alarms = field(default_factory=Alarms)
     wall: Callable[[], float] = time.time
-    _own: int = field(default=OWN, init=False)
+    _own: int = field(default=TUNING.notices_own, init=False)
 
     def publish_event(self, seat: Seat, what: dict[str, Any]) -> Notice:
         """Publishes an event in the data of an axis."""
         seat.notices += 1
-        return self._give(Notice(seat.name, seat.number * OF_AXIS + seat.notices, self.wall(), what))
+        return self._give(Notice(seat.name, seat.number * TUNING.of_axis + seat.notices, self.wall(), what))
 
     def publish_own(self, axis: str, what: dict[str, Any]) -> Notice:
         """Publishes an event of the service itself."""
@@ -80,15 +77,6 @@ class Notices:
             outlet.notice(notice)
         return notice
 
-
-#: Time between two tests [s]; longest counted pause of the engine [s], because no data could come while the process was
-#: stopped.
-LOOK, LONGEST_PAUSE = 1.0, 5.0
-#: Sample periods for which an axis may be quiet, however short the limit is.
-PERIODS = 5.0
-#: Most axes that get an alarm each if they fall silent between two tests, beyond which they share one alarm; names in
-#: that alarm.
-MOST, MOST_NAMES = 100, 100
 
 Key = tuple[str, str]
 
@@ -136,7 +124,7 @@ class Silence:
     def tick(self, at: float) -> None:
         """Advances the clock to `at` [s] of a monotonic clock."""
         if self._ticked is not None:
-            self.now += min(at - self._ticked, LONGEST_PAUSE)
+            self.now += min(at - self._ticked, TUNING.longest_pause)
         self._ticked = at
 
     def note_delivery(self, source: str) -> None:
@@ -145,7 +133,7 @@ class Silence:
 
     def look(self, groups: Sequence[Group]) -> bool:
         """Raises and clears alarms if a test is due. Returns whether there were any."""
-        if self.now - self._looked < LOOK:
+        if self.now - self._looked < TUNING.notices_look:
             return False
         before = self.notices.last
         self._look_at_axes(groups)
@@ -159,7 +147,7 @@ class Silence:
 
     def _look_at_axes(self, groups: Sequence[Group]) -> None:
         found = [(group, self._find_silent(group)) for group in groups]
-        if sum(index.size for _, index in found) > MOST:
+        if sum(index.size for _, index in found) > TUNING.notices_most:
             self._raise_for_many(found)
             return
         for group, index in found:
@@ -170,13 +158,13 @@ class Silence:
         """Numbers of the silent axes without an alarm; clears the alarm of axes that are back."""
         known = group.positions
         known.heard[np.isnan(known.heard)] = self.now
-        silent = self.now - known.heard > max(self.limit or math.inf, PERIODS * group.dt)
+        silent = self.now - known.heard > max(self.limit or math.inf, TUNING.notices_periods * group.dt)
         known.alarm[~silent] = 0
         return np.flatnonzero(silent & (known.alarm == 0))
 
     def _raise_for_many(self, found: Sequence[tuple[Group, NDArray[np.int64]]]) -> None:
         names = [group.kindred.axes[k] for group, index in found for k in index.tolist()]
-        number = self._raise("axes", f"{len(names)} axes", axes=names[:MOST_NAMES])
+        number = self._raise("axes", f"{len(names)} axes", axes=names[: TUNING.notices_most_names])
         for group, index in found:
             group.positions.alarm[index] = number
 

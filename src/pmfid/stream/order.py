@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pmfid.monitor.scores import RowArrays
 from pmfid.stream.delivery import Block
+from pmfid.stream.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
 __all__ = ["Column", "PositionRow", "Positions"]
@@ -96,14 +97,6 @@ class Column(Generic[T]):
         getattr(place.positions, self._name)[place.index] = value
 
 
-#: Largest deviation of a clock that was not set [s]: stamps may have a resolution of whole seconds.
-SET = 1.5
-#: Rate of the sender's clock compared with its numbers: fewest samples and shortest time [s] of a measurement, and the
-#: tolerance of the rate.
-RATE_SAMPLES, RATE_TIME, RATE = 500, 60.0, 0.005
-#: Tolerance of the sender's sample period, relative to the period of the configuration.
-PERIOD = 1e-3
-
 #: The tests apply to one block, or to the blocks of many axes: a number, or one number for each.
 Real = float | Floats
 Whole = int | NDArray[np.int64]
@@ -112,22 +105,22 @@ Answer = bool | Flags
 
 def period_fits(period: Real, dt: float) -> Answer:
     """Whether a sender has the sample period of the configuration."""
-    return (period - dt <= PERIOD * dt) & (dt - period <= PERIOD * dt)
+    return (period - dt <= TUNING.order_period * dt) & (dt - period <= TUNING.order_period * dt)
 
 
 def clock_runs(off: Real) -> Answer:
     """Whether a clock with this deviation [s] was not set; False for an unknown deviation."""
-    return (off <= SET) & (-off <= SET)
+    return (off <= TUNING.order_set) & (-off <= TUNING.order_set)
 
 
 def rate_is_due(samples: Whole, time: Real) -> Answer:
     """Whether the rate of a clock is tested after `samples` samples and `time` seconds."""
-    return (samples >= RATE_SAMPLES) & (time >= RATE_TIME)
+    return (samples >= TUNING.rate_samples) & (time >= TUNING.rate_time)
 
 
 def rate_fits(rate: Real) -> Answer:
     """Whether the rate of a clock is within its tolerance."""
-    return (rate - 1 <= RATE) & (1 - rate <= RATE)
+    return (rate - 1 <= TUNING.order_rate) & (1 - rate <= TUNING.order_rate)
 
 
 class Clock:
@@ -176,12 +169,6 @@ class Clock:
 
 #: In place of a number of missing samples: the sender restarted, and the number is unknown.
 UNKNOWN_GAP = -1
-#: Longest gap between two epochs [s], and most missing samples between two numbers.
-LONGEST_GAP, MOST_MISSING = 3600.0, 2**40
-#: Gaps that are remembered, to distinguish late samples from repeated ones.
-GAPS = 32
-#: Time without a new sample after which a sender is reported [s]: no broker repeats more.
-NOTHING_NEW = 120.0
 #: Remedy for a sender that restarted its numbers without a higher epoch.
 REMEDY = (
     "Repeated samples do no harm. If the sender restarted, let it send a higher epoch, as the time of day in "
@@ -310,9 +297,9 @@ class Order:
         verdict.duplicate += end - first - late
 
     def _note_repetition(self, block: Block, verdict: ItemReport) -> None:
-        """Reports a sender that repeats samples for NOTHING_NEW seconds, and again at each doubling of that time."""
+        """Reports a sender that repeats samples for nothing_new seconds, and again at each doubling of that time."""
         before = self.idle[0] if self.idle[1] == self.expected else 0
-        now, most = before + block.counts.size, NOTHING_NEW / self.dt
+        now, most = before + block.counts.size, TUNING.nothing_new / self.dt
         self.idle = now, self.expected
         verdict.again = int(now / most).bit_length() > int(before / most).bit_length()
         if verdict.again:
@@ -352,7 +339,7 @@ class Order:
             return None
         if block.epoch == self.epoch:
             missing = block.first - self.expected
-            return missing if missing <= MOST_MISSING else UNKNOWN_GAP
+            return missing if missing <= TUNING.most_missing else UNKNOWN_GAP
         return self._count_epoch_gap(block)
 
     def _must_wait(self, block: Block) -> bool:
@@ -370,7 +357,7 @@ class Order:
 
     def _count_epoch_gap(self, block: Block) -> int:
         ahead = block.time - self.clock.expected
-        if self.epoch >= 0 and 0 <= ahead <= LONGEST_GAP:
+        if self.epoch >= 0 and 0 <= ahead <= TUNING.longest_gap:
             return max(1, round(ahead / self.dt))
         return UNKNOWN_GAP
 
@@ -381,7 +368,7 @@ class Order:
         if apart:
             self._begin(block, fresh, verdict)
         elif lead:
-            self.gaps = [*self.gaps, (self.expected, block.first)][-GAPS:]
+            self.gaps = [*self.gaps, (self.expected, block.first)][-TUNING.order_gaps :]
             verdict.events.append({"event": "gap", "time": block.time, "missing": block.first - self.expected})
         known = min(max(0, self.expected - block.first), block.counts.size)
         if known:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.stream.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["EstimateRows", "Kindred", "Notice", "Outlet"]
@@ -82,10 +83,6 @@ class Outlet(Protocol):
     def notice(self, notice: Notice) -> None: ...
 
 
-#: Alarms that are kept; beyond, the oldest that is acknowledged or over goes first.
-MOST = 2000
-
-
 @dataclass(frozen=True)
 class AlarmRecord:
     """An alarm and its later course.
@@ -141,7 +138,7 @@ class Alarms:
         if notice.number in self._all:
             return []
         self._all[notice.number] = AlarmRecord(notice.axis, notice.number, notice.wall, notice.what)
-        if len(self._all) > MOST:
+        if len(self._all) > TUNING.outcome_most:
             over = (n for n, one in self._all.items() if not one.acknowledged is one.cleared is None)
             del self._all[next(over, next(iter(self._all)))]
         return [self._all[notice.number]] if notice.number in self._all else []

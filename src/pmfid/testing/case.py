@@ -32,25 +32,10 @@ from pmfid.models.equation import (
     VISCOUS_FORWARD,
 )
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.testing.tuning import TUNING
 from pmfid.types import Counts, Floats
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-
-SAMPLES = 3000
-#: Changes of a random input in the shortest record.
-CHANGES = 250
-#: Of the time constant of the filters: how long an input lasts, of a drive and of a process.
-DRIVE_HOLD, PROCESS_HOLD = 3.0, 0.8
-#: Time constant of a drive in those of the filters; friction and load as parts of the force; what differs backward.
-DRIVE_TIME, COULOMB, LOAD, BACKWARD = 3.0, 0.15, 0.05, 1.3
-#: Natural frequency on a spring, as a part of the cutoff.
-SPRING = 0.2
-#: Poles of a process as parts of the cutoff: frequency of each pair, or of what is left over; damping; zeros.
-FREQUENCIES, DAMPING, ZEROS = (0.5, 0.2, 0.8), 0.5, -1.5
-#: A dead time that is to be found, in samples.
-LATE = 2.5
-#: Standard deviation of a process, in times what a drive moves in a sample.
-RANGE = 100.0
 
 
 @dataclass(frozen=True)
@@ -115,7 +100,7 @@ def _freeze(array: NDArray[Scalar]) -> NDArray[Scalar]:
 def _input(setting: RecordSetting, hold: float, rng: np.random.Generator) -> Floats:
     """Random steps of four sizes, each for `hold` time constants of the filters."""
     samples = max(1, round(hold / (setting.cutoff * setting.dt)))
-    changes = max(CHANGES, -(-SAMPLES // samples))
+    changes = max(TUNING.case_changes, -(-TUNING.case_samples // samples))
     return rng.choice([-1.0, -0.6, 0.6, 1.0], changes).repeat(samples)
 
 
@@ -124,19 +109,19 @@ def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
 
     equation, cutoff = setting.model.equation, setting.cutoff
     resolution, dt, force = setting.encoder.resolution, setting.dt, abs(equation.input_gain)
-    u = _input(setting, DRIVE_HOLD, rng)
+    u = _input(setting, TUNING.drive_hold, rng)
     viscous = force * dt / (setting.per_sample * resolution)  # at the steady speed: per_sample counts in a sample
-    mass = viscous * DRIVE_TIME / cutoff
+    mass = viscous * TUNING.drive_time / cutoff
     roles = np.zeros(len(equation.roles))
-    roles[MASS], roles[OFFSET] = mass, LOAD * force
+    roles[MASS], roles[OFFSET] = mass, TUNING.case_load * force
     roles[VISCOUS_FORWARD : VISCOUS_FORWARD + 2], roles[COULOMB_FORWARD : COULOMB_FORWARD + 2] = (
         viscous,
-        COULOMB * force,
+        TUNING.case_coulomb * force,
     )
     if equation.symmetric is not equation:  # what the two directions share is a friction and a constant load
-        roles[COULOMB_BACKWARD] *= BACKWARD
+        roles[COULOMB_BACKWARD] *= TUNING.case_backward
         roles[OFFSET] = 0.0
-    roles[STIFFNESS] = mass * (SPRING * cutoff) ** 2
+    roles[STIFFNESS] = mass * (TUNING.case_spring * cutoff) ** 2
     present = np.array([index is not None for index in equation.roles])
     velocity = _kernel64.simulate(list(np.where(present, roles, 0.0)), equation.input_gain, dt, u)[0]
     y = np.r_[0.0, np.cumsum(velocity[:-1])] * dt
@@ -148,12 +133,16 @@ def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
 
 
 def _process(setting: RecordSetting, model: TransferFunction, rng: np.random.Generator) -> ContractRecord:
-    u = _input(setting, PROCESS_HOLD, rng)
+    u = _input(setting, TUNING.process_hold, rng)
     denominator = _denominator(model, setting.cutoff)
-    numerator = np.atleast_1d(np.poly(ZEROS * setting.cutoff * np.arange(1, model.m + 1)))
-    late = LATE * setting.dt if model.dead_time == ESTIMATE else float(model.dead_time) + model.delay * setting.dt
+    numerator = np.atleast_1d(np.poly(TUNING.case_zeros * setting.cutoff * np.arange(1, model.m + 1)))
+    late = (
+        TUNING.case_late * setting.dt
+        if model.dead_time == ESTIMATE
+        else float(model.dead_time) + model.delay * setting.dt
+    )
     y = _respond(numerator, denominator, u, setting.dt, late / setting.dt)
-    scale = RANGE * setting.per_sample * setting.encoder.resolution / float(np.std(y))
+    scale = TUNING.case_range * setting.per_sample * setting.encoder.resolution / float(np.std(y))
     values = {f"a{i}": value for i, value in enumerate(denominator[::-1])}
     values |= {f"b{j}": scale * value for j, value in enumerate(numerator[::-1])}
     values[DEAD_TIME] = late
@@ -166,10 +155,10 @@ def _denominator(model: TransferFunction, cutoff: float) -> Floats:
     """Descending powers; poles in damped pairs, and those at zero."""
     left = model.n - model.integrators
     coefficients: Floats = np.ones(1)
-    for part in FREQUENCIES:
+    for part in TUNING.case_frequencies:
         pole = part * cutoff
         factors = {0: [1.0], 1: [1.0, pole]}
-        coefficients = np.convolve(coefficients, factors.get(left, [1.0, 2 * DAMPING * pole, pole**2]))
+        coefficients = np.convolve(coefficients, factors.get(left, [1.0, 2 * TUNING.case_damping * pole, pole**2]))
         left = max(0, left - 2)
     return np.asarray(np.r_[coefficients, np.zeros(model.integrators)])
 
@@ -188,12 +177,6 @@ def _respond(numerator: Floats, denominator: Floats, u: Floats, dt: float, late:
         y[k] = C @ x + b[n] * delayed[k if part else k + 1]
         x = after @ np.r_[before @ np.r_[x, delayed[k]], delayed[k + 1]]
     return y
-
-
-#: Counts in a sample, by the order of size: with FINE the encoder does not matter, with COARSE it does.
-FINE, COARSE = 5000.0, 5.0
-#: Samples of a part that every method has enough of.
-SHORT = 1000
 
 
 T = TypeVar("T")
@@ -262,12 +245,16 @@ class Case:
     @cached_property
     def fine(self) -> ContractRecord:
         """A record that determines all parameters."""
-        return plant_for(self.configured, FINE, 1) if self.record is None else wrap_record(*check_arrays(*self.record))
+        return (
+            plant_for(self.configured, TUNING.case_fine, 1)
+            if self.record is None
+            else wrap_record(*check_arrays(*self.record))
+        )
 
     @cached_property
     def coarse(self) -> ContractRecord:
         """One with few counts in a sample; of another plant, in the encoder's view slower."""
-        return plant_for(self.configured, COARSE, 2) if self.record is None else self.fine
+        return plant_for(self.configured, TUNING.case_coarse, 2) if self.record is None else self.fine
 
     @cached_property
     def result(self) -> Fit | Track:
@@ -281,7 +268,7 @@ class Case:
 
     @property
     def short(self) -> tuple[Floats, Counts]:
-        return self.fine.u[:SHORT], self.fine.counts[:SHORT]
+        return self.fine.u[: TUNING.case_short], self.fine.counts[: TUNING.case_short]
 
     @cached_property
     def coarse_result(self) -> Fit | Track:

@@ -16,16 +16,8 @@ from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD, Term
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.testing.case import COPIES, Case, call, last, require, require_refusal, result_of
+from pmfid.testing.tuning import TUNING
 from pmfid.types import Floats
-
-#: Of its own parameters an estimator may miss so much on a fine record.
-NEAR = 0.1
-#: Of a change of units or signs a result may keep so much, for the counts are whole numbers.
-SAME, MIRRORED = 1e-3, 5e-3
-#: Units of position in one of another choice.
-THOUSAND = 1000.0
-#: Another sample time, at which every cutoff that was allowed still is.
-OTHER_DT = 0.5
 
 
 def configuration_is_a_value(case: Case) -> None:
@@ -34,7 +26,7 @@ def configuration_is_a_value(case: Case) -> None:
     require_refusal(FrozenInstanceError, "a new value of dt", lambda: setattr(estimator, "dt", 1.0))
     require(estimator == same, "two of the same configuration are not equal")
     require(hash(estimator) == hash(same), "two of the same configuration have two hashes")
-    require(estimator != replace(estimator, dt=OTHER_DT * estimator.dt), "another dt makes no difference to ==")
+    require(estimator != replace(estimator, dt=TUNING.other_dt * estimator.dt), "another dt makes no difference to ==")
     for name, again in COPIES.items():
         other = again(estimator)
         require(type(other) is type(estimator) and other == estimator, f"{name} gives another configuration")
@@ -93,7 +85,7 @@ def finds_the_truth(case: Case) -> None:
     known = case.fine.theta != 0
     truth, theta = case.fine.theta[known], case.theta[: known.size][known]
     error = np.abs(theta / truth - 1)
-    require(bool(np.all(error < NEAR)), f"of {truth} it finds {theta}")
+    require(bool(np.all(error < TUNING.common_near)), f"of {truth} it finds {theta}")
 
 
 def more_data_make_shorter_error_bars(case: Case) -> None:
@@ -109,7 +101,7 @@ def more_data_make_shorter_error_bars(case: Case) -> None:
 def mirrored(case: Case) -> None:
     """Input and counts with the other sign: forward and backward change places, loads their sign."""
     result = result_of(case.configured, -case.fine.u, -case.fine.counts)
-    _require_near(last(result.theta), _mirror_theta(case.configured, case.theta), case.theta, MIRRORED)
+    _require_near(last(result.theta), _mirror_theta(case.configured, case.theta), case.theta, TUNING.common_mirrored)
 
 
 def scales_with_the_units(case: Case) -> None:
@@ -121,9 +113,9 @@ def scales_with_the_units(case: Case) -> None:
     }
     noise: float | None = getattr(configured, "noise_std", None)
     if noise is not None:
-        changes["noise_std"] = THOUSAND * noise
+        changes["noise_std"] = TUNING.common_thousand * noise
     result = result_of(change_arguments(configured, changes), case.fine.u, case.fine.counts)
-    _require_near(last(result.theta), case.theta * factors, case.theta * factors, SAME)
+    _require_near(last(result.theta), case.theta * factors, case.theta * factors, TUNING.common_same)
 
 
 def _require_near(found: Floats, expected: Floats, scale: Floats, part: float) -> None:
@@ -142,7 +134,9 @@ def _mirror_theta(estimator: Estimator, theta: Floats) -> Floats:
 
 def _factors(estimator: Estimator) -> Floats:
     """By which a parameter grows when position and force have a thousandth of their unit."""
-    return _each(estimator, lambda term: 1.0 if term.facts.measured or term.signal == "input" else THOUSAND)
+    return _each(
+        estimator, lambda term: 1.0 if term.facts.measured or term.signal == "input" else TUNING.common_thousand
+    )
 
 
 def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
@@ -152,18 +146,18 @@ def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
 
 
 def _scale_encoder(encoder: Encoder) -> Encoder:
-    speed = None if encoder.max_speed is None else THOUSAND * encoder.max_speed
-    return replace(encoder, resolution=THOUSAND * encoder.resolution, max_speed=speed)
+    speed = None if encoder.max_speed is None else TUNING.common_thousand * encoder.max_speed
+    return replace(encoder, resolution=TUNING.common_thousand * encoder.resolution, max_speed=speed)
 
 
 def _scale_forces(model: object) -> object:
     if isinstance(model, TransferFunction):  # its gains take it up
         return model
     if isinstance(model, Drive):
-        return replace(model, input_gain=THOUSAND * model.equation.input_gain)
+        return replace(model, input_gain=TUNING.common_thousand * model.equation.input_gain)
     if isinstance(model, EquationModel):
         known = tuple(
-            replace(term, coefficient=THOUSAND * term.coefficient) if term.signal == "input" else term
+            replace(term, coefficient=TUNING.common_thousand * term.coefficient) if term.signal == "input" else term
             for term in model.equation.known
         )
         return EquationModel(replace(model.equation, known=known))

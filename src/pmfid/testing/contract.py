@@ -28,10 +28,8 @@ from pmfid.testing.case import (
     require_refusal,
     result_of,
 )
-from pmfid.testing.common import OTHER_DT
+from pmfid.testing.tuning import TUNING
 from pmfid.types import Counts, Floats
-
-SYMMETRIC = 1e-9
 
 
 def copies_fit_alike(case: Case) -> None:
@@ -55,17 +53,12 @@ def covariance_is_one(case: Case) -> None:
     if not isinstance(fit, Fit):
         raise ContractError(f"fit gives a {type(fit).__name__}, not a Fit")
     correlation = fit.theta_cov / np.outer(fit.theta_std, fit.theta_std)
-    require(bool(np.max(np.abs(correlation - correlation.T)) < SYMMETRIC), "theta_cov is not symmetric")
+    require(bool(np.max(np.abs(correlation - correlation.T)) < TUNING.contract_symmetric), "theta_cov is not symmetric")
     require(bool(np.all(np.linalg.eigvalsh(correlation) > 0)), "theta_cov is not positive definite")
     require(0 <= fit.relative_error < 1, f"relative_error is {fit.relative_error}")
 
 
-#: Samples before a copy is made or a state saved, and after it.
-BEFORE, AFTER = 1000, 400
-#: Relative difference of the two precisions.
-SINGLE = 2e-3
 HOSTILE = (0.0, 3.0, -3.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40)
-HOSTILE_SAMPLES = 20_000
 
 
 def copies_go_on_alone(case: Case) -> None:
@@ -89,11 +82,17 @@ def equality_is_of_the_configuration(case: Case) -> None:
 def parts_are_the_whole(case: Case) -> None:
     """A run in parts, the second of it by steps and from a saved state, has the bits of the whole run."""
     u, counts = _later(case)
-    whole = case.start_estimator().run(case.fine.u[: BEFORE + AFTER], case.fine.counts[: BEFORE + AFTER])
+    whole = case.start_estimator().run(
+        case.fine.u[: TUNING.contract_before + TUNING.contract_after],
+        case.fine.counts[: TUNING.contract_before + TUNING.contract_after],
+    )
     resumed = case.start_estimator()
     resumed.set_state(_run_some(case).get_state())
     stepped = [resumed.step(float(value), int(count)).theta for value, count in zip(u, counts, strict=True)]
-    require(np.array_equal(np.array(stepped), whole.theta[BEFORE:]), "step from a saved state has other bits than run")
+    require(
+        np.array_equal(np.array(stepped), whole.theta[TUNING.contract_before :]),
+        "step from a saved state has other bits than run",
+    )
     require(np.array_equal(resumed.estimate.theta, stepped[-1]), "estimate is not the one of the last step")
 
 
@@ -107,7 +106,7 @@ def a_foreign_state_is_refused(case: Case) -> None:
     """With a UsageError, and without a trace: one of another configuration, a damaged one, and no state at all."""
     estimator = _run_some(case)
     before = estimator.get_state()
-    other = Case(replace(case.configured, dt=OTHER_DT * case.configured.dt)).start_estimator()
+    other = Case(replace(case.configured, dt=TUNING.other_dt * case.configured.dt)).start_estimator()
     damaged = before[:-1] + bytes([before[-1] ^ 1])
     for what, state in (("of another dt", other.get_state()), ("that is damaged", damaged), ("of no bytes", b"")):
         require_refusal(UsageError, f"a state {what}", partial(estimator.set_state, state))
@@ -130,8 +129,8 @@ def rest_says_poor_excitation(case: Case) -> None:
 def anything_leaves_numbers(case: Case) -> None:
     """Inputs of any size, also none, and counts that jump: theta stays finite, and no error bar is NaN."""
     rng = np.random.default_rng(9)
-    u = rng.choice(HOSTILE, HOSTILE_SAMPLES)
-    track = case.start_estimator().run(u, rng.integers(-(2**31), 2**31, HOSTILE_SAMPLES))
+    u = rng.choice(HOSTILE, TUNING.hostile_samples)
+    track = case.start_estimator().run(u, rng.integers(-(2**31), 2**31, TUNING.hostile_samples))
     require(bool(np.all(np.isfinite(track.theta))), "theta is not finite")
     require(not np.any(np.isnan(track.theta_std)), "theta_std is NaN")
 
@@ -141,8 +140,11 @@ def precisions_agree(case: Case) -> None:
         last(result_of(replace(case.configured, precision=precision), case.fine.u, case.fine.counts).theta)
         for precision in ("float64", "float32")
     )
-    size = np.maximum(np.abs(double), SINGLE * np.max(np.abs(double)))
-    require(bool(np.all(np.abs(single - double) < SINGLE * size)), f"float32 finds {single}, float64 {double}")
+    size = np.maximum(np.abs(double), TUNING.contract_single * np.max(np.abs(double)))
+    require(
+        bool(np.all(np.abs(single - double) < TUNING.contract_single * size)),
+        f"float32 finds {single}, float64 {double}",
+    )
 
 
 def the_kernels_own(case: Case) -> None:
@@ -160,15 +162,15 @@ def the_kernels_own(case: Case) -> None:
 
 
 def _run_some(case: Case) -> OnLine:
-    """The estimator after BEFORE samples."""
+    """The estimator after contract_before samples."""
     estimator = case.start_estimator()
-    estimator.run(case.fine.u[:BEFORE], case.fine.counts[:BEFORE])
+    estimator.run(case.fine.u[: TUNING.contract_before], case.fine.counts[: TUNING.contract_before])
     return estimator
 
 
 def _later(case: Case) -> tuple[Floats, Counts]:
     """The samples after those."""
-    part = slice(BEFORE, BEFORE + AFTER)
+    part = slice(TUNING.contract_before, TUNING.contract_before + TUNING.contract_after)
     return case.fine.u[part], case.fine.counts[part]
 
 

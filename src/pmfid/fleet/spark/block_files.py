@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pyspark.sql.datasource import DataSource, DataSourceStreamReader, InputPartition
 
+from pmfid.fleet.tuning import TUNING
 from pmfid.stream.blocks import BlockStream, encode
 from pmfid.stream.delivery import Block
 
@@ -15,9 +16,6 @@ if TYPE_CHECKING:
     from pyspark.sql.types import StructType
 
 __all__ = ["BlockFiles"]
-
-#: A file is looked through in pieces [bytes].
-PIECE = 2**24
 
 
 class BlockFiles(DataSource):  # type: ignore[misc]
@@ -79,7 +77,7 @@ def _whole(path: Path, start: int) -> int:
     stream, size = BlockStream(), 0
     with open(path, "rb") as file:
         file.seek(start)
-        while data := file.read(PIECE):
+        while data := file.read(TUNING.block_files_piece):
             stream.feed(data)
             size += len(data)
     return size - stream.waiting

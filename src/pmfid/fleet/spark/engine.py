@@ -18,6 +18,7 @@ from unittest import mock
 from pmfid import __version__
 from pmfid.errors import PmfidError, UsageError
 from pmfid.fleet.data import Local
+from pmfid.fleet.tuning import TUNING
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -125,8 +126,6 @@ def _own_environment() -> Iterator[None]:
 #: Columns of what comes back: which item or shard, and what was found for it, pickled.
 NUMBER, FOUND = "number", "found"
 RETURNED = f"{NUMBER} long, {FOUND} binary"
-#: Rows that are handed to polars at once: Spark's own batches are small.
-AT_ONCE = 2**20
 NOT_THERE = (
     "the executors of Spark do not have pmfid: install it in the Python that they run (PYSPARK_PYTHON), or send an "
     "environment that has it (spark.archives); see docs/guide/fleet.md"
@@ -193,7 +192,7 @@ def merge_batches(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
     for batch in batches:
         waiting.append(batch)
         rows += batch.num_rows
-        if rows >= AT_ONCE:
+        if rows >= TUNING.at_once:
             yield pa.Table.from_batches(waiting)
             waiting, rows = [], 0
     if rows:
@@ -202,12 +201,6 @@ def merge_batches(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
 
 A = TypeVar("A")
 B = TypeVar("B")
-
-#: Items of a job, in processors, and at least: what it found is kept when it is done, and a job costs a tenth of a
-#: second. While the last items of a job are worked on, the next one has the other processors.
-EACH, LEAST, JOBS = 4, 8, 2
-#: Processors that are reckoned with where Spark does not say how many it has.
-UNTOLD = 64
 
 
 @dataclass(frozen=True)
@@ -227,9 +220,9 @@ class Spark:
         if not items:
             return
         session = self.session()
-        many = max(LEAST, EACH * processors(session))
+        many = max(TUNING.engine_least, TUNING.engine_each * processors(session))
         jobs = [items[start : start + many] for start in range(0, len(items), many)]
-        for found in Local(JOBS).map(partial(_job, session, work), jobs):
+        for found in Local(TUNING.engine_jobs).map(partial(_job, session, work), jobs):
             yield from found
 
 
@@ -238,7 +231,7 @@ def processors(session: SparkSession) -> int:
     try:
         return int(session.sparkContext.defaultParallelism)
     except Exception:  # Spark Connect has no context
-        return UNTOLD
+        return TUNING.engine_untold
 
 
 def _job(session: SparkSession, work: Callable[[A], B], items: Sequence[A]) -> list[B]:

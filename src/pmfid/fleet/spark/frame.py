@@ -16,7 +16,7 @@ import numpy as np
 from pmfid import __version__
 from pmfid.errors import UsageError
 from pmfid.fleet.data import TRIED, Engine, Work, check_columns, first_table
-from pmfid.fleet.plan import BLOCK, FIRST, LAST, LOST, ROWS, RowShard, Survey, count_rows, mixture, survey_of
+from pmfid.fleet.plan import FIRST, LAST, LOST, ROWS, RowShard, Survey, count_rows, mixture, survey_of
 from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part
 from pmfid.fleet.spark.engine import (
@@ -30,6 +30,7 @@ from pmfid.fleet.spark.engine import (
     return_answers,
 )
 from pmfid.fleet.store import Keep
+from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.types import Floats
 
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from pyspark.sql import Column, DataFrame
 
-#: Greatest number of jobs: the results of a job are stored at its end, but each job reads its times again.
-JOBS = 16
 _PLACE = "place"
 
 
@@ -87,9 +86,9 @@ def jobs_of(shards: Sequence[RowShard]) -> list[list[RowShard]]:
     """The shards of some blocks of time together, in their order."""
     blocks: dict[int, list[RowShard]] = defaultdict(list)
     for shard in shards:
-        blocks[shard.first // BLOCK].append(shard)
+        blocks[shard.first // TUNING.plan_block].append(shard)
     jobs: list[list[RowShard]] = []
-    enough = sum(shard.rows for shard in shards) / JOBS
+    enough = sum(shard.rows for shard in shards) / TUNING.frame_jobs
     for block in sorted(blocks):
         if jobs and sum(shard.rows for shard in jobs[-1]) < enough:
             jobs[-1] += blocks[block]

@@ -10,13 +10,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from pmfid.fleet.tuning import TUNING
+
 __all__ = ["SparkLog"]
 
 NAME = "spark.log"
 #: A line that names the cause of a failure, in Python or Java.
 CAUSE = re.compile(r"(Caused by: )?[\w.$]+(Error|Exception): .")
-#: Greatest part of the messages that is searched [bytes].
-LATELY = 2**20
 #: What Spark says of a checkpoint that is not whole.
 DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
 REPAIR = "the checkpoint is damaged: put back a copy of it, or give new folders for --checkpoint and --out"
@@ -67,6 +67,6 @@ class SparkLog:
 
     def _read_messages(self) -> str:
         with suppress(OSError), open(self.path, "rb") as file:
-            file.seek(max(self._begun, file.seek(0, os.SEEK_END) - LATELY))
+            file.seek(max(self._begun, file.seek(0, os.SEEK_END) - TUNING.log_lately))
             return file.read().decode("utf-8", "replace")
         return ""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pyspark.sql.streaming.stateful_processor import StatefulProcessor, StatefulProcessorHandle
 
 from pmfid.fleet.stream.shard import StreamPlan, StreamShard, table_of
+from pmfid.fleet.tuning import TUNING
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,8 +20,6 @@ __all__ = ["STATE", "ShardProcessor", "pack_state", "unpack_state"]
 STATE, COLUMN = "shard", "body binary"
 #: Of a body [bytes].
 SIZE = Struct("<Q")
-#: No byte of LZ4 becomes more of them.
-MOST = 255
 
 
 def pack_state(body: bytes) -> bytes:
@@ -35,7 +34,7 @@ def unpack_state(state: bytes) -> bytes:
     from pyarrow import decompress
 
     size = SIZE.unpack_from(state)[0] if len(state) >= SIZE.size else -1
-    if not 0 <= size <= MOST * len(state):
+    if not 0 <= size <= TUNING.processor_most * len(state):
         raise ValueError("it is damaged, or of another version")
     return bytes(decompress(memoryview(state)[SIZE.size :], size, "lz4", asbytes=True))
 

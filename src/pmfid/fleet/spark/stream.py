@@ -14,6 +14,7 @@ from pmfid.fleet.spark.engine import is_own, memory, session_of
 from pmfid.fleet.spark.log import SparkLog
 from pmfid.fleet.stream.folder import Folder, States, StreamSettings, open_folder
 from pmfid.fleet.stream.shard import StreamPlan, columns_of
+from pmfid.fleet.tuning import TUNING
 
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
@@ -31,8 +32,6 @@ SETTINGS = {
 }
 #: The folder of Spark's own checkpoint within the checkpoint of the stream.
 SPARK = "spark"
-#: Keys that are tried for each shard: one shard in e^30 has none among them.
-TRIED = 30
 
 
 @dataclass(frozen=True)
@@ -203,7 +202,9 @@ def _find_keys(spark: SparkSession, shards: int) -> list[int]:
     With as many partitions as shards, each partition has one shard. Numbers in order would leave a third of the
     partitions empty, and put several shards into others.
     """
-    numbers = spark.range(TRIED * shards).selectExpr("cast(id as int) as key", f"pmod(hash(key), {shards}) as place")
+    numbers = spark.range(TUNING.stream_tried * shards).selectExpr(
+        "cast(id as int) as key", f"pmod(hash(key), {shards}) as place"
+    )
     table = numbers.toArrow().to_pydict()
     found: dict[int, int] = {}
     for key, place in sorted(zip(table["key"], table["place"], strict=True)):

@@ -19,8 +19,8 @@ from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Item, Table, Unusable
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
-from pmfid.stream.notices import OF_AXIS, OWN
 from pmfid.stream.outcome import EstimateRows, Notice
+from pmfid.stream.tuning import TUNING as STREAM_TUNING
 
 if TYPE_CHECKING:
     import polars as pl
@@ -209,7 +209,7 @@ def _estimates(rows: EstimateRows) -> pl.DataFrame:
 def _notice(notice: Notice) -> pl.DataFrame:
     import polars as pl
 
-    number = 0 if notice.number >= OWN else notice.number % OF_AXIS
+    number = 0 if notice.number >= STREAM_TUNING.notices_own else notice.number % STREAM_TUNING.of_axis
     columns = {"row": [NOTICE], "axis": [notice.axis], "number": [number], "told": [json.dumps(notice.what)]}
     time = notice.what.get("time")
     return pl.DataFrame({**columns, "time": pl.Series([time], dtype=pl.Float64)})

@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 from pmfid.diagnostics.drives import count_jump
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, Stop
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import wrap_of
 
 __all__ = ["period_of"]
-
-#: Most rows between two changes; fewest changes; least part of the changes in step; least part of the rows in step with
-#: a change.
-MOST, LEAST, IN_STEP, OFTEN = 50, 30, 0.98, 0.3
 
 
 def period_of(changes: NDArray[np.intp]) -> int:
@@ -25,12 +22,12 @@ def period_of(changes: NDArray[np.intp]) -> int:
     By chance m changes are in step with probability k^(1 - m). A column with few changes may be in step by chance or by
     design, so a column of long steps is left out.
     """
-    if changes.size < LEAST:
+    if changes.size < TUNING.counter_least:
         return 1
     rows = int(changes[-1] - changes[0]) + 1
-    for k in range(MOST, 1, -1):
+    for k in range(TUNING.counter_most, 1, -1):
         step = np.bincount(changes % k, minlength=k).max()
-        if step >= IN_STEP * changes.size and step >= OFTEN * rows / k:
+        if step >= TUNING.in_step * changes.size and step >= TUNING.counter_often * rows / k:
             return k
     return 1
 

@@ -10,20 +10,12 @@ from numpy.typing import NDArray
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.counter import period_of
 from pmfid.pipeline.checks.view import CheckedLog, View, view, with_friction
+from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
 __all__ = ["find_saturation", "held_input"]
 
-#: An input of fewer values is one of steps.
-LEVELS = 20
-#: Least part of the record at a limit; least ratio to the rows at one of the NEIGHBOURS values next to the limit.
-AT_LIMIT, PILED, NEIGHBOURS = 0.005, 5.0, 20
-#: The missing force at the limit: least size in standard deviations; least size as a part of the largest force, times
-#: the part of the unexplained input that it removes; most that may stay unexplained of the input.
-CERTAIN, SHORT, SEEN = 4.0, 0.008, 0.2
 LARGER = "log the force or current that the drive gave with a larger range, or record with a smaller motion"
-#: Time constants of the filters that show the missing force [samples].
-TIMES = (3.0, 10.0, 30.0, 100.0)
 
 
 def held_input(log: CheckedLog) -> Iterator[Finding]:
@@ -61,15 +53,15 @@ def find_saturation(log: CheckedLog) -> Iterator[Finding]:
 
 def _varies(u: Floats) -> bool:
     """Does the input take many values?"""
-    return np.unique(u[:: max(1, u.size // 10_000)]).size > LEVELS
+    return np.unique(u[:: max(1, u.size // 10_000)]).size > TUNING.inputs_levels
 
 
 def _piles_up(u: Floats, limit: float) -> bool:
     """Is the input at the limit far more often than at the values next to it?"""
     values, times = np.unique(u, return_counts=True)
-    neighbours = np.argsort(np.abs(values - limit))[1 : NEIGHBOURS + 1]
+    neighbours = np.argsort(np.abs(values - limit))[1 : TUNING.inputs_neighbours + 1]
     at_limit = int(times[values == limit][0])
-    return at_limit >= AT_LIMIT * u.size and at_limit > PILED * float(np.mean(times[neighbours]))
+    return at_limit >= TUNING.at_limit * u.size and at_limit > TUNING.inputs_piled * float(np.mean(times[neighbours]))
 
 
 def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
@@ -77,7 +69,7 @@ def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
     if log.view is None or not log.is_machine:
         return False
     side = np.where(there, np.sign(log.force), 0.0)
-    return any(_misses_force(log, shape, time) for time in TIMES for shape in (side, side * _arcs(there)))
+    return any(_misses_force(log, shape, time) for time in TUNING.times for shape in (side, side * _arcs(there)))
 
 
 def _arcs(there: NDArray[np.bool_]) -> Floats:
@@ -103,5 +95,5 @@ def _misses_force(log: CheckedLog, shape: Floats, time: float) -> bool:
     wider = View(time, np.column_stack([plain.phi, cut.z]), seen.z)
     missing = -float(wider.theta[-1]) * float(np.mean(np.abs(shape[shape != 0]))) / float(np.max(np.abs(log.force)))
     less = 1 - wider.unexplained / max(plain.unexplained, 1e-300)
-    sure = wider.sure(np.eye(wider.theta.size)[-1]) < -CERTAIN
-    return sure and missing * less > SHORT and wider.unexplained < SEEN
+    sure = wider.sure(np.eye(wider.theta.size)[-1]) < -TUNING.inputs_certain
+    return sure and missing * less > TUNING.inputs_short and wider.unexplained < TUNING.inputs_seen

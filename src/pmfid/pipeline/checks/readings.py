@@ -13,31 +13,11 @@ from pmfid.models.drive import Drive
 from pmfid.pipeline.checks.timing import drifts, too_slow
 from pmfid.pipeline.checks.view import MASS, PLAIN, VISCOUS, CheckedLog, View, best_view, hasty, liveliest
 from pmfid.pipeline.known import set_any_gain
+from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
 
 __all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
 
-#: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
-FOLLOWS, BETTER = 0.15, 0.3
-#: The same for friction that no reading has. The input must then have the clock of the output, for an integral also
-#: follows an input of another clock.
-LOOSELY = 0.3
-#: Unexplained part below which, with a significant mass, no other reading is tried.
-CLEARLY = 0.001
-#: Standard deviations from which on a sign is certain, and from which on it is likely.
-CERTAIN, LIKELY = 4.5, 3.0
-#: Unexplained part above which a record says nothing about a sign.
-UNSEEN = 0.5
-#: Least time in which a body reaches its speed [samples]; if there is no body, the factor by which a velocity may leave
-#: more unexplained.
-SAMPLES, ALIKE = 1.5, 2.0
-#: Least duration of the motion of a reading, in time constants of the filters.
-LASTING = 10.0
-#: Change of the velocity from row to row, in parts of the velocity: of a column that is no position, and of one that
-#: may be.
-ROUGH, SMOOTH = 0.6, 0.1
-#: Least travel that shows gravity [rad]: on a shorter one a spring does the same.
-TURNED = 1.0
 RATE = 'give [record] output_kind = "velocity"'
 INTEGRATE = (
     "name the column of the position or the counts, or integrate this one, its cumulative sum times the sample period"
@@ -62,11 +42,15 @@ def find_gravity(log: CheckedLog) -> Iterator[Finding]:
     if not (log.is_machine and isinstance(model, Drive) and model.axis == "rotary" and model.gravity is False):
         return
     counts = log.known.counts[log.part]
-    if np.ptp(counts) * log.encoder.resolution < TURNED:
+    if np.ptp(counts) * log.encoder.resolution < TUNING.readings_turned:
         return
     hanging = best_view(log.force[log.part], counts, log.encoder, log.record.dt, model=replace(PLAIN, gravity=True))
     left = _measure_rest(hanging)
-    if hanging is not None and left < min(FOLLOWS, BETTER * _measure_rest(log.closest_view)) and _is_one_body(hanging):
+    if (
+        hanging is not None
+        and left < min(TUNING.readings_follows, TUNING.readings_better * _measure_rest(log.closest_view))
+        and _is_one_body(hanging)
+    ):
         yield _make_finding("gravity", "gravity turns the load", "set gravity = true in [model]", left)
 
 
@@ -75,18 +59,26 @@ def _other_reading(log: CheckedLog) -> Finding | None:
     view = log.closest_view
     heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
     left = _measure_rest(view)
-    if heavy and left < CLEARLY:
+    if heavy and left < TUNING.readings_clearly:
         return None
     velocity, exchanged = _measure_rest(_velocity(log)), _measure_rest(_view_exchanged(log))
-    better = ALIKE if hasty(log.change) > ROUGH > SMOOTH > hasty(np.diff(log.record.u)) else BETTER
+    better = (
+        TUNING.readings_alike
+        if hasty(log.change) > TUNING.readings_rough > TUNING.readings_smooth > hasty(np.diff(log.record.u))
+        else TUNING.readings_better
+    )
     bound = min(better * left, velocity)
-    if exchanged < min(FOLLOWS, bound) or (exchanged < min(LOOSELY, bound) and not any(drifts(log))):
+    if exchanged < min(TUNING.readings_follows, bound) or (
+        exchanged < min(TUNING.readings_loosely, bound) and not any(drifts(log))
+    ):
         return _make_finding("exchanged", "input and output are exchanged", _exchange(log), exchanged)
     if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
         return None
-    bound = left * (BETTER if heavy else 1.0 if _is_one_body(view) else ALIKE)
-    loosely = velocity < LOOSELY and (velocity < bound or (velocity < FOLLOWS and _is_no_body(view)))
-    if velocity < min(FOLLOWS, bound, left) or (loosely and _is_in_time(log)):
+    bound = left * (TUNING.readings_better if heavy else 1.0 if _is_one_body(view) else TUNING.readings_alike)
+    loosely = velocity < TUNING.readings_loosely and (
+        velocity < bound or (velocity < TUNING.readings_follows and _is_no_body(view))
+    )
+    if velocity < min(TUNING.readings_follows, bound, left) or (loosely and _is_in_time(log)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
         return _make_finding("velocity", mistake, RATE, velocity)
     return None
@@ -99,7 +91,7 @@ def _is_in_time(log: CheckedLog) -> bool:
 
 def is_exchanged(log: CheckedLog) -> bool:
     """Does the motion explain the input if the two columns are exchanged?"""
-    return log.is_machine and _measure_rest(_view_exchanged(log)) < FOLLOWS
+    return log.is_machine and _measure_rest(_view_exchanged(log)) < TUNING.readings_follows
 
 
 def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
@@ -111,25 +103,32 @@ def is_turned(view: View) -> bool:
     """Is the mass negative, or does friction drive, in a record that determines both and shows neither with its proper
     sign?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return view.unexplained < UNSEEN and min(mass, work) < -CERTAIN and max(mass, work) < LIKELY
+    return (
+        view.unexplained < TUNING.readings_unseen
+        and min(mass, work) < -TUNING.readings_certain
+        and max(mass, work) < TUNING.readings_likely
+    )
 
 
 def _has_inertia(view: View, dt: float) -> bool:
-    """Is there a mass that takes more than SAMPLES to reach its speed?"""
+    """Is there a mass that takes more than readings_samples to reach its speed?"""
     mass, viscous = abs(view.theta[MASS]), abs(view.theta[VISCOUS])
-    return abs(view.sure(np.eye(view.theta.size)[MASS])) > CERTAIN and mass > SAMPLES * dt * viscous
+    return (
+        abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.readings_certain
+        and mass > TUNING.readings_samples * dt * viscous
+    )
 
 
 def _is_one_body(view: View) -> bool:
     """Do the mass and the power that friction takes have the same sign, if both are significant?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return mass * work > 0 or abs(work) < LIKELY
+    return mass * work > 0 or abs(work) < TUNING.readings_likely
 
 
 def _is_no_body(view: View) -> bool:
     """Do the mass and the power that friction takes have opposite signs, both significantly?"""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return mass * work < 0 and min(abs(mass), abs(work)) > LIKELY
+    return mass * work < 0 and min(abs(mass), abs(work)) > TUNING.readings_likely
 
 
 def _measure_rest(view: View | None) -> float:
@@ -153,7 +152,7 @@ def _velocity(log: CheckedLog) -> View | None:
 def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
     """A reading of the record; None if it gives no machine."""
     part = liveliest(counts)
-    view = best_view(force[part], counts[part], encoder, dt, lasting=LASTING)
+    view = best_view(force[part], counts[part], encoder, dt, lasting=TUNING.readings_lasting)
     return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
 
 
@@ -184,12 +183,6 @@ def suggest_sign(log: CheckedLog) -> str:
     return "give the known term of the input in [model] the other sign"
 
 
-#: Least travel from one end to the other [counts].
-FEWEST = 8
-#: Least mass, in its standard deviations.
-DISTINCT = 2.0
-
-
 def no_motion(log: CheckedLog) -> Iterator[Finding]:
     """An axis at rest, or one that hardly leaves its count."""
     travel = int(np.ptp(log.record.counts))
@@ -201,7 +194,7 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
         sentence = f"the input column {log.axis.record.input!r} is zero throughout"
         yield Finding("little_motion", sentence, "log what drives the axis", "wrong")
         return
-    if travel < FEWEST and not is_exchanged(log):
+    if travel < TUNING.readings_fewest and not is_exchanged(log):
         yield Finding(
             "little_motion",
             f"the axis moves by {travel} counts in all: the encoder's steps hide the motion",
@@ -213,7 +206,7 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
 def no_inertia(log: CheckedLog) -> Iterator[Finding]:
     """An axis whose acceleration does not follow the input."""
     view = log.view if log.is_machine else None
-    if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < DISTINCT:
+    if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < TUNING.readings_distinct:
         yield Finding(
             "little_motion",
             "the acceleration does not follow the input: this record cannot determine a mass",

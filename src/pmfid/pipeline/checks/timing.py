@@ -11,16 +11,10 @@ import numpy as np
 from pmfid.diagnostics.drives import counts_per_sample
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, View, hasty, liveliest, view, with_friction
+from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
 
 __all__ = ["Drift", "drift_of"]
-
-#: Largest shift that is tried, to either side [samples]; pieces of the record.
-LARGEST_SHIFT, PIECES = 30, 16
-#: Least length of a piece, in multiples of the largest shift.
-LEAST = 2
-#: Largest drift over the whole record that is tried, to either side, and the step between drifts [samples].
-FURTHEST, STEP = 30.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -41,8 +35,8 @@ class Drift:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over each of PIECES pieces: gram (k, p, p) of the columns; cross (k, s, p) of the columns with the input at
-    each shift; power (k, s) of the input."""
+    """Sums over each of timing_pieces pieces: gram (k, p, p) of the columns; cross (k, s, p) of the columns with the
+    input at each shift; power (k, s) of the input."""
 
     gram: Floats
     cross: Floats
@@ -54,8 +48,8 @@ class _Sums:
 
     def measure_rest(self, shifts: Floats) -> Floats:
         """(m,): part of the input's power that stays unexplained if piece k is shifted by shifts (m, k)."""
-        low = np.clip(np.floor(shifts).astype(int) + LARGEST_SHIFT, 0, 2 * LARGEST_SHIFT - 1)
-        part = np.clip(shifts + LARGEST_SHIFT - low, 0.0, 1.0)
+        low = np.clip(np.floor(shifts).astype(int) + TUNING.largest_shift, 0, 2 * TUNING.largest_shift - 1)
+        part = np.clip(shifts + TUNING.largest_shift - low, 0.0, 1.0)
         rows = np.arange(len(self.gram))
         cross = (1 - part)[..., None] * self.cross[rows, low] + part[..., None] * self.cross[rows, low + 1]
         power = (1 - part) * self.power[rows, low] + part * self.power[rows, low + 1]
@@ -66,33 +60,36 @@ class _Sums:
 
 def drift_of(view: View) -> Drift | None:
     """The drift between input and output that explains the record best; None if the record is too short."""
-    n = view.z.size - 2 * LARGEST_SHIFT
-    if n < PIECES * LEAST * LARGEST_SHIFT:
+    n = view.z.size - 2 * TUNING.largest_shift
+    if n < TUNING.timing_pieces * TUNING.timing_least * TUNING.largest_shift:
         return None
     sums = _sums(view, n)
     whole, best, least = _best(sums)
-    others = np.array([_best(sums.drop_piece(piece))[0] for piece in range(PIECES)])
-    spread = np.sqrt((PIECES - 1) / PIECES * np.sum((others - others.mean()) ** 2) + STEP**2 / 12)
+    others = np.array([_best(sums.drop_piece(piece))[0] for piece in range(TUNING.timing_pieces)])
+    spread = np.sqrt(
+        (TUNING.timing_pieces - 1) / TUNING.timing_pieces * np.sum((others - others.mean()) ** 2)
+        + TUNING.timing_step**2 / 12
+    )
     return Drift(whole, n, abs(whole) / float(spread), best / max(least, 1e-300))
 
 
 def _best(sums: _Sums) -> tuple[float, float, float]:
     """The best drift [samples], the unexplained part with it, and the least unexplained part without drift."""
-    drifts = np.arange(-FURTHEST, FURTHEST + STEP, STEP)
-    middles = np.arange(-LARGEST_SHIFT / 2, LARGEST_SHIFT / 2 + 1)
-    places = (np.arange(PIECES) + 0.5) / PIECES - 0.5
+    drifts = np.arange(-TUNING.timing_furthest, TUNING.timing_furthest + TUNING.timing_step, TUNING.timing_step)
+    middles = np.arange(-TUNING.largest_shift / 2, TUNING.largest_shift / 2 + 1)
+    places = (np.arange(TUNING.timing_pieces) + 0.5) / TUNING.timing_pieces - 0.5
     shifts = middles[:, None, None] + drifts[None, :, None] * places
-    left = sums.measure_rest(shifts.reshape(-1, PIECES)).reshape(middles.size, drifts.size)
+    left = sums.measure_rest(shifts.reshape(-1, TUNING.timing_pieces)).reshape(middles.size, drifts.size)
     _, column = np.unravel_index(int(np.argmin(left)), left.shape)
     return float(drifts[column]), float(left.min()), float(left[:, drifts.size // 2].min())
 
 
 def _sums(view: View, n: int) -> _Sums:
-    B = with_friction(view)[LARGEST_SHIFT : LARGEST_SHIFT + n]
+    B = with_friction(view)[TUNING.largest_shift : TUNING.largest_shift + n]
     size = np.linalg.norm(B, axis=0)
     B = B[:, size > 0] / size[size > 0]
-    shifted = np.lib.stride_tricks.sliding_window_view(view.z, n)[::-1]  # row s: later by s - MOST samples
-    edges = np.linspace(0, n, PIECES + 1).astype(int)
+    shifted = np.lib.stride_tricks.sliding_window_view(view.z, n)[::-1]  # row s: later by s - timing_most samples
+    edges = np.linspace(0, n, TUNING.timing_pieces + 1).astype(int)
     pairs = list(pairwise(edges))
     gram = np.array([B[a:b].T @ B[a:b] for a, b in pairs])
     cross = np.array([shifted[:, a:b] @ B[a:b] for a, b in pairs])
@@ -100,31 +97,14 @@ def _sums(view: View, n: int) -> _Sums:
     return _Sums(gram, cross, power)
 
 
-#: Change of the velocity from sample to sample, as a part of the velocity, above which samples miss the motion; counts
-#: per sample above which this change is not due to the encoder.
-HASTY, FINE = 0.42, 3.0
-#: The same in records too short for filters; part of the change that the logged input leaves unexplained; least
-#: standard deviation of the change [counts]; least rows.
-RATHER, ASTRAY, COUNTS, ROWS = 0.25, 0.5, 10.0, 12
-#: Counts per sample below which most samples carry no information; counts per sample that suffice.
-IDLE, PLENTY = 0.02, 0.2
-#: Time constants of the filters that show a drift [samples]; of a drift the least size [samples], the least size in
-#: standard deviations, and the largest ratio of the unexplained parts with and without it.
-DRIFT_TIMES, DRIFTED, SURE, LESS = (10.0, 30.0, 100.0), 1.5, 4.5, 0.95
-#: Most further corrections; largest corrected drift, as a multiple of the first.
-CORRECTIONS, MOST = 3, 1.5
-#: Samples that are searched for a drift.
-MOST_SAMPLES = 40_000
-
-
 def too_slow(log: CheckedLog) -> Iterator[Finding]:
     """A sample period within which the velocity changes by much of its size."""
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
-    if moving.size < 2 or float(np.median(moving)) < FINE:
+    if moving.size < 2 or float(np.median(moving)) < TUNING.timing_fine:
         return
     jumps = hasty(change)
-    if not (jumps > HASTY or (jumps > RATHER and _misses_input(log))):
+    if not (jumps > TUNING.timing_hasty or (jumps > TUNING.timing_rather and _misses_input(log))):
         return
     yield Finding(
         "rate_low",
@@ -138,18 +118,23 @@ def _misses_input(log: CheckedLog) -> bool:
     """Does the velocity of a short record change in a way that the logged input does not explain?"""
     change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
     turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
-    if log.view is not None or not log.is_machine or turn.size < ROWS or np.std(turn) < COUNTS:
+    if (
+        log.view is not None
+        or not log.is_machine
+        or turn.size < TUNING.timing_rows
+        or np.std(turn) < TUNING.timing_counts
+    ):
         return False
     causes = np.column_stack([u[:-2], u[1:-1], velocity, np.sign(velocity), np.ones(turn.size)])
     left = turn - causes @ np.linalg.lstsq(causes, turn, rcond=None)[0]
-    return bool(np.linalg.norm(left) > ASTRAY * np.linalg.norm(turn - turn.mean()))
+    return bool(np.linalg.norm(left) > TUNING.timing_astray * np.linalg.norm(turn - turn.mean()))
 
 
 def too_fast(log: CheckedLog) -> Iterator[Finding]:
     """A sample period within which the count hardly ever changes."""
     per_sample = counts_per_sample(log.known.counts)
-    if 0 < per_sample < IDLE:
-        keep = max(2, round(PLENTY / per_sample))
+    if 0 < per_sample < TUNING.timing_idle:
+        keep = max(2, round(TUNING.timing_plenty / per_sample))
         yield Finding(
             "rate_high",
             f"the axis moves {per_sample:.2g} counts per row: nearly all rows say nothing, and filters as slow as the "
@@ -177,15 +162,15 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
 def _drift(log: CheckedLog) -> float:
     """The most significant drift per row, 0 if none is significant. Corrections refine the drift, which large drifts
     need."""
-    part = liveliest(log.known.counts, MOST_SAMPLES)
+    part = liveliest(log.known.counts, TUNING.timing_most_samples)
     u, counts = log.force[part], log.known.counts[part]
     first = _surest(log, u, counts)
     if first is None:
         return 0.0
     rate = first.rate
-    for _ in range(CORRECTIONS):
+    for _ in range(TUNING.timing_corrections):
         further = _surest(log, _resample_input(u, rate), counts)
-        if further is None or abs(rate + further.rate) > MOST * abs(first.rate):
+        if further is None or abs(rate + further.rate) > TUNING.timing_most * abs(first.rate):
             break
         rate += further.rate
     return rate
@@ -198,7 +183,11 @@ def _resample_input(u: Floats, rate: float) -> Floats:
 
 
 def _surest(log: CheckedLog, u: Floats, counts: Counts) -> Drift | None:
-    views = [view(u, counts, log.encoder, log.record.dt, time) for time in DRIFT_TIMES]
+    views = [view(u, counts, log.encoder, log.record.dt, time) for time in TUNING.drift_times]
     found = [drift for one in views if one is not None and (drift := drift_of(one)) is not None]
-    sure = [one for one in found if abs(one.samples) >= DRIFTED and one.sure > SURE and one.less < LESS]
+    sure = [
+        one
+        for one in found
+        if abs(one.samples) >= TUNING.timing_drifted and one.sure > TUNING.timing_sure and one.less < TUNING.timing_less
+    ]
     return max(sure, key=lambda one: one.sure, default=None)

@@ -16,22 +16,15 @@ from pmfid.estimators.ls import LS
 from pmfid.estimators.plants import plant_of
 from pmfid.models.drive import Drive
 from pmfid.pipeline.known import finds_gain, set_any_gain
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
 __all__ = ["PARTS", "View", "best_view", "view", "with_friction"]
 
-#: Time constants of the filters that are tried [samples].
-TIMES = (3.0, 10.0, 30.0, 100.0)
 #: Pieces of the record, whose differences give standard deviations; least samples of a piece.
 PARTS, SHORTEST = 8, 20
-#: Least duration of a record, in time constants: after slow filtering anything explains a short record.
-ENOUGH = 60.0
-#: Least part of the travel that goes back in a motion with both directions.
-ONE_WAY = 0.05
-#: Speed over which friction at rest falls, as a part of the usual speed.
-SLOW = 0.1
 MASS, VISCOUS, COULOMB, LOAD = range(4)
 #: The model of these four columns.
 PLAIN = Drive(1.0, offset=True)
@@ -86,7 +79,7 @@ class View:
         """Does the axis move in one direction nearly all the time? Dry friction is then a load."""
         velocity = self.phi[:, VISCOUS]
         back = float(np.sum(np.abs(velocity[velocity < 0]))) / max(float(np.sum(np.abs(velocity))), 1e-300)
-        return min(back, 1 - back) < ONE_WAY
+        return min(back, 1 - back) < TUNING.one_way
 
     @property
     def moving(self) -> float:
@@ -113,7 +106,7 @@ def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float, mo
     """The record after filters of a time constant [samples], with the columns of a model with input gain 1; None if the
     filters do not settle within the record."""
     method = LS(model, replace(encoder, guard=False), dt, 1 / (time * dt))
-    if u.size < max(method.settle_samples + PARTS * SHORTEST, ENOUGH * time):
+    if u.size < max(method.settle_samples + PARTS * SHORTEST, TUNING.view_enough * time):
         return None
     columns = method.columns(u, counts)
     return View(time, columns.phi, columns.z)
@@ -124,7 +117,7 @@ def best_view(
 ) -> View | None:
     """The view that explains most of the input, among views whose motion lasts for more than `lasting` time constants;
     None if the record is too short, or nothing moves."""
-    views = [view(u, counts, encoder, dt, time, model) for time in TIMES]
+    views = [view(u, counts, encoder, dt, time, model) for time in TUNING.times]
     moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
     seen = [one for one in moved if one.moving > lasting * one.time]
     return min(seen, key=lambda one: one.unexplained) if seen else None
@@ -135,31 +128,12 @@ def with_friction(view: View) -> Floats:
     direction."""
     velocity, direction = view.phi[:, VISCOUS], view.phi[:, COULOMB]
     usual = float(np.sqrt(np.mean(velocity**2))) or 1.0
-    slow = direction * np.exp(-((velocity / (SLOW * usual)) ** 2))
+    slow = direction * np.exp(-((velocity / (TUNING.view_slow * usual)) ** 2))
     return np.column_stack([view.phi, slow, velocity * np.abs(velocity), np.abs(direction)])
 
 
 #: First and last sample of equal counts.
 Stop = tuple[int, int]
-
-#: Spans over which the edges of a stop are examined [samples]; least turn of the motion at an abrupt edge [counts].
-SPANS, COUNTS = (1, 2, 4, 8, 16, 32), 6
-#: Least ratio of the turn of the motion at an abrupt stop to the largest turn elsewhere.
-ABRUPT = 2.5
-#: A stop that the axis leaves slowly or never: the factor by which its limit is higher. With SEVERAL stops or more, its
-#: turn must also exceed ABRUPT times the median of all stops.
-DEAD, SEVERAL = 2.0, 3
-#: Least part of the record outside of stops for this comparison.
-APART = 0.2
-#: Least samples of a stop; least counts that the usual speed would have brought within it.
-SHORTEST_STOP, MISSED = 5, 4.0
-#: Least part of the rows outside of stops: a column of steps has none.
-MOVING = 0.05
-#: An axis does not rest under a force above HELD times its friction, but for LATE samples, as with a dead time; the
-#: axis would have moved by FAR counts.
-HELD, LATE, FAR = 2.2, 5, 8.0
-#: Most stops that are examined, the longest first.
-MOST = 1000
 
 
 def long_stops(counts: Counts) -> list[Stop]:
@@ -167,13 +141,13 @@ def long_stops(counts: Counts) -> list[Stop]:
     moving: NDArray[np.intp] = np.flatnonzero(np.diff(counts))
     if moving.size < 2:
         return []
-    least = max(float(SHORTEST_STOP), MISSED / max(counts_per_sample(counts), 1e-9))
+    least = max(float(TUNING.shortest_stop), TUNING.view_missed / max(counts_per_sample(counts), 1e-9))
     pairs = zip((moving + 1).tolist(), [*moving[1:].tolist(), counts.size - 1], strict=True)
     stops = [(first, last) for first, last in pairs if last - first >= least]
     resting = sum(last - first for first, last in stops)
-    if resting > (1 - MOVING) * counts.size:
+    if resting > (1 - TUNING.view_moving) * counts.size:
         return []
-    return sorted(sorted(stops, key=lambda stop: stop[0] - stop[1])[:MOST])
+    return sorted(sorted(stops, key=lambda stop: stop[0] - stop[1])[: TUNING.view_most])
 
 
 def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
@@ -181,13 +155,13 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True
     found = set[Stop]()
-    for span in SPANS:
+    for span in TUNING.view_spans:
         if counts.size < 4 * span:
             break
         turn = np.zeros(counts.size)
         turn[span:-span] = np.abs(counts[2 * span :] - 2 * counts[span:-span] + counts[: -2 * span])
         apart = ~_widen_marks(edges, span)
-        if np.mean(apart) < APART:
+        if np.mean(apart) < TUNING.view_apart:
             break
         long_ones = [stop for stop in stops if stop[1] - stop[0] >= span]
         found |= _abrupt(turn, long_ones, float(np.max(turn[apart])))
@@ -196,12 +170,14 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
 
 def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
     """The stops at whose ends the turn of the motion (n,) far exceeds the turn elsewhere."""
-    limit = max(ABRUPT * (elsewhere + 1), COUNTS)
+    limit = max(TUNING.view_abrupt * (elsewhere + 1), TUNING.view_counts)
     begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
     # a counter that catches up jumps to where it should be: the larger edge then says more than the smaller one
     both = (np.sqrt(begins * ends) >= limit) & (np.minimum(begins, ends) > elsewhere + 1)
     usual = float(np.median(begins)) if begins.size else 0.0
-    dead = (begins >= DEAD * limit) & (begins >= ABRUPT * (usual + 1) if begins.size >= SEVERAL else True)
+    dead = (begins >= TUNING.view_dead * limit) & (
+        begins >= TUNING.view_abrupt * (usual + 1) if begins.size >= TUNING.view_several else True
+    )
     return {stop for stop, yes in zip(stops, both | dead, strict=True) if yes}
 
 
@@ -214,12 +190,12 @@ def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: flo
     for first, last in stops:
         resting[first : last + memory] = True
     keep = ~resting[rows]
-    if np.mean(keep) < MOVING:
+    if np.mean(keep) < TUNING.view_moving:
         return set()
     theta = solve_least_squares(view.phi[keep], view.z[keep])
     if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
         return set()
-    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > FAR * resolution}
+    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > TUNING.view_far * resolution}
 
 
 def _moves(force: Floats, theta: Floats, dt: float) -> float:
@@ -227,10 +203,10 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
     load = theta[3] if theta.size > 3 else 0.0
     moved = 0.0
     for sign in (1.0, -1.0):
-        above = sign * (force - load) - HELD * theta[COULOMB]
+        above = sign * (force - load) - TUNING.view_held * theta[COULOMB]
         breaks = np.flatnonzero(np.diff(np.r_[0, above > 0, 0]))
         for first, last in zip(breaks[::2].tolist(), breaks[1::2].tolist(), strict=True):
-            time = dt * max(0, last - first - LATE)
+            time = dt * max(0, last - first - TUNING.view_late)
             push = float(np.mean(above[first:last]))
             fastest = push / max(float(theta[VISCOUS]), 1e-300) if theta[VISCOUS] > 0 else np.inf
             moved = max(moved, min(push / float(theta[MASS]) * time**2 / 2, fastest * time))
@@ -240,10 +216,6 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
 def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
     """(n,): the marked samples, and `span` samples to either side."""
     return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)
-
-
-#: Samples of the part of a record that is filtered: the part with the most motion.
-MOST_SAMPLES = 8000
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,7 +298,7 @@ def hasty(change: Counts | Floats) -> float:
     return float(np.sqrt(np.mean(np.square(np.diff(change), dtype=np.float64)) / max(power, 1e-300)))
 
 
-def liveliest(counts: Counts, most: int = MOST_SAMPLES) -> slice:
+def liveliest(counts: Counts, most: int = TUNING.view_most_samples) -> slice:
     """The `most` consecutive samples over which the counts change most; all samples if there are fewer."""
     if counts.size <= most:
         return slice(0, counts.size)

@@ -13,6 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.io.reading import read_table
 from pmfid.io.tables import Table
 from pmfid.pipeline.guess.columns import Pair, numeric, pair_of, role_of, step_of, time_of
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import UNITS, even_grid, named_unit
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
@@ -22,8 +23,6 @@ __all__ = ["AxisGuess", "guess"]
 #: Asks for a number that the record does not show: the question, and the value without an answer.
 Ask = Callable[[str, str], str]
 
-#: Shortest, longest and most usual sample period of an axis [s].
-SHORTEST, LONGEST, USUAL = 1e-5, 0.1, 1e-3
 HEADING = """\
 # {name}: guessed from the record by pmfid init. Each line has its reason; the record does not show values marked TO DO.
 """
@@ -102,16 +101,18 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     found = time_of(table, columns)
     if found is None or _may_be_numbers(*found):
         answer = ask("sample period in s", "0.001") if ask else ""
-        return None, _number(answer, USUAL)
+        return None, _number(answer, TUNING.axis_file_usual)
     name, values, written = found
     mean, grid = even_grid(values)
     step = mean if grid else float(np.median(np.diff(values)))
     if written or named_unit(name):
         return (name, "", ""), step * (1.0 if written else UNITS[named_unit(name) or "s"])
-    fitting = [unit for unit, length in UNITS.items() if SHORTEST <= step * length < LONGEST]
+    fitting = [
+        unit for unit, length in UNITS.items() if TUNING.axis_file_shortest <= step * length < TUNING.axis_file_longest
+    ]
     if "s" in fitting or not fitting:
         return (name, "", ""), step
-    unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / USUAL)))
+    unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / TUNING.axis_file_usual)))
     return (
         name,
         unit,

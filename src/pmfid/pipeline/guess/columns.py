@@ -16,18 +16,12 @@ from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, times
 from pmfid.pipeline.checks.readings import integrate_velocity, is_turned
 from pmfid.pipeline.checks.view import MASS, View, best_view, liveliest
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import named_unit
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
 
 __all__ = ["is_whole", "step_of"]
-
-#: Most values that are examined; least part of the steps that are whole multiples; largest distance from a multiple.
-MOST, PART, EXACT = 20_000, 0.98, 0.02
-#: Largest rounding of a log, as a part of a step: with more rounding any step would fit.
-MOST_ROUNDED = 0.15
-#: Steps in the range of a column that shows no steps.
-FINE = 2**20
 
 
 def is_whole(values: Floats) -> bool:
@@ -39,9 +33,9 @@ def step_of(values: Floats) -> tuple[float, bool]:
     """The smallest step that divides all others, and whether there is one; values: (n,), finite.
 
     Steps up to a billionth of the range are rounding, and a log may have rounded each value to a number of decimals.
-    Without such a step, the range over FINE.
+    Without such a step, the range over columns_fine.
     """
-    found = np.unique(values[:MOST])
+    found = np.unique(values[: TUNING.columns_most])
     reach = float(np.ptp(found))
     if reach == 0:
         return 1.0, False
@@ -53,12 +47,12 @@ def step_of(values: Floats) -> tuple[float, bool]:
         near = (times > 0) & (times < most) & (np.abs(steps / step - times) < 0.25)
         step = float(np.sum(steps[near]) / np.sum(times[near]))
     off = np.abs(steps / step - np.rint(steps / step))
-    exact = steps / step < EXACT / 1e-6
+    exact = steps / step < TUNING.columns_exact / 1e-6
     rounded = rounding_of(found) / step
-    allowed = max(EXACT, 1.01 * rounded if rounded < MOST_ROUNDED else 0.0)
-    if found.size > 3 and np.mean(off[exact] < allowed) > PART and reach / step < FINE:
+    allowed = max(TUNING.columns_exact, 1.01 * rounded if rounded < TUNING.most_rounded else 0.0)
+    if found.size > 3 and np.mean(off[exact] < allowed) > TUNING.columns_part and reach / step < TUNING.columns_fine:
         return _round_step(step), True
-    return reach / FINE, False
+    return reach / TUNING.columns_fine, False
 
 
 def rounding_of(values: Floats) -> float:
@@ -126,18 +120,6 @@ def role_of(name: str) -> Role:
 
 #: Roles of an output, best first.
 OUTPUT_ROLES: tuple[Role, ...] = ("counts", "position", "velocity")
-#: Most inputs and most outputs that are tried.
-MOST_COLUMNS = 6
-#: Least mass of a reading, in its standard deviations.
-SIGNIFICANT = 4.5
-#: Factor on the unexplained part of a reading that contradicts the column's name.
-AGAINST = 3.0
-#: Least part of usual steps in a time column; largest relative deviation of a usual step from the median.
-MOSTLY, EVEN = 0.9, 0.2
-#: Least jump of a column that is no motion, as a part of its range; least number of jumps in each direction.
-JUMP, FEW_JUMPS = 0.4, 3
-#: Least correlation of a column with the change of the output that makes it the velocity, and no input.
-SAME = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +164,8 @@ def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, b
 def _even(values: Floats) -> bool:
     """Does a column grow by nearly equal steps, as time does and no motion?"""
     steps = np.diff(values)
-    usual = np.abs(steps - np.median(steps)) < EVEN * np.median(steps)
-    return bool(np.all(steps > 0) and np.mean(usual) > MOSTLY)
+    usual = np.abs(steps - np.median(steps)) < TUNING.columns_even * np.median(steps)
+    return bool(np.all(steps > 0) and np.mean(usual) > TUNING.columns_mostly)
 
 
 def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
@@ -197,8 +179,8 @@ def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
     inputs = [name for name in columns if roles[name] == "input"] or [name for name in columns if roles[name] == ""]
     tried = [
         one
-        for output in outputs[:MOST_COLUMNS]
-        for name in inputs[:MOST_COLUMNS]
+        for output in outputs[: TUNING.most_columns]
+        for name in inputs[: TUNING.most_columns]
         if name != output
         and columns[name].size == columns[output].size
         and (one := _try_pair(columns, name, output, roles[output], dt))
@@ -223,9 +205,9 @@ def _jumps(values: Floats) -> bool:
     """Does a column (n,) cross much of its range within a sample, in both directions, as a relay does and no mass? A
     counter that wraps moves before it jumps, in the opposite direction."""
     change = np.diff(values)
-    at = np.flatnonzero(np.abs(change) > JUMP * np.ptp(values))
+    at = np.flatnonzero(np.abs(change) > TUNING.columns_jump * np.ptp(values))
     at = at[at > 0]
-    if min(np.sum(change[at] > 0), np.sum(change[at] < 0)) < FEW_JUMPS:
+    if min(np.sum(change[at] > 0), np.sum(change[at] < 0)) < TUNING.few_jumps:
         return False
     wraps = change[at - 1] * change[at] < 0
     return bool(np.mean(wraps) < 0.8)
@@ -243,7 +225,9 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
     if not seen:
         return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0, "")
     # against its name a column is a velocity only if it explains far more as one
-    kind, view = min(seen, key=lambda pair: _cost(pair[1]) * (AGAINST if role and pair[0] != role else 1.0))
+    kind, view = min(
+        seen, key=lambda pair: _cost(pair[1]) * (TUNING.columns_against if role and pair[0] != role else 1.0)
+    )
     explained = max(0.0, 1 - _cost(view))
     return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, "")
 
@@ -260,12 +244,12 @@ def _is_rate(values: Floats, output: Floats) -> bool:
     """Is a column (n,) the velocity of the output (n,), as a drive logs it together with the position?"""
     change = np.gradient(output)
     size = float(np.std(values) * np.std(change))
-    return size > 0 and float(np.mean((values - values.mean()) * (change - change.mean()))) > SAME * size
+    return size > 0 and float(np.mean((values - values.mean()) * (change - change.mean()))) > TUNING.columns_same * size
 
 
 def _cost(view: View) -> float:
     """The unexplained part; 1 without a significant mass, for a velocity explains its own column."""
-    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > SIGNIFICANT else 1.0
+    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.columns_significant else 1.0
 
 
 def _whole(name: str, output: Floats, kind: str) -> str:

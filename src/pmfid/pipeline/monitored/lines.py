@@ -14,6 +14,7 @@ from pmfid.errors import UsageError, did_you_mean
 from pmfid.io.csv_text import SEPARATORS, are_units, split
 from pmfid.io.tables import whole_name
 from pmfid.pipeline.monitored.timeline import Line
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import time_factor
 
 __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
@@ -22,10 +23,6 @@ __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
 MAX_COUNT = 2.0**53
 #: Largest time stamp [s], also for one that is in ns by mistake: in samples it must stay a number.
 MOST_TIME = 1e30
-#: Most sets of field names of one axis that are kept: names may have units in brackets.
-_MOST_READINGS = 16
-#: Most letters of a message on a received value.
-_MOST_LETTERS = 200
 
 #: A value as a text, and as JSON and line protocol have it.
 Value = float | str
@@ -104,7 +101,7 @@ class FieldReader:
         try:
             return self._line(fields, stamp)
         except (ValueError, OverflowError, UsageError) as error:
-            return Line(math.nan, math.nan, 0, str(error)[:_MOST_LETTERS])
+            return Line(math.nan, math.nan, 0, str(error)[: TUNING.most_letters])
 
     def rows(self, columns: Mapping[str, object], size: int) -> Iterator[Line]:
         """The first `size` samples of columns by name; a value that is no list is the same in each. Never raises."""
@@ -123,11 +120,11 @@ class FieldReader:
             line = reading.line(_value(fields, names[0]), _value(fields, names[1]), time)
         except (ValueError, OverflowError) as error:
             line = Line(time, math.nan, 0, str(error))
-        return Line(line.time, line.u, line.counts, line.problem[:_MOST_LETTERS])
+        return Line(line.time, line.u, line.counts, line.problem[: TUNING.most_letters])
 
     def _reading(self, names: tuple[str, ...]) -> Reading:
         if names not in self._readings:
-            if len(self._readings) >= _MOST_READINGS:
+            if len(self._readings) >= TUNING.most_readings:
                 self._readings.clear()
             self._readings[names] = Reading(self._axis, names)
         return self._readings[names]

@@ -14,12 +14,8 @@ from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.monitored.rows import Nowhere, RowSink
 from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
+from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
-
-#: Most rows for the report; above it, every other row is dropped.
-MOST_ROWS = 8000
-#: Most notices of one kind of line, and of gaps; most events that are kept.
-MOST_NOTICES, KEPT = 10, 10_000
 
 #: A notice for JSON: texts, numbers, and tables of them, by key.
 Notice = dict[str, Any]
@@ -42,7 +38,7 @@ class RunHistory:
     def __call__(self, sample: Sample, estimate: Estimate | Seen, state: str) -> None:
         """Adds a sample with its estimate and the monitor's state."""
         if self._taken % self.stride == 0:
-            if len(self.rows) >= MOST_ROWS:
+            if len(self.rows) >= TUNING.most_rows:
                 self.rows, self.stride = self.rows[::2], 2 * self.stride
             theta, std = estimate.theta, estimate.theta_std
             row = (sample.time, sample.u, sample.counts, theta, std, estimate.innovation, estimate.status, state)
@@ -56,7 +52,7 @@ class RunHistory:
 
 @dataclass
 class MonitoredRun:
-    """Totals of a run and its first KEPT events, as for JSON.
+    """Totals of a run and its first run_kept events, as for JSON.
 
     bad_lines: could not be used; repeated_lines: came twice or too late; comments: with repeated headers; gaps: in the
     times; missing: samples in these gaps; clock_jumps: how often the clock was set; outliers: samples that no motion
@@ -123,11 +119,11 @@ def _step(
     for event in [*events, *now]:
         if isinstance(event, Outlier):
             run.outliers += 1
-            if run.outliers > MOST_NOTICES:
+            if run.outliers > TUNING.most_notices:
                 continue
         shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
         notice = event_object(event, monitor.names, shift)
-        if len(run.events) < KEPT:
+        if len(run.events) < TUNING.run_kept:
             run.events.append(notice)
         tell(notice)
 
@@ -136,7 +132,7 @@ def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
     """Counts a line that is no sample, and reports the first ones."""
     name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
     setattr(run, name, getattr(run, name) + 1)
-    if line.kind != COMMENT and getattr(run, name) <= MOST_NOTICES:
+    if line.kind != COMMENT and getattr(run, name) <= TUNING.most_notices:
         tell({"event": line.kind, "time": line.time, "problem": line.problem})
 
 
@@ -145,13 +141,13 @@ def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tel
     if sample.missing:
         run.gaps += 1
         run.missing += sample.missing
-        if run.gaps <= MOST_NOTICES:
+        if run.gaps <= TUNING.most_notices:
             tell({"event": "gap", "time": sample.time, "missing": sample.missing})
         if sample.missing <= monitor.longest:
             return monitor.fill_gap(sample.missing, sample.u, sample.counts)
         return monitor.skip(sample.missing)
     run.clock_jumps += 1
-    if run.clock_jumps <= MOST_NOTICES:
+    if run.clock_jumps <= TUNING.most_notices:
         tell({"event": "clock", "time": sample.time, "jump": sample.jump})
     return monitor.skip(1)
 

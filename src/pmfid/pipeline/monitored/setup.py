@@ -31,6 +31,7 @@ from pmfid.monitor.scores import Scale
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import finds_gain, known_of, set_gain, try_both_signs
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
@@ -116,14 +117,6 @@ def _work(raw: dict[str, Any]) -> NormalWork:
     return NormalWork(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), np.array(raw["limit"]))
 
 
-#: Memory if [estimator] forgetting is 1, which would never follow a change [s].
-DEFAULT_MEMORY = 2.0
-#: Ratio of the standard deviations of normal work and simulation above which the encoder is not the main noise.
-NOISY = 1.3
-#: Factor within which a reference record should determine the mean time between false alarms.
-SURE = 2.0
-
-
 @dataclass(frozen=True)
 class Setup:
     """A monitor at its start; nominal: (p,); calibration, and its file `path`; cached: was it in the cache? notes: for
@@ -181,18 +174,19 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
 def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float) -> list[str]:
     """Notes on the thresholds if normal work is noisier than its simulation."""
     hours, notes = calibration.record_hours, []
-    if np.max(calibration.noise) > NOISY or hours:
+    if np.max(calibration.noise) > TUNING.setup_noisy or hours:
         notes.append(
             f"normal work is {np.max(calibration.noise):.2g} times as noisy as the encoder explains: "
             + ("the thresholds come from" if hours else "the scale is that of")
             + " the reference record itself"
         )
     doubt = calibration.tails[detector].doubt(mtbf_hours)
-    if doubt > math.log(SURE):
+    if doubt > math.log(TUNING.setup_sure):
         notes.append(
             f"from the {hours:.2g} h of the reference record the time between false alarms is known to a factor of "
-            f"{math.exp(doubt):.2g} only, to one of {SURE:g} it would be from about "
-            f"{hours * (doubt / math.log(SURE)) ** 2:.2g} h of it; record more normal work, or lower mtbf_hours"
+            f"{math.exp(doubt):.2g} only, to one of {TUNING.setup_sure:g} it would be from about "
+            f"{hours * (doubt / math.log(TUNING.setup_sure)) ** 2:.2g} h of it; record more normal work, or "
+            "lower mtbf_hours"
         )
     return notes
 
@@ -212,7 +206,7 @@ def _configure_recursive(axis: Axis, dt: float) -> Axis:
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     forgetting = axis.estimator.forgetting
     if forgetting == 1:
-        forgetting = max(0.5, 1 - dt / DEFAULT_MEMORY)
+        forgetting = max(0.5, 1 - dt / TUNING.default_memory)
     changed = axis.estimator.model_copy(update={"method": method, "forgetting": forgetting})
     return axis.model_copy(update={"estimator": changed})
 

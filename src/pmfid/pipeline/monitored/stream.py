@@ -15,14 +15,8 @@ from pmfid.errors import UsageError
 from pmfid.io.csv_text import is_data
 from pmfid.pipeline.monitored.lines import LineParser, is_comment
 from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Metronome, Sample, Skipped, Timeline
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.record import Record
-
-#: Most bytes of a line; a longer one counts as several bad lines.
-LONGEST_LINE = 65536
-#: Lines at the beginning and at the end that must contain samples; least samples among the first ones.
-FIRST_LINES, LEAST_SAMPLES = 100, 10
-#: Most repetitions of every line by a logger.
-MOST_REPEATED = 3
 
 
 class _InterruptedError(Exception):
@@ -69,7 +63,7 @@ class Stop:
         """The next line, b"" at the end or when a signal comes."""
         try:
             self._waiting = True
-            line = b"" if self.requested else stream.readline(LONGEST_LINE)
+            line = b"" if self.requested else stream.readline(TUNING.longest_line)
             self._waiting = False
         except _InterruptedError:
             return b""
@@ -144,7 +138,7 @@ class Beginning:
             return LineParser(line, self.axis)
         except UsageError as error:
             self.problem = self.problem if data and self._lines > 1 else error
-        if data or self._lines >= FIRST_LINES:
+        if data or self._lines >= TUNING.first_lines:
             raise self.problem
         return None
 
@@ -171,7 +165,7 @@ class _Tally:
                 self._sample(one)
             elif one.kind != COMMENT:
                 self._count_skipped(one)
-        if before < FIRST_LINES <= self.lines and self.samples < LEAST_SAMPLES:
+        if before < TUNING.first_lines <= self.lines and self.samples < TUNING.least_samples:
             self._refuse(self.lines - self.samples, self.lines)
 
     def _sample(self, sample: Sample) -> None:
@@ -188,9 +182,9 @@ class _Tally:
     def check(self) -> None:
         """Raises UsageError if the last lines are bad, if more lines are bad than good, or if nearly all are
         repeated."""
-        if self.tail >= FIRST_LINES:
+        if self.tail >= TUNING.first_lines:
             self._refuse(self.tail, self.tail)
-        if max(self.bad, self.repeated // MOST_REPEATED) > self.samples:
+        if max(self.bad, self.repeated // TUNING.most_repeated) > self.samples:
             self._refuse(self.bad + self.repeated, self.lines)
 
     def _refuse(self, unusable: int, lines: int) -> NoReturn:

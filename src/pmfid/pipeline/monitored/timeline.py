@@ -10,17 +10,10 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pmfid.errors import UsageError
+from pmfid.pipeline.tuning import TUNING
 
-#: Steps from line to line in a group; least relative difference of their mean from the period that counts.
-STEPS, COARSE = 25, 0.05
 #: Successive wrong groups that end the run, before and after a right one: a late logger writes many lines at once.
 FIRST, LATER = 1, 3
-#: Longest step to a doubled line, which is no step [sample periods].
-DOUBLED = 0.02
-#: Least part of regular steps in a group with a period; largest distance of a regular step from their mean.
-REGULAR, CLOSE = 0.8, 0.25
-#: Samples after which the mean period is checked; its largest relative error.
-LONG, FINE = 500, 0.005
 
 #: A state, as an object for JSON.
 Saved = dict[str, Any]
@@ -60,9 +53,9 @@ class Period:
     def line(self, time: float) -> None:
         """Adds the stamp [s] of any line."""
         step, self._last = (time - self._last) / self.dt, time
-        if abs(step) > DOUBLED:
+        if abs(step) > TUNING.timeline_doubled:
             self._steps.append(step)
-        if len(self._steps) == STEPS:
+        if len(self._steps) == TUNING.timeline_steps:
             steps, self._steps = np.array(self._steps), []
             self._judge(steps)
 
@@ -72,10 +65,10 @@ class Period:
             self._start, self._count = time, 0
             return
         self._count += 1
-        if self._count >= LONG and not self._checked:
+        if self._count >= TUNING.timeline_long and not self._checked:
             self._checked = True
             mean = (time - self._start) / (self._count * self.dt)
-            if abs(mean - 1) > FINE:
+            if abs(mean - 1) > TUNING.timeline_fine:
                 self._refuse(mean)
 
     def slots(self, samples: int) -> None:
@@ -90,8 +83,8 @@ class Period:
         median = float(np.median(steps))
         near = steps[np.abs(steps - median) <= 0.5 * abs(median)]
         mean = float(near.mean())
-        regular = mean > 0 and np.mean(np.abs(steps - mean) <= CLOSE * mean) >= REGULAR
-        if not (regular and abs(mean - 1) > COARSE):
+        regular = mean > 0 and np.mean(np.abs(steps - mean) <= TUNING.timeline_close * mean) >= TUNING.timeline_regular
+        if not (regular and abs(mean - 1) > TUNING.timeline_coarse):
             self._wrong, self._patience = 0, LATER if regular else self._patience
             return
         self._wrong += 1
@@ -104,22 +97,6 @@ class Period:
             "take a reference with this one, or correct the time column, which must be in s"
         )
 
-
-#: Largest deviation of the stamp of an expected sample [sample periods]: late stamps are commoner than lost ones.
-NEAR = 0.75
-#: Share of a stamp's deviation that the grid takes over.
-FOLLOW = 0.1
-#: Successive lines that show missing samples, and a clock that was set back: a logger that repeats its last lines looks
-#: like the latter.
-AHEAD, LATE = 2, 5
-#: Shortest and longest step from a held line to the next one [sample periods]; lines between may be lost.
-SOONEST, LATEST = 0.25, 10.0
-#: Longest gap [s]; a longer one counts as a clock that was set.
-LONGEST_GAP = 3600.0
-#: Samples that a late line is compared with: an equal one is a repetition and no late sample.
-REMEMBERED = 32
-#: Successive lines without a fitting time that end the run.
-MOST_STRAYS = 1000
 
 BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
 
@@ -191,7 +168,7 @@ class Metronome:
 class Timeline:
     """Lines with a time. dt: sample period [s].
 
-    `take` raises UsageError if the lines have another period, or if MOST_STRAYS in a row fit nowhere.
+    `take` raises UsageError if the lines have another period, or if most_strays in a row fit nowhere.
     """
 
     dt: float
@@ -203,7 +180,7 @@ class Timeline:
 
     def __post_init__(self) -> None:
         self._period = Period(self.dt)
-        self._recent: deque[Line] = deque(maxlen=REMEMBERED)
+        self._recent: deque[Line] = deque(maxlen=TUNING.timeline_remembered)
 
     def save_state(self) -> Saved:
         """The state, for JSON with NaN."""
@@ -222,7 +199,7 @@ class Timeline:
         self._expected, self._unused = float(saved["expected"]), int(saved["unused"])
         self._strays, self._counts = int(saved["strays"]), int(saved["counts"])
         self._held = [Line(*entry) for entry in saved["held"]]
-        self._recent = deque((Line(*entry) for entry in saved["recent"]), REMEMBERED)
+        self._recent = deque((Line(*entry) for entry in saved["recent"]), TUNING.timeline_remembered)
         self._period.restore(saved["period"])
 
     def take(self, line: Line) -> list[Found]:
@@ -250,7 +227,7 @@ class Timeline:
         """The place of a line, in samples after the expected one; unusable lines may have the places before it."""
         offset = self._offset(time)
         place = min(max(0, round(offset)), self._unused + len(self._held))
-        return place if abs(offset - place) < NEAR else None
+        return place if abs(offset - place) < TUNING.timeline_near else None
 
     def _regular(self, line: Line, place: int) -> list[Found]:
         found: list[Found] = [Sample(self._expected + k * self.dt, math.nan, self._counts) for k in range(place)]
@@ -258,7 +235,9 @@ class Timeline:
         self._period.slots(place)
         held, self._held = self._held, []
         # lines with an old time and new values are samples of a clock that was set back by a few periods
-        late = sum(other.time < self._expected - NEAR * self.dt and other not in self._recent for other in held)
+        late = sum(
+            other.time < self._expected - TUNING.timeline_near * self.dt and other not in self._recent for other in held
+        )
         found += self._accept(line, late)
         for other in held:  # two lines that changed places
             fits = abs(self._offset(other.time)) < 0.5
@@ -268,7 +247,7 @@ class Timeline:
 
     def _accept(self, line: Line, missing: int = 0, jump: float = 0.0) -> list[Found]:
         """The line is the expected sample."""
-        grid = self._expected + FOLLOW * (line.time - self._expected)
+        grid = self._expected + TUNING.timeline_follow * (line.time - self._expected)
         self._expected, self._strays = grid + self.dt, 0
         self._period.sample(line.time)
         if line.problem:
@@ -280,23 +259,27 @@ class Timeline:
 
     def _irregular(self, line: Line) -> list[Found]:
         """Holds a line, until it is known whether the next ones follow it."""
-        follows = bool(self._held) and SOONEST < (line.time - self._held[-1].time) / self.dt < LATEST
+        follows = (
+            bool(self._held)
+            and TUNING.timeline_soonest < (line.time - self._held[-1].time) / self.dt < TUNING.timeline_latest
+        )
         found = [] if follows else self._drop_held()
         self._held.append(line)
         self._strays += 1
-        if self._strays >= MOST_STRAYS:
+        if self._strays >= TUNING.most_strays:
             raise UsageError(
-                f"{MOST_STRAYS} lines in a row have a time that fits nowhere, the last {line.time:.9g} s: correct the "
+                f"{TUNING.most_strays} lines in a row have a time that fits nowhere, the last {line.time:.9g} "
+                "s: correct the "
                 f"time column, which must step by {self.dt:.6g} s, or leave it out and give [record] dt"
             )
-        needed = AHEAD if self._held[0].time > self._expected else LATE
+        needed = TUNING.timeline_ahead if self._held[0].time > self._expected else TUNING.timeline_late
         return found + self._restart_grid() if len(self._held) >= needed else found
 
     def _restart_grid(self) -> list[Found]:
         """The held lines are a new grid."""
         (first, *others), self._held, self._unused = self._held, [], 0
         jump = first.time - self._expected
-        gap = 0 < jump <= LONGEST_GAP
+        gap = 0 < jump <= TUNING.longest_gap
         missing = max(1, round(jump / self.dt)) if gap else 0
         self._expected = first.time
         if gap:

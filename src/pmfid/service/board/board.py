@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.service.board.panel import Overview, Panel, Records, row_bytes
+from pmfid.service.tuning import TUNING
 from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import AlarmRecord, Alarms, EstimateRows, Kindred, Notice
 
 __all__ = ["Board", "News", "Subscription"]
-
-#: Notices that are kept, and rows that wait for a viewer of an axis.
-NOTICES, WAITING = 2000, 50_000
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,8 @@ class Board:
         self._version, self._layout = 0, 0
         self._panels: list[Panel] = []
         self._alarms = Alarms()
-        self._notices: deque[tuple[int, Notice]] = deque(maxlen=NOTICES)
-        self._changed: deque[tuple[int, int]] = deque(maxlen=NOTICES)  # version, number of an alarm
+        self._notices: deque[tuple[int, Notice]] = deque(maxlen=TUNING.board_notices)
+        self._changed: deque[tuple[int, int]] = deque(maxlen=TUNING.board_notices)  # version, number of an alarm
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._followed: frozenset[str] = frozenset()
         self.arrange(groups)
@@ -176,7 +174,7 @@ class Board:
 
     def follow(self, axis: str) -> Subscription:
         """Every row of an axis from now on, until it is closed."""
-        subscription = Subscription(axis, WAITING, self._leave)
+        subscription = Subscription(axis, TUNING.board_waiting, self._leave)
         with self._lock:
             self._subscriptions[axis] = [*self._subscriptions.get(axis, ()), subscription]
             self._followed = frozenset(self._subscriptions)

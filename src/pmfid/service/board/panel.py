@@ -8,16 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Kindred
 from pmfid.types import Floats
 
 __all__ = ["Overview", "Panel", "Records", "row_bytes", "row_type"]
 
-#: Points of a trend; first and longest interval of a point [s], which makes a trend of a day; fewest rows in an
-#: interval, because with about one row some points would be empty.
-POINTS, FINEST, COARSEST, ROWS = 90, 2.0, 1024.0, 2.0
-#: Rows of an axis that are kept at least and at most.
-FEWEST, MOST = 4, 20_000
 
 #: Rows as an array of `row_type`.
 Records = NDArray[np.void]
@@ -70,8 +66,8 @@ class Panel:
 
     def __post_init__(self) -> None:
         k = len(self.group.axes)
-        self.interval = max(FINEST, ROWS * self.every, ROWS * self.group.dt)
-        self.depth = min(max(self.depth, FEWEST), MOST)
+        self.interval = max(TUNING.panel_finest, TUNING.panel_rows * self.every, TUNING.panel_rows * self.group.dt)
+        self.depth = min(max(self.depth, TUNING.panel_fewest), TUNING.panel_most)
         self.place = {name: i for i, name in enumerate(self.group.axes)}
         self.nominal = np.tile(np.asarray(self.group.nominal, float), (k, 1))
         self.last: Records = np.zeros(k, row_type(len(self.group.names)))
@@ -80,7 +76,7 @@ class Panel:
         self._kept: Records = np.zeros((k, self.depth), self.last.dtype)
         self._rows = np.zeros(k, np.int64)
         self._kept_at = np.full(k, np.nan)
-        self._trend = np.full((k, POINTS), np.nan, np.float32)
+        self._trend = np.full((k, TUNING.panel_points), np.nan, np.float32)
         self._bin, self._bin_end = 0, -np.inf
 
     @property
@@ -143,24 +139,24 @@ class Panel:
         if self._bin_end == -np.inf:
             self._bin_end = now + self.interval
         steps = int(max(0.0, np.floor((now - self._bin_end) / self.interval) + 1))
-        if steps > 2 * POINTS:  # nothing came for longer than the trend is
-            self._bin_end += (steps - POINTS) * self.interval
-            steps = POINTS
+        if steps > 2 * TUNING.panel_points:  # nothing came for longer than the trend is
+            self._bin_end += (steps - TUNING.panel_points) * self.interval
+            steps = TUNING.panel_points
         for _ in range(steps):
             self._bin_end += self.interval
             self._bin += 1
-            if self._bin == POINTS:
+            if self._bin == TUNING.panel_points:
                 self._make_room()
 
     def _make_room(self) -> None:
-        if self.interval < COARSEST:
+        if self.interval < TUNING.panel_coarsest:
             odd, even = self._trend[:, 1::2], self._trend[:, ::2]
-            self._trend[:, : POINTS // 2] = np.where(np.isnan(odd), even, odd)
+            self._trend[:, : TUNING.panel_points // 2] = np.where(np.isnan(odd), even, odd)
             self.interval *= 2
-            self._bin = POINTS // 2
+            self._bin = TUNING.panel_points // 2
         else:
             self._trend[:, :-1] = self._trend[:, 1:]
-            self._bin = POINTS - 1
+            self._bin = TUNING.panel_points - 1
         self._trend[:, self._bin :] = np.nan
 
     def trend(self, axis: NDArray[np.int64]) -> NDArray[np.float32]:

@@ -15,15 +15,13 @@ from pmfid.monitor.events import STATES
 from pmfid.service.broker import BrokerSection, Text, new_client
 from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_object, single_rows
 from pmfid.service.sinks.queued import URGENT, Host, SinkSection
+from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
 
 __all__ = ["BrokerLink"]
-
-#: s that the broker has to take the connection, and to acknowledge what was published.
-ANSWER = 10.0
 
 
 class BrokerLink:
@@ -55,7 +53,7 @@ class BrokerLink:
         try:
             client.connect(*self._address, keepalive=self._keepalive)
             client.loop_start()
-            if not self._connected.wait(ANSWER):
+            if not self._connected.wait(TUNING.mqtt_answer):
                 raise OSError("the broker does not answer")
             self._check()
         except BaseException:
@@ -100,12 +98,12 @@ class BrokerLink:
     def flush(self) -> None:
         """Waits until all that was published is on its way, and acknowledged where that was asked for."""
         waiting, self._acknowledged = self._acknowledged, []
-        end = time.monotonic() + ANSWER
+        end = time.monotonic() + TUNING.mqtt_answer
         for info in [*waiting, *([self._last] if self._last is not None else [])]:
             while not info.is_published():
                 self._check()
                 if time.monotonic() > end:
-                    raise OSError(f"the broker has not taken all within {ANSWER:g} s")
+                    raise OSError(f"the broker has not taken all within {TUNING.mqtt_answer:g} s")
                 info.wait_for_publish(0.05)
         self._last = None
         self._check()
@@ -120,8 +118,6 @@ class BrokerLink:
 
 
 ONLINE, OFFLINE = b"online", b"offline"
-#: Rows of one message where many axes share it.
-BATCH = 500
 
 
 class MqttSinkSection(SinkSection, BrokerSection):
@@ -248,10 +244,10 @@ class MqttSink:
 
 
 def batches_of(rows: EstimateRows) -> Iterator[dict[str, Any]]:
-    """Columns of up to BATCH rows each, for JSON: axis, number, time, theta and std as lists of lists, ..."""
+    """Columns of up to mqtt_batch rows each, for JSON: axis, number, time, theta and std as lists of lists, ..."""
     named = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
-    for start in range(0, rows.axis.size, BATCH):
-        part = slice(start, start + BATCH)
+    for start in range(0, rows.axis.size, TUNING.mqtt_batch):
+        part = slice(start, start + TUNING.mqtt_batch)
         columns = {name: getattr(rows, name)[part].tolist() for name in named}
         states, axes = rows.state[part].tolist(), rows.axis[part].tolist()
         yield {

@@ -15,6 +15,7 @@ from pydantic import Field
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import PmfidError, printable
 from pmfid.service.sinks import Sink
+from pmfid.service.tuning import TUNING
 from pmfid.stream.commands import Counters
 from pmfid.stream.outcome import EstimateRows, Notice
 
@@ -160,15 +161,6 @@ class OutcomeQueue:
 #: Receives an object with "event": "sink" or "dropped", from the thread of the sink.
 Tell = Callable[[dict[str, Any]], None]
 
-#: Pauses after errors [s]: the first, the longest, and how long a sink must have worked to begin with the first again.
-FIRST_PAUSE, LONGEST_PAUSE, STEADY = 0.5, 60.0, 60.0
-#: Shortest time between two notices on a slow sink [s].
-TELL_EVERY = 60.0
-#: s after which `put` is called with nothing, so that a sink sees that its connection has ended, or its file is old.
-IDLE = 5.0
-#: Most different problems with refused outcomes that are reported.
-MOST_REFUSALS = 10
-
 
 def problem_of(error: Exception) -> str:
     """One line; of the errors of a system the words for its number, without addresses that may hold a secret."""
@@ -208,10 +200,10 @@ class Queued:
         self._changed, self._closing = Condition(), Event()
         self._deadline = float("inf")  # of `close`
         self._open = self._failing = False
-        self._pause, self._working_since, self._taken_at = 0.0, 0.0, -IDLE
+        self._pause, self._working_since, self._taken_at = 0.0, 0.0, -TUNING.queued_idle
         self._alone = 0  # number of next outcomes that are written one by one
         self._lost = Lost()  # dropped rows and notices without a report
-        self._reported_at = -TELL_EVERY
+        self._reported_at = -TUNING.tell_every
         self._refusals: set[str] = set()
         self._trying: float | None = None  # since when it has not taken what it was given
         self._proved = False  # it has taken something
@@ -309,7 +301,7 @@ class Queued:
         self._end()
 
     def _next(self) -> list[Entry] | None:
-        """Waits for the next outcomes, an empty list after IDLE; None at the end."""
+        """Waits for the next outcomes, an empty list after queued_idle; None at the end."""
         with self._changed:
             while not (self._closing.is_set() or self._due()):
                 self._changed.wait(self._compute_wait())
@@ -323,7 +315,7 @@ class Queued:
 
     def _compute_wait(self) -> float:
         """Seconds until there is something to write, or until the sink is to be looked after."""
-        return 0.0 if self._alone or self._waiting else max(self._taken_at + IDLE - time.monotonic(), 0.0)
+        return 0.0 if self._alone or self._waiting else max(self._taken_at + TUNING.queued_idle - time.monotonic(), 0.0)
 
     def _write(self, batch: Sequence[Entry]) -> None:
         if batch and self._trying is None:
@@ -363,8 +355,12 @@ class Queued:
 
     def _note_failure(self, error: Exception, batch: Sequence[Entry]) -> None:
         """Reports a passing error once; the outcomes wait in front of all others."""
-        steady = not self._failing and time.monotonic() - self._working_since > STEADY
-        self._pause = FIRST_PAUSE if steady or not self._pause else min(2 * self._pause, LONGEST_PAUSE)
+        steady = not self._failing and time.monotonic() - self._working_since > TUNING.queued_steady
+        self._pause = (
+            TUNING.queued_first_pause
+            if steady or not self._pause
+            else min(2 * self._pause, TUNING.queued_longest_pause)
+        )
         self._counters.add("pmfid_sink_errors_total", sink=self.name)
         if self._trying is None:
             self._trying = time.monotonic()
@@ -389,13 +385,13 @@ class Queued:
         self._alone = max(self._alone - 1, 0)
         self._counters.add("pmfid_refused_total", max(batch[0].rows, 1), sink=self.name)
         problem = problem_of(error)
-        if problem not in self._refusals and len(self._refusals) < MOST_REFUSALS:
+        if problem not in self._refusals and len(self._refusals) < TUNING.most_refusals:
             self._refusals.add(problem)
             self._tell({"event": "sink", "sink": self.name, "works": True, "problem": f"refused: {problem}"})
 
     def _tell_lost(self) -> None:
         """Reports a slow sink; the report at the end of an error contains its own losses."""
-        if self._failing or not any(self._lost) or time.monotonic() - self._reported_at < TELL_EVERY:
+        if self._failing or not any(self._lost) or time.monotonic() - self._reported_at < TUNING.tell_every:
             return
         self._reported_at = time.monotonic()
         with self._changed:

@@ -14,14 +14,13 @@ from pydantic import Field
 from pmfid.config.model import Name
 from pmfid.service.sinks.plain import alarm_of, as_json
 from pmfid.service.sinks.queued import Host, SinkSection
+from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["SqliteSection", "SqliteSink"]
 
 #: Of the layout below, kept in the file; and what marks a file as one of these ("pmfd").
 VERSION, APPLICATION = 1, 0x706D6664
-#: s that another process may hold the file.
-BUSY = 5.0
 
 SCHEMA = """
 CREATE TABLE notices (
@@ -132,7 +131,7 @@ class SqliteSink:
         self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with _raise_os_errors(self._path):
-            database = sqlite3.connect(self._path, timeout=BUSY, isolation_level=None)
+            database = sqlite3.connect(self._path, timeout=TUNING.sqlite_busy, isolation_level=None)
             try:
                 _prepare(database, self._path)
             except BaseException:

@@ -19,14 +19,13 @@ from pmfid.service.broker import is_here, secret
 from pmfid.service.sinks import RefusedError
 from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.service.sinks.queued import Host, SinkSection
+from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
 __all__ = ["Poster", "check_address"]
 
 #: Answers that are about what was sent, and will be the same next time.
 ABOUT_CONTENT = (400, 413, 414, 415, 422, 431)
-#: Bytes of an answer that are read.
-MOST_ANSWER = 1 << 16
 
 
 def check_address(url: str, secret: str | None, label: str) -> SplitResult:
@@ -77,7 +76,7 @@ class Poster:
         try:
             connection.request("POST", self._target, body, {**self._headers, **headers})
             answer = connection.getresponse()
-            if len(answer.read(MOST_ANSWER)) == MOST_ANSWER or late:  # the status is all that counts
+            if len(answer.read(TUNING.most_answer)) == TUNING.most_answer or late:  # the status is all that counts
                 self.close()
         except (OSError, http.client.HTTPException) as error:
             self.close()
@@ -147,8 +146,6 @@ EVENTS = (
     *("unusable", "bad line", "repeated line", "reference", "anew", "source", "sink", "dropped", "checkpoint"),
     *("configuration", "calibration", "reload", "serving", "paused", "ended"),
 )
-#: Notices that are remembered as delivered, while others of the same time are tried again.
-REMEMBERED = 2048
 
 
 def _check_events(events: tuple[str, ...]) -> tuple[str, ...]:
@@ -234,7 +231,7 @@ class WebhookSink:
         body = as_json({"service": self._service, **notice_object(notice)}).encode()
         self._poster.post(body, {"Content-Type": "application/json", "Idempotency-Key": key})
         self._delivered[key] = None
-        while len(self._delivered) > REMEMBERED:
+        while len(self._delivered) > TUNING.webhook_remembered:
             del self._delivered[next(iter(self._delivered))]
 
     def close(self) -> None:

@@ -18,6 +18,7 @@ from pydantic import Field
 from pmfid.service.broker import Text
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.sources import CHUNK, Take
+from pmfid.service.tuning import TUNING
 from pmfid.service.wire.line_protocol import Precision
 from pmfid.service.wire.messages import Messages
 from pmfid.service.wire.points import Readers
@@ -25,9 +26,6 @@ from pmfid.service.wire.splitter import LineSplitter
 from pmfid.stream.delivery import Delivery, Mark
 
 __all__ = ["ExecdSection", "ExecdSource"]
-
-#: A look whether the service ends, while nothing comes [s].
-_LOOK = 0.2
 
 
 class ExecdSection(SourceSection):
@@ -61,7 +59,7 @@ class ExecdSource:
         form = Messages(Readers(self.axes), "line", self.section.axis_tag, self.section.precision)
         splitter, passing = LineSplitter(), self.section.pass_on
         while not self._stopped.is_set():
-            if not select.select([self.stdin], [], [], _LOOK)[0]:
+            if not select.select([self.stdin], [], [], TUNING.execd_look)[0]:
                 continue
             data = os.read(self.stdin, CHUNK)
             lines = splitter.feed(data or b"\n")  # the last line may have no line feed

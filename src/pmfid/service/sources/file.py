@@ -19,26 +19,21 @@ from pmfid.config.axis import Axis
 from pmfid.config.model import Name
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.lines import LineParser
-from pmfid.pipeline.monitored.stream import LONGEST_LINE, Beginning
+from pmfid.pipeline.monitored.stream import Beginning
 from pmfid.pipeline.monitored.timeline import Line
+from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 from pmfid.records.record import Record
 from pmfid.service.context import Context, SourceSection
 from pmfid.service.sources import CHUNK, Source, Take
+from pmfid.service.tuning import TUNING
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 
 __all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
 
-#: How often a file is looked at that does not grow [s].
-LOOK = 0.1
-#: Duration of the blocks of a played record [s], and most samples of a block.
-BLOCK_TIME, BLOCK = 0.05, 1000
-#: Of a record that is played.
-SLOWEST, FASTEST = 0.001, 1e6
-
 
 def _usable(value: float) -> float:
-    if value != 0 and not SLOWEST <= value <= FASTEST:
-        raise ValueError(f"a speed is 0, or from {SLOWEST} to {FASTEST:g}")
+    if value != 0 and not TUNING.file_slowest <= value <= TUNING.file_fastest:
+        raise ValueError(f"a speed is 0, or from {TUNING.file_slowest} to {TUNING.file_fastest:g}")
     return value
 
 
@@ -100,7 +95,7 @@ class Player:
         if mark is not None:
             same = mark.get("version") == version
             epoch, start = int(mark["epoch"]) + (not same), int(mark["sample"]) if same else 0
-        size = min(BLOCK, max(1, round(BLOCK_TIME / record.dt)) if self.speed else BLOCK)
+        size = min(TUNING.file_block, max(1, round(TUNING.block_time / record.dt)) if self.speed else TUNING.file_block)
         begun = time.monotonic() - (start * record.dt / self.speed if self.speed else 0.0)
         for first in range(start, record.u.size, size):
             end = min(first + size, record.u.size)
@@ -145,7 +140,7 @@ class _Text:
         """Samples of the lines that end in the chunk; an unfinished one waits. Raises UsageError without a header."""
         text = self._rest + chunk
         *whole, self._rest = text.split(b"\n")
-        if len(self._rest) > LONGEST_LINE:
+        if len(self._rest) > PIPELINE_TUNING.longest_line:
             whole, self._rest = [*whole, self._rest], b""
         return list(self._lines(whole))
 
@@ -200,7 +195,7 @@ class Piped:
             number = self.stream.fileno()
         except OSError:  # a stream of the same process
             return self.stream.read(CHUNK)
-        if not select.select([number], [], [], 2 * LOOK)[0]:
+        if not select.select([number], [], [], 2 * TUNING.file_look)[0]:
             return None
         return os.read(number, CHUNK)
 
@@ -232,7 +227,7 @@ class Follower:
                         return
             except (OSError, UsageError) as error:
                 self._complain(error.strerror or str(error) if isinstance(error, OSError) else str(error))
-            self._stop.wait(LOOK)
+            self._stop.wait(TUNING.file_look)
 
     def _follow(self, file: BinaryIO, take: Take, mark: Mark | None) -> bool:
         """False once the service ends, True where another file took the place of this one."""
@@ -246,7 +241,7 @@ class Follower:
             if not chunk:
                 if self._is_replaced(number, offset):
                     return True
-                self._stop.wait(LOOK)
+                self._stop.wait(TUNING.file_look)
                 continue
             offset += len(chunk)
             lines = text.take(chunk)

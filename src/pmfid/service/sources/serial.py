@@ -13,10 +13,11 @@ from pydantic import Field, model_validator
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.lines import LineParser, is_comment
-from pmfid.pipeline.monitored.stream import FIRST_LINES
+from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 from pmfid.service.broker import Text, pauses
 from pmfid.service.context import Axes, Context, SourceSection
 from pmfid.service.sources import CHUNK, Take
+from pmfid.service.tuning import TUNING
 from pmfid.service.wire.splitter import LineSplitter
 from pmfid.stream.blocks import BlockStream
 from pmfid.stream.delivery import Delivery, Item, Lines, Mark, Unusable
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from serial import Serial
 
 __all__ = ["SerialSection", "SerialSource"]
-
-#: Time without a byte that ends a read [s].
-_SILENCE = 0.1
 
 
 class SerialSection(SourceSection):
@@ -93,15 +91,17 @@ class _Csv:
         return [*items, Lines(self._name, lines)] if lines else items
 
     def _header(self, text: bytes) -> list[Unusable]:
-        """Uses a line as the header if it is one; reports the reason after FIRST_LINES other lines."""
+        """Uses a line as the header if it is one; reports the reason after first_lines other lines."""
         if is_comment(text):
             return []
         try:
             self._parser = LineParser(text, self._axis)
         except UsageError as error:
             self._tried += 1
-            if self._tried % FIRST_LINES == 0:
-                problem = f"none of the last {FIRST_LINES} lines names the columns: give header ({error})"
+            if self._tried % PIPELINE_TUNING.first_lines == 0:
+                problem = (
+                    f"none of the last {PIPELINE_TUNING.first_lines} lines names the columns: give header ({error})"
+                )
                 return [Unusable("header", problem, self._name)]
         return []
 
@@ -153,7 +153,7 @@ class SerialSource:
             from serial import Serial
         except ImportError:
             raise UsageError("a serial port needs pyserial: pip install 'pmfid[serve]'") from None
-        return Serial(self.section.port, self.section.baud, timeout=_SILENCE)
+        return Serial(self.section.port, self.section.baud, timeout=TUNING.serial_silence)
 
     def _read(self, port: Serial, reader: _ItemReader, take: Take) -> None:
         while not self._stopped.is_set():

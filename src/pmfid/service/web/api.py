@@ -20,6 +20,7 @@ from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
 from pmfid.records.record import Record
 from pmfid.service.board import Board
+from pmfid.service.tuning import TUNING
 from pmfid.service.web.hub import Hub, json_line, pack_array, pack_rows
 from pmfid.service.web.security import json_body
 from pmfid.status import ADVICE, Status
@@ -44,12 +45,6 @@ class Acts(Protocol):
     def restart_numbers(self, axis: str) -> bool:
         """Has the next samples of the axis taken whatever their numbers."""
         ...
-
-
-#: Trends that one request may ask for, and characters of a note.
-TRENDS, NOTE = 200, 500
-#: Rows of a reference record that are shown at most.
-ROWS = 50_000
 
 
 @dataclass
@@ -109,7 +104,7 @@ class Api:
     async def trends(self, request: Request) -> Response:
         """`?group=0&axes=3,17`: their trends, in this order."""
         try:
-            axes = [int(part) for part in request.query_params.get("axes", "").split(",")[:TRENDS]]
+            axes = [int(part) for part in request.query_params.get("axes", "").split(",")[: TUNING.api_trends]]
             group = int(request.query_params.get("group", "0"))
             if min([group, *axes]) < 0:
                 raise IndexError
@@ -157,8 +152,8 @@ class Api:
 
     async def acknowledge(self, request: Request) -> Response:
         note = (await json_body(request)).get("note", "")
-        if not isinstance(note, str) or len(note) > NOTE:
-            raise HTTPException(400, f"a note is a text of {NOTE} characters at most")
+        if not isinstance(note, str) or len(note) > TUNING.api_note:
+            raise HTTPException(400, f"a note is a text of {TUNING.api_note} characters at most")
         number = request.path_params["number"]
         if self.board.alarm(number) is None:
             raise HTTPException(404, "there is no alarm of that number")
@@ -234,7 +229,7 @@ async def _wait_for_leave(receive: Receive) -> None:
 def csv_of(record: Record) -> bytes:
     """The reference record of an axis, as the page compares with it: columns t [s] from 0, u and counts; of a long
     record its beginning, for a comparison needs every sample."""
-    n = min(record.u.size, ROWS)
+    n = min(record.u.size, TUNING.api_rows)
     table = np.column_stack([record.dt * np.arange(n), record.u[:n], record.counts[:n]])
     text = io.StringIO()
     np.savetxt(text, table, fmt=["%.9g", "%.9g", "%d"], delimiter=",", header="t,u,counts", comments="")

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from pmfid.service.tuning import TUNING
 from pmfid.stream.commands import Counters
 
 __all__ = ["ConnectionLimits", "Guarded", "build_protocol"]
@@ -123,10 +124,6 @@ def build_protocol(limits: ConnectionLimits, counters: Counters) -> type[Guarded
     return type("Guarded", (Guarded,), {"limits": limits, "counters": counters})
 
 
-#: Time for a TLS handshake [s], and a pause where the system has no file left for a connection [s].
-HANDSHAKE, NO_FILE = 5.0, 0.1
-
-
 def most_connections(wanted: int) -> int:
     """As many as wanted, but at most half of the files that the process may open: sources, sinks and checkpoints need
     theirs."""
@@ -159,7 +156,7 @@ class Entrance:
                     line, _ = await loop.sock_accept(self._listener)
                 except OSError:
                     self._make_room()
-                    await asyncio.sleep(NO_FILE)
+                    await asyncio.sleep(TUNING.no_file)
                     continue
                 self._admit(line, tls, make)
                 await asyncio.sleep(0)  # what came before is read before the next one is let in
@@ -176,7 +173,7 @@ class Entrance:
 
     async def _host(self, line: socket.socket, guest: Guarded, tls: ssl.SSLContext | None) -> None:
         """From the handshake to the end of a connection."""
-        loop, timeout = asyncio.get_running_loop(), None if tls is None else HANDSHAKE
+        loop, timeout = asyncio.get_running_loop(), None if tls is None else TUNING.connection_handshake
         try:
             await loop.connect_accepted_socket(lambda: guest, line, ssl=tls, ssl_handshake_timeout=timeout)
             await guest.gone.wait()

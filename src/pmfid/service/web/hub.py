@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pmfid.presentation import plain
 from pmfid.service.board import Board, News, Overview, Subscription
 from pmfid.service.board.panel import Records
+from pmfid.service.tuning import TUNING
 from pmfid.stream.commands import Counters
 
 __all__ = ["json_line", "pack_array", "pack_overview", "pack_rows"]
@@ -60,17 +61,6 @@ def json_line(content: Mapping[str, object]) -> bytes:
     return text.encode() + b"\n"
 
 
-#: Time between two looks at the board [s]; number of looks between two overviews, and between two of many axes.
-TICK, OVERVIEW, OVERVIEW_OF_MANY = 0.25, 2, 4
-MANY = 2000
-#: Pieces of an axis that wait for slow browsers: 15 s.
-PIECES = 60
-#: Notices that a line has at most.
-NOTICES = 300
-#: Different changes that are kept as they were written: browsers are few ticks apart.
-WRITTEN = 8
-
-
 @dataclass
 class Feed:
     """The rows of one axis for all its viewers. rows: number of rows so far; dropped: number of rows that the board
@@ -80,7 +70,7 @@ class Feed:
     viewers: int = 0
     rows: int = 0
     dropped: int = 0
-    pieces: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=PIECES))
+    pieces: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=TUNING.hub_pieces))
 
     def take(self) -> None:
         """Appends the rows since the last call."""
@@ -114,7 +104,7 @@ class Hub:
     async def run(self) -> None:
         """Until it is cancelled."""
         while True:
-            await asyncio.sleep(TICK)
+            await asyncio.sleep(TUNING.hub_tick)
             async with self._tick:
                 self._ticks += 1
                 for feed in self._feeds.values():
@@ -138,7 +128,7 @@ class Hub:
         """(version, line) of what changed; the same for all browsers that ask for it in the same tick."""
         key = since, self._ticks, groups
         if key not in self._written:
-            while len(self._written) >= WRITTEN:
+            while len(self._written) >= TUNING.hub_written:
                 del self._written[next(iter(self._written))]
             news = self._board.news(since, groups)
             self._written[key] = news.version, json_line(self._content(news, since == 0))
@@ -154,7 +144,8 @@ class Hub:
             "now": round(10 * (time.monotonic() - self.start)),
             "groups": [pack_overview(i, group, self.start) for i, group in changed],
             "notices": [
-                {"axis": n.axis, "number": n.number, "wall": n.wall, **n.what} for n in news.notices[-NOTICES:]
+                {"axis": n.axis, "number": n.number, "wall": n.wall, **n.what}
+                for n in news.notices[-TUNING.hub_notices :]
             ],
             "alarms": [alarm.to_dict() for alarm in news.alarms],
             "counters": [[name, dict(labels), value] for (name, labels), value in counters.items()],
@@ -162,12 +153,12 @@ class Hub:
 
     async def overview(self) -> AsyncIterator[bytes]:
         """Lines of the stream of all axes; one comes at every turn, so that silence means that the service is gone."""
-        many = sum(len(group.axes) for group in self._board.groups) > MANY
+        many = sum(len(group.axes) for group in self._board.groups) > TUNING.hub_many
         version = 0
         while True:
             version, line = self._changes(version, True)
             yield line
-            if not await self._wait(OVERVIEW_OF_MANY if many else OVERVIEW):
+            if not await self._wait(TUNING.overview_of_many if many else TUNING.hub_overview):
                 return
 
     async def axis(self, name: str) -> AsyncIterator[bytes]:
@@ -176,7 +167,7 @@ class Hub:
         try:
             seen, version, turn = feed.rows, 0, 0
             while True:
-                if turn % OVERVIEW == 0:
+                if turn % TUNING.hub_overview == 0:
                     version, line = self._changes(version, False)
                     yield line
                 (missed, lines), seen = feed.get_lines_after(seen), feed.rows

@@ -24,14 +24,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import read_secret
+from pmfid.service.tuning import TUNING
 from pmfid.service.web.config import PageConfig
 from pmfid.stream.commands import Counters
 
 __all__ = ["READ", "WRITE", "Tokens", "keep_token", "load_tokens"]
 
 READ, WRITE = "read", "write"
-#: Fewest characters of a configured token.
-SHORTEST = 20
 
 
 @dataclass(frozen=True)
@@ -93,18 +92,14 @@ def _read_token(name: str, variable: str | None, file: str | None, folder: Path)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
     token = token.strip()
-    if len(token) < SHORTEST or not token.isascii() or not token.isprintable() or " " in token:
+    if len(token) < TUNING.security_shortest or not token.isascii() or not token.isprintable() or " " in token:
         raise UsageError(
-            f"{where} holds no token of {SHORTEST} or more letters and digits without spaces; make one with: "
+            f"{where} holds no token of {TUNING.security_shortest} or more letters and digits without spaces; "
+            "make one with: "
             'python -c "import secrets; print(secrets.token_urlsafe(32))"'
         )
     return token
 
-
-#: Largest body of a request [bytes], and its longest duration [s].
-LARGEST_BODY, SLOWEST_BODY = 4096, 5.0
-#: Most wrong tokens of an address within a window of time [s], and most addresses that are remembered.
-FREE, WINDOW, ADDRESSES = 10, 60.0, 4096
 
 HEADERS = {
     "content-security-policy": (
@@ -143,12 +138,12 @@ class Brake:
         """Counts a wrong token. Time until the address is answered as before [s]; 0 while it is."""
         now, key = self.clock(), _network(address)
         number, since = self._wrong.pop(key, (0, now))
-        if now - since >= WINDOW:
+        if now - since >= TUNING.security_window:
             number, since = 0, now
         self._wrong[key] = number + 1, since
-        if len(self._wrong) > ADDRESSES:
+        if len(self._wrong) > TUNING.security_addresses:
             del self._wrong[next(iter(self._wrong))]
-        return since + WINDOW - now if number >= FREE else 0.0
+        return since + TUNING.security_window - now if number >= TUNING.security_free else 0.0
 
 
 def _network(address: str) -> str:
@@ -234,8 +229,8 @@ class Guard:
 def _check_size(headers: Headers) -> None:
     """Before a byte of the body is read."""
     length = headers.get("content-length", "0")
-    if not length.isdecimal() or int(length[:20]) > LARGEST_BODY:
-        raise Refusal("size", 413, f"a request may have {LARGEST_BODY} bytes")
+    if not length.isdecimal() or int(length[:20]) > TUNING.largest_body:
+        raise Refusal("size", 413, f"a request may have {TUNING.largest_body} bytes")
 
 
 def _build_answer(refusal: Refusal) -> JSONResponse:
@@ -265,7 +260,7 @@ async def json_body(request: Request) -> dict[str, Any]:
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise HTTPException(415, "write JSON, with content-type: application/json")
     try:
-        async with asyncio.timeout(SLOWEST_BODY):
+        async with asyncio.timeout(TUNING.slowest_body):
             body = await _body(request)
         found = json.loads(body)
     except (TimeoutError, ClientDisconnect):
@@ -282,6 +277,6 @@ async def _body(request: Request) -> bytes:
     body = b""
     async for piece in request.stream():
         body += piece
-        if len(body) > LARGEST_BODY:
-            raise HTTPException(413, f"a request may have {LARGEST_BODY} bytes", {"connection": "close"})
+        if len(body) > TUNING.largest_body:
+            raise HTTPException(413, f"a request may have {TUNING.largest_body} bytes", {"connection": "close"})
     return body

@@ -25,6 +25,7 @@ from starlette.types import ASGIApp
 from pmfid.errors import UsageError
 from pmfid.records.record import Record
 from pmfid.service.board import Board
+from pmfid.service.tuning import TUNING
 from pmfid.service.web.api import Acts, Api
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.security import Guard, Tokens, load_tokens
@@ -108,16 +109,6 @@ def page_files() -> dict[str, PageFile]:
     return found
 
 
-#: Connections in addition to the streams: files, histories, metrics.
-FURTHER = 64
-#: Until the page answers, and until it has ended [s].
-STARTED, ENDED = 10.0, 3.0
-#: Connections that the system may keep until they are let in.
-BACKLOG = 1024
-#: Send buffer of the system for each browser [bytes]; its default would be some megabytes.
-WAITING = 262_144
-
-
 @dataclass
 class Page:
     """A page that is being served. url: without the token; made_token: that this start made, None for one that is
@@ -138,7 +129,7 @@ class Page:
     def stop(self) -> None:
         """Ends streams and thread, within seconds. May be called twice."""
         self._server.should_exit = True
-        self._thread.join(ENDED)
+        self._thread.join(TUNING.server_ended)
 
 
 def serve(
@@ -166,9 +157,19 @@ def serve(
     tokens = load_tokens(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
-    port, most = listener.getsockname()[1], most_connections(config.browsers + FURTHER)
+    port, most = listener.getsockname()[1], most_connections(config.browsers + TUNING.server_further)
     hub = Hub(board, counters)
-    api = Api(name, board, counters, hub, acts, reference, metrics, alive, min(config.browsers, max(1, most - FURTHER)))
+    api = Api(
+        name,
+        board,
+        counters,
+        hub,
+        acts,
+        reference,
+        metrics,
+        alive,
+        min(config.browsers, max(1, most - TUNING.server_further)),
+    )
     app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
     try:
         server = _server(_uvicorn_config(app, config, counters, folder), hub, Entrance(listener, most, counters))
@@ -196,8 +197,8 @@ def _check_extra() -> None:
 def _listener(config: PageConfig) -> socket.socket:
     family = socket.AF_INET6 if ":" in config.address else socket.AF_INET
     try:
-        listener = socket.create_server((config.address, config.port), family=family, backlog=BACKLOG)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING)
+        listener = socket.create_server((config.address, config.port), family=family, backlog=TUNING.server_backlog)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, TUNING.server_waiting)
         return listener
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
@@ -269,7 +270,7 @@ def _run(server: Server) -> None:
 
 
 def _wait(server: Server, thread: Thread) -> None:
-    end = time.monotonic() + STARTED
+    end = time.monotonic() + TUNING.server_started
     while not server.started and thread.is_alive() and time.monotonic() < end:
         time.sleep(0.01)
     if not server.started:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.service.broker import BrokerSection, new_client, pauses
+from pmfid.service.tuning import TUNING
 from pmfid.stream.blocks import MOST_SAMPLES, encode, problem_of
 from pmfid.stream.delivery import Block
 from pmfid.types import Counts, Floats
@@ -176,14 +177,6 @@ class Outbox:
         return self._room > 0 and not message.open and message.acknowledged + self.keep < self.clock()
 
 
-#: Messages under way that the broker has not acknowledged, where it does not ask for less.
-_UNDER_WAY = 100
-#: Answer of the broker to a message without a subscriber, which is lost.
-_NOBODY = 0x10
-#: Pause between two attempts to connect, at most [s].
-_LONGEST_PAUSE = 5.0
-
-
 class Sender:
     """Sends samples of axes with the sample period dt [s] to a topic; a context manager, which flushes at its end.
 
@@ -288,7 +281,7 @@ class Sender:
     # what follows runs in the sender's own thread; paho's thread and the callers only leave events
 
     def _run(self) -> None:
-        waiting, retry = pauses(longest=_LONGEST_PAUSE), 0.0
+        waiting, retry = pauses(longest=TUNING.sender_longest_pause), 0.0
         while not self._closed:
             if self._client is None and time.monotonic() >= retry:
                 retry = time.monotonic() + next(waiting)
@@ -298,7 +291,7 @@ class Sender:
                 with self._lock:
                     self._complete()
             if self._client is not None and self._outbox.pump(self._publisher(self._client)):
-                waiting = pauses(longest=_LONGEST_PAUSE)
+                waiting = pauses(longest=TUNING.sender_longest_pause)
         if self._client is not None:
             self._disconnect(self._client)
 
@@ -339,7 +332,7 @@ class Sender:
     ) -> None:
         room = getattr(properties, "ReceiveMaximum", 65535)
         if not reason.is_failure:
-            self._events.put(lambda: self._begin(client, min(room, _UNDER_WAY)))
+            self._events.put(lambda: self._begin(client, min(room, TUNING.under_way)))
 
     def _on_publish(self, client: Client, _: object, mid: int, reason: ReasonCode, properties: Properties) -> None:
         self._events.put(lambda: self._note_acknowledged(client, mid, reason))
@@ -357,7 +350,7 @@ class Sender:
     def _note_acknowledged(self, client: Client, mid: int, reason: ReasonCode) -> None:
         if client is not self._client:
             return
-        if reason.is_failure or reason.value == _NOBODY:
+        if reason.is_failure or reason.value == TUNING.sender_nobody:
             self._note_lost(client, f"the broker does not take messages: {reason}")
             return
         self._outbox.note_acknowledged(mid)

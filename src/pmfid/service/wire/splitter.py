@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pmfid.pipeline.monitored.stream import LONGEST_LINE
+from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 
 __all__ = ["LineSplitter"]
 
 
 @dataclass
 class LineSplitter:
-    """Whole lines of a stream; one of more than LONGEST_LINE bytes is left out.
+    """Whole lines of a stream; one of more than longest_line bytes is left out.
 
     cut: the stream may begin in the middle of a line, so the first one is left out, too.
     """
@@ -25,6 +25,6 @@ class LineSplitter:
         if lines and self.cut:
             self.cut = False
             del lines[0]
-        if len(self._rest) > LONGEST_LINE:
+        if len(self._rest) > PIPELINE_TUNING.longest_line:
             self._rest, self.cut = b"", True
-        return [line for line in lines if len(line) <= LONGEST_LINE]
+        return [line for line in lines if len(line) <= PIPELINE_TUNING.longest_line]
