@@ -96,7 +96,7 @@ KILLS ?= 1000
 kills: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
 
-# The broker killed with the whole service behind it, and the service in between.
+# The broker killed with the whole service connected to it, and the service in between.
 BROKER_KILLS ?= 50
 SERVICE_KILLS ?= 20
 broker-kills: .venv/tools service-tools

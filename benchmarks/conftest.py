@@ -53,6 +53,6 @@ def record() -> Record:
 
 
 def pytest_benchmark_update_machine_info(config: pytest.Config, machine_info: dict[str, Any]) -> None:
-    """The versions of pmfid and its peers, beside the machine's description in the JSON file."""
+    """The versions of pmfid and its peers, next to the machine's description in the JSON file."""
     machine_info["packages"] = {name: version(name) for name in PACKAGES if find_spec(name)}
     machine_info["processors"] = os.cpu_count()

@@ -24,7 +24,7 @@ class Tried:
 def casadi_starts(problem: Problem, criterion: str, starts: int, seed: int) -> Tried:
     """Multiple shooting with exact steps, IPOPT with exact second derivatives; the program is built once, untimed.
 
-    Position, velocity and their sensitivities at the nodes are variables beside the input; for D and A the information
+    Position, velocity and their sensitivities at the nodes are variables next to the input; for D and A the information
     is too, D by its Cholesky factor. Starts: a random input within its limits, and the motion that it gives.
     """
     import casadi

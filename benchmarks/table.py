@@ -1,7 +1,7 @@
 """Writes the page of benchmarks: `python -m benchmarks.table RESULTS.json INSTRUCTIONS.json READING.json PAGE.md`.
 
-The first three are those of pytest-benchmark, `benchmarks.instructions` and `benchmarks.reading`. Beside the page, with
-the same name but .json, it keeps the figures in a form that results of years can be compared in.
+The first three are those of pytest-benchmark, `benchmarks.instructions` and `benchmarks.reading`. A .json file of
+the same name keeps the figures, so that results of years can be compared.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ Ratio: time per sample over that of pmfid BCRLS, `run`, float64.
 1. Given the regressors and the target already filtered, from pmfid: the encoder, the filters and the
    input's pre-filter are not in their time, but are in pmfid's.
 2. Without forgetting, which it does not have; it keeps the history of all samples.
-3. The code that the tests compare the kernel with: written to be read beside the paper, not for speed.
+3. The code that the tests compare the kernel with: written to be read next to the paper, not for speed.
 4. One call per stage over the whole record, the direction by a plain sign; no encoder, no recursion.
 5. Velocity on input and direction, two terms of the input, without forgetting, which cannot be set. It is a difference
    equation with noise in its regressors, so no mass is compared. Measured where it is installed: it brings CasADi.

@@ -1,4 +1,4 @@
-"""Time per axis and sample for many axes, beside the scalar kernel in a loop and NumPy vectorised over the axes.
+"""Time per axis and sample for many axes, next to the scalar kernel in a loop and NumPy vectorised over the axes.
 
 The names are permanent. Every axis has its own part of the record; `run` starts from new states each time.
 """

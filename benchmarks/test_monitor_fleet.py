@@ -1,4 +1,4 @@
-"""Time per axis and sample of many monitored axes, on one core, beside `Monitor.step` in a loop.
+"""Time per axis and sample of many monitored axes, on one core, next to `Monitor.step` in a loop.
 
 The names are permanent. Normal work of the cart, every axis from another place in it; 100 Hz, blocks of 17 samples.
 """
@@ -17,7 +17,7 @@ from pmfid.simulation.scenarios import CART
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, make_riv, normal_work
 
-#: Axes -> samples of each; they come in blocks of so many.
+#: Axes -> samples of each; they come in blocks of N.
 SIZES = {1: 10_000, 12: 10_000, 1000: 1000, 10_000: 300}
 BLOCK = 50
 LOOP_SAMPLES = 5000

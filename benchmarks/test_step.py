@@ -1,6 +1,6 @@
 """Time per sample of pmfid and of its peers on the same record, each with the mass that it found.
 
-The names are permanent: results of years can be laid beside each other. The peers are given the filtered regressors, so
+The names are permanent: results of years can be compared. The peers are given the filtered regressors, so
 they have less to do than pmfid, which starts from the counts.
 """
 
@@ -50,7 +50,7 @@ def measure(
 
 
 def note_mass(benchmark: BenchmarkFixture, mass: float, tolerance: float = 0.01) -> None:
-    """Accuracy beside speed; fails where the benchmark computes something else than the mass."""
+    """Accuracy next to speed; fails where the benchmark computes something else than the mass."""
     error = float(mass) / CART.mass - 1
     benchmark.extra_info["mass_error"] = error
     assert abs(error) < tolerance
@@ -132,7 +132,7 @@ def test_numpy_rls(benchmark: BenchmarkFixture, record: Record) -> None:
 
 
 def test_numpy_bcrls(benchmark: BenchmarkFixture, record: Record) -> None:
-    """Paper eq. 33 to 36 on the extended regressors; the code of the tests, written to be read beside the paper."""
+    """Paper eq. 33 to 36 on the extended regressors; the code of the tests, written to be read next to the paper."""
     phi, z = record.extended[: LOOP_SAMPLES + BATCH_START], record.extended_z[: LOOP_SAMPLES + BATCH_START]
     H, h = facts_of_paper(record.zeros, record.dt, 5, 3)
     G = np.eye(5)[:, :2]

@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--topic", default="hall-3/blocks")
     parser.add_argument("--seconds", type=float, default=600.0, help="how long they run [s]")
     parser.add_argument("--step", type=float, default=60.0, help=f"when the load of cart-{LOADED:02d} steps [s]")
-    parser.add_argument("--speed", type=float, default=1.0, help="in place of real time, so many times as fast")
+    parser.add_argument("--speed", type=float, default=1.0, help="factor to run faster than real time")
     options = parser.parse_args()
     carts = [cart(number, options.seconds, options.step) for number in range(AXES)]
     client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5)

@@ -182,13 +182,13 @@ def causes_rows(runs: int) -> Iterator[list[str]]:
 
 
 def _cells(found: list[Said]) -> list[str]:
-    told = [one for one in found if one.alarm is not None]
-    named = [one for one in told if one.alarm and one.alarm.parameter == one.change]
-    open_ = sum(bool(one.alarm and one.alarm.others) for one in told)
+    reported = [one for one in found if one.alarm is not None]
+    named = [one for one in reported if one.alarm and one.alarm.parameter == one.change]
+    open_ = sum(bool(one.alarm and one.alarm.others) for one in reported)
     bars = np.array([one.bars for one in named])
-    delay = f"{np.median([one.delay for one in told]):.1f}" if told else ""
-    right = sum(one.right for one in told)
-    counts = [len(found), len(told), right, len(told) - right - open_, open_]
+    delay = f"{np.median([one.delay for one in reported]):.1f}" if reported else ""
+    right = sum(one.right for one in reported)
+    counts = [len(found), len(reported), right, len(reported) - right - open_, open_]
     within = f"{np.sum(bars <= 2)} of {bars.size}"
     return [*map(str, counts), within, f"{bars.max(initial=0):.1f}", delay, str(sum(one.before for one in found))]
 

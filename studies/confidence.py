@@ -33,7 +33,7 @@ METHODS = (AUTO, "iv", "output-error", "interval")
 INCREMENTS = (4096, 512, 128, 32)
 SEEDS = 100
 FAR, QUANTILE = 3.0, 0.9
-#: Seeds of which the scatter of one cell can be told.
+#: Seeds of which the scatter of one cell can be reported.
 FEWEST = 8
 
 

@@ -99,7 +99,7 @@ class Estimated:
 def late_record(
     axis: Axis, samples: float, motion: str, increments: int, seed: int, kind: str = "dead_time"
 ) -> CartRecord:
-    """One run of an axis with a dead time, or a lag, of so many samples."""
+    """One run of an axis with a dead time, or a lag, of N samples."""
     rng = np.random.default_rng([seed, 15])
     resolution = axis.resolution * 4096 / increments
     phase, machine = resolution * rng.random(), Machine(axis.drive, **{kind: samples * axis.dt})
@@ -213,8 +213,8 @@ def bounds() -> Iterator[list[str]]:
             yield [name, motion, *(f"{ratio:.1f}" for ratio in bound(axis, BOUND_AT, motion))]
 
 
-def told(piece: Piece) -> Iterator[list[str]]:
-    """How often a model without one is told of it, for each time."""
+def reported(piece: Piece) -> Iterator[list[str]]:
+    """How often a model without one reports it, for each time."""
     axis = AXES[piece.axis]
     for motion in piece.motions:
         for fine in piece.increments:
@@ -222,11 +222,11 @@ def told(piece: Piece) -> Iterator[list[str]]:
             for time in piece.times:
                 seeds = range(1, min(piece.seeds, ASKED) + 1)
                 runs = [late_record(axis, time, motion, fine, seed, piece.kind) for seed in seeds]
-                shares.append(f"{sum(is_told(axis, run) for run in runs)} of {len(runs)}")
+                shares.append(f"{sum(is_reported(axis, run) for run in runs)} of {len(runs)}")
             yield [motion, f"{fine}", *shares]
 
 
-def is_told(axis: Axis, record: CartRecord) -> bool:
+def is_reported(axis: Axis, record: CartRecord) -> bool:
     estimator = estimator_of(axis, record, "iv")
     plain = replace(estimator, model=estimator.model.at_dead_time(0.0))
     try:
@@ -284,8 +284,8 @@ def page(pieces: Sequence[Piece]) -> str:
         lines += [f"## {piece.title}", "", *table(HEADER, list(rows(piece)))]
         if piece.methods == RECURSIVE:
             continue
-        lines += ["Told of, where the model has none, by its true size [samples]:", ""]
-        lines += table(["motion", "increments", *(f"{time:g}" for time in piece.times)], list(told(piece)))
+        lines += ["Reported, where the model has none, by its true size [samples]:", ""]
+        lines += table(["motion", "increments", *(f"{time:g}" for time in piece.times)], list(reported(piece)))
     return "\n".join(lines)
 
 

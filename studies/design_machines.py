@@ -186,7 +186,7 @@ INTRODUCTION = """
 
 One run each on {runs} simulated machines within {wrong:.0%} of their data sheet, from random phases of the encoder,
 {samples} position samples per interval; unknown m, d, F_c, criterion D. The input is what `pmfid design SPEC RECORD`
-runs first; below it the trapezoid. *Inside*: runs whose 95 % interval holds the truth. *1.96*: runs within so many
+runs first; below it the trapezoid. *Inside*: runs whose 95 % interval holds the truth. *1.96*: runs within N
 deviations. *Error / claimed*: root mean square. *Gain*: error with the trapezoid over that with the chosen input. All
 for m, d, F_c in turn; no setting was looked for with the machines {held}.
 """

@@ -1,4 +1,4 @@
-"""Study of the efficiency of `srivc` with white noise, over so many runs that chance does not decide."""
+"""Study of the efficiency of `srivc` with white noise, over N runs that chance does not decide."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Machine:
 
 
 def machines(axes: int, changed: int, seconds: float, seed: int) -> list[Machine]:
-    """So many axes, of which every so many changes; the causes take turns."""
+    """N axes, of which every N changes; the causes take turns."""
     rng = np.random.default_rng([seed, 1])
     which = {int(k): i for i, k in enumerate(rng.choice(axes, changed, replace=False))}
     found = []

@@ -99,7 +99,7 @@ def watching() -> Iterator[Watched]:
 
 
 def measure(folder: Path, name: str) -> dict[str, object]:
-    """One engine, from nothing to tables, in this process. The start of Spark is told beside."""
+    """One engine, from nothing to tables, in this process. The start of Spark is reported separately."""
     start = time.perf_counter()
     engine: fleet.Engine = fleet.Local(WORKERS) if name == "local" else fleet.Spark(f"local[{WORKERS}]")
     with tempfile.TemporaryDirectory() as out, watching() as watched:

@@ -55,15 +55,15 @@ of the whole fleet.
 
 Friction goes up and down with temperature and lubrication. Where a step or a straight line explains the past of an
 axis no better than a random walk does, the axis is said to wander (`kind` is `wanders`, with its size) and is not
-named. A movement of which the history holds no more than a rising part looks like a drift and is told as one.
+named. A movement of which the history holds no more than a rising part looks like a drift and is reported as one.
 Where a clear gap parts the axes of one type, it holds several sorts of machines (`several_sorts` among the problems):
 each axis is then compared with its own sort. Sorts whose axes overlap, or of fewer than 8 axes or a tenth, are not
-told apart: the spread of the type is then wider, and it takes more to be named.
+distinguished: the spread of the type is then wider, and it takes more to be named.
 
 Files in which many axes are mixed row by row are read once, and their rows put aside on the disk by shard (28 bytes
 each, in the folder of `--out`, else in that for temporary files; gone when the last shard that needs them is done): in
 9, 18 and 36 million rows in shards of half a million 2.6, 5.3 and 9.7 s of processor time and 460 MiB, where reading
-them for each shard anew took 3.7, 7.9 and 26 s. A Delta table is read by its log (`pip install 'pmfid[delta]'`);
+them for each shard again took 3.7, 7.9 and 26 s. A Delta table is read by its log (`pip install 'pmfid[delta]'`);
 memory is that of three full shards at most, however many threads, and of the packed row group of a Parquet file. An
 Arrow file is unpacked batch by batch as a whole, and other formats file by file: write Arrow in batches of about a
 million rows, or as Parquet.
@@ -96,7 +96,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class Found:
-    """right: named of those that changed; others: named beside them; causes, times: right ones among the right; error,
+    """right: named of those that changed; others: named next to them; causes, times: right ones among the right; error,
     apart: root mean square of the size's error, relative and in its standard deviations; next: largest score of those
     that are not named, 1 would be."""
 
@@ -142,8 +142,8 @@ def measured(data: Path, config: Path, out: Path) -> tuple[History, Cost]:
 def in_a_process(folder: Path, part: float) -> tuple[Cost, Found]:
     """On a part of the files of a fleet, in a process of its own: its memory is its own."""
     command = [sys.executable, "-m", "studies.fleet_history", "--measure", str(folder), "--part", str(part)]
-    told = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    return Cost(**told["cost"]), Found(**told["found"])
+    reported = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    return Cost(**reported["cost"]), Found(**reported["found"])
 
 
 def measure(folder: Path, part: float) -> dict[str, object]:
@@ -275,7 +275,7 @@ def page(axes: int, runs: Sequence[tuple[Cost, Found]], whole: int) -> str:
         *table(header, costs),
         *farther([cost for cost, _ in runs]),
         "",
-        "Beside what else could be done, in samples per second of one processor. The others get regressors that are "
+        "Next to what else could be done, in samples per second of one processor. The others get regressors that are "
         "ready:",
         "",
         *table(("", "samples per processor second"), peers)[:-1],
@@ -289,7 +289,7 @@ def main() -> None:
     parser.add_argument("--axes", type=int, default=1000)
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--folder", type=Path, help="of a fleet that is there already")
-    parser.add_argument("--largest", type=float, default=2.0, help="Of the sizes: so many times the fleet.")
+    parser.add_argument("--largest", type=float, default=2.0, help="Of the sizes: N times the fleet.")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--part", type=float, default=1.0, help=argparse.SUPPRESS)
     arguments = parser.parse_args()

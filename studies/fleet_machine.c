@@ -21,7 +21,7 @@ static double friction(const machine_t *m, double v, double way)
     return dry + m->quadratic * v * v;
 }
 
-/* ticks of the controller, `steps` of h each, whose input acts `late` steps later; every so many ticks a row is logged.
+/* ticks of the controller, `steps` of h each, whose input acts `late` steps later; every N ticks a row is logged.
  * target, speed: (ticks,) of the position [m, m/s], or the input itself. Returns the rows. */
 long run(const machine_t *given, long ticks, long steps, double h, long late, long every, const double *target,
          const double *speed, double *u_log, long *counts_log)

@@ -2,7 +2,7 @@
 
 python -m studies.fleet_stream --out results/fleet_stream.md
 
-A gateway writes a Parquet file with a block of each axis every so many seconds; the stream runs as a process of its
+A gateway writes a Parquet file with a block of each axis every N seconds; the stream runs as a process of its
 own. It holds a rate if it is not further behind at the end than two of its batches were long.
 """
 
@@ -42,14 +42,14 @@ STARTED, ENDED = 180.0, 600.0
 
 @dataclass(frozen=True)
 class Run:
-    """axes, seconds: of data; done: samples; behind: at the end [s]; batch: median time between two batches [s];
+    """axes, seconds: of data; done: samples; lag: at the end [s]; batch: median time between two batches [s];
     caught_up: time after the last sample until all was done [s]; cpu: of all processes, of one processor; memory: of
     all processes at most [bytes]; state: of all axes, in a batch [bytes]."""
 
     axes: int
     seconds: float
     done: int
-    behind: float
+    lag: float
     batch: float
     caught_up: float
     cpu: float
@@ -58,11 +58,11 @@ class Run:
 
     def holds(self) -> bool:
         """Whether it keeps up, and lost nothing."""
-        return self.behind <= 2 * self.batch + 1 and self.done == round(self.axes * self.seconds / CART_DT)
+        return self.lag <= 2 * self.batch + 1 and self.done == round(self.axes * self.seconds / CART_DT)
 
 
 class Gateway:
-    """Files of blocks of so many axes."""
+    """Files of blocks of N axes."""
 
     def __init__(self, folder: Path, axes: int, seconds: float) -> None:
         self._folder, self._form = folder, block_type(0, BLOCK, 10)
@@ -108,7 +108,7 @@ def stream(folder: Path, shards: int, interval: float) -> Iterator[subprocess.Po
 
 
 def measured(axes: int, seconds: int, shards: int, interval: float) -> Run:
-    """The stream beside the gateway, for so long."""
+    """The stream next to the gateway, for so long."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "in").mkdir()
@@ -124,13 +124,13 @@ def measured(axes: int, seconds: int, shards: int, interval: float) -> Run:
                 gateway.write(second)
                 memory = max(memory, _memory(process.pid))
             ended = time.monotonic()
-            behind = seconds - _done(folder) * CART_DT / axes
+            lag = seconds - _done(folder) * CART_DT / axes
             cpu = (_cpu(process.pid) - cpu) / (ended - begun)
             _wait(folder, axes, seconds, ENDED, process)
             caught_up = time.monotonic() - ended
         times = sorted(path.stat().st_mtime for path in (folder / "out" / "batches").iterdir())
         batch = float(np.median(np.diff(times))) if len(times) > 1 else interval
-        return Run(axes, seconds, _done(folder), behind, batch, caught_up, cpu, memory, _state(folder))
+        return Run(axes, seconds, _done(folder), lag, batch, caught_up, cpu, memory, _state(folder))
 
 
 def _done(folder: Path) -> int:
@@ -192,7 +192,7 @@ def _state(folder: Path) -> int:
 
 
 def searched(axes: int, seconds: int, shards: int, interval: float) -> list[Run]:
-    """From so many axes on down, until it holds."""
+    """From N axes on down, until it holds."""
     found = list[Run]()
     while not found or not (found[-1].holds() or axes < MOTIONS):
         found.append(measured(axes, seconds, shards, interval))
@@ -207,7 +207,7 @@ def _row(run: Run) -> str:
         f"{run.seconds:g}",
         f"{run.axes / CART_DT:.0f}",
         "yes" if run.holds() else "no",
-        *(f"{value:.1f} s" for value in (run.behind, run.batch, run.caught_up)),
+        *(f"{value:.1f} s" for value in (run.lag, run.batch, run.caught_up)),
         f"{run.cpu:.2f}",
         f"{run.memory / 2**30:.1f} GiB",
         f"{run.state / 2**20:.0f} MiB",
@@ -226,7 +226,7 @@ def page(runs: Sequence[Run], shards: int, interval: float, others: float) -> st
         f"and no sample is missing or double. Other work on the machine before the first run: {others:.1f} processes "
         "that wanted a processor, which these figures have in them.",
         "",
-        "| axes | seconds | samples/s | holds | behind at the end | a batch takes | all done after | processors "
+        "| axes | seconds | samples/s | holds | lag at the end | a batch takes | all done after | processors "
         "| memory | states written with a batch |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]

@@ -134,7 +134,7 @@ def estimated(bench: Bench, seed: int, loss: str) -> Found:
 
 
 def _filled(method: IV, u: Floats, counts: Counts) -> tuple[Floats, NDArray[np.uint32]]:
-    """(n, 3) and status (n,) of `riv` on a filled record, whose motion begins anew behind what is not filled."""
+    """(n, 3) and status (n,) of `riv` on a filled record, whose motion restarts after what is not filled."""
     riv = RIV(method.model, method.encoder, method.dt, method.cutoff)
     edges, tracks = [0, *(edge for gap in gaps_in(u) for edge in gap), u.size], []
     for k in range(0, len(edges) - 1, 2):
@@ -167,7 +167,7 @@ def _online(method: IV, run: CartRecord, there: Flags) -> tuple[Floats, NDArray[
 
 def information_left(bench: Bench, seed: int, loss: str) -> Floats:
     """(3,) by how much the Cramer-Rao bounds grow. A held input is known in a gap that is filled, for its instants can
-    be told; another to what the samples near by leave of it; in a gap that is left out, or long, not at all."""
+    be reported; another to what the samples near by leave of it; in a gap that is left out, or long, not at all."""
     method, run, there = lost(bench, seed, loss)
     line, _, there = fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there))
     held, gap, unknown = is_held(run.u, there), gaps_of(there), np.zeros(there.size)

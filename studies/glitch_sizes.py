@@ -28,7 +28,7 @@ LARGEST = (3, 5, 10, 30, 100, 300, 1000, 5000, 100_000, 1_000_000)
 METHODS: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"rls": RLS, "bcrls": BCRLS, "riv": RIV})
 PRECISIONS = ("float64", "float32")
 INCREMENTS = (16384, 4096, 1024, 256)
-#: A cluster has so many wrong counts in as many samples.
+#: A cluster has N wrong counts in as many samples.
 CLUSTER, WITHIN = 5, 20
 #: Of the estimators [samples], and the pole of their filters times the sample period.
 MEMORY, CUTOFF = 200, 0.5

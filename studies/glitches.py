@@ -40,7 +40,7 @@ METHODS: Mapping[str, type[RecursiveEstimator]] = MappingProxyType(
 MEMORY, CUTOFF = 500, 0.5
 #: The guard was chosen on the others.
 HELD_BACK = ("spindle", "gantry")
-#: A deviation is relative to the parameter, or to so many of its standard deviations where they are more.
+#: A deviation is relative to the parameter, or to N of its standard deviations where they are more.
 STDS = 50.0
 SUSPICIOUS = Status.COUNT_JUMP | Status.INVALID_INPUT
 
@@ -57,7 +57,7 @@ class Spoiled:
 @dataclass(frozen=True)
 class Effect:
     """missed: faults without a flag at their sample; largest, after: largest deviation of a parameter from the track
-    without the faults, from the first fault on and two memories behind it: 0.02 is 2 % of the parameter, or one
+    without the faults, from the first fault on and two memories after it: 0.02 is 2 % of the parameter, or one
     standard deviation, of either track, where that is more."""
 
     missed: int
@@ -140,7 +140,7 @@ def effects(name: str, kind: str, places: int, seed: int = 0) -> Iterator[tuple[
 
 
 def healthy(name: str) -> tuple[int, int]:
-    """Samples of an axis without faults that are flagged, of so many."""
+    """Samples of an axis without faults that are flagged, of N."""
     flagged, samples = 0, 0
     for motion in (*MOTIONS, "multisine"):
         for wrong in ("nothing", "Stribeck 30 %"):
@@ -152,7 +152,7 @@ def healthy(name: str) -> tuple[int, int]:
 
 
 def sizes_part(seeds: int, seconds: float) -> list[str]:
-    """Wrong counts of every size, on so many records of an axis, and an adversary of so many seconds."""
+    """Wrong counts of every size, on N records of an axis, and an adversary of N seconds."""
     study = glitch_sizes
     columns = [
         "axis",
@@ -197,7 +197,7 @@ def sizes_part(seeds: int, seconds: float) -> list[str]:
 
 
 def page(places: int, seeds: int, seconds: float) -> str:
-    """The page, with so many places of each kind on every record; seeds, seconds: of `sizes_part`."""
+    """The page, with N places of each kind on every record; seeds, seconds: of `sizes_part`."""
     rows = []
     for name in AXES:
         for kind in KINDS:
@@ -227,7 +227,7 @@ def page(places: int, seeds: int, seconds: float) -> str:
             "input, drawn evenly in their logarithm. Deviation: of the worst parameter from the track without the "
             f"fault, in percent of the parameter, or of {STDS:g} of its standard deviations, with the fault or "
             "without, where they are more, at any time from the fault on (median, 99 % quantile, largest), and two "
-            "memories behind it (99 %, largest).",
+            "memories after it (99 %, largest).",
             "",
             *table(
                 [

@@ -34,16 +34,16 @@ REFERENCE, HOURS = 600.0, 2.0  # of the record that calibrates [s], of its repla
 
 @dataclass(frozen=True)
 class Heard:
-    """alarms: false ones; found: was the step of the mass told, with its size; told: samples told as outliers."""
+    """alarms: false ones; found: was the mass step reported, with its size; reported: samples reported as outliers."""
 
     alarms: int
     found: bool
-    told: int
+    reported: int
 
 
 @dataclass(frozen=True)
 class Watched:
-    """The same run with so many faults and without: what the monitor mistakes then, no fault has done."""
+    """The same run with N faults and without: what the monitor mistakes then, no fault has done."""
 
     faulty: Heard
     clean: Heard
@@ -93,7 +93,7 @@ def _spoiled(kind: str, u: Floats, counts: Counts, first: int, dt: float, rng: n
 
 
 def watched(name: str, kind: str, runs: int) -> Iterator[Watched]:
-    """A fault, and LATER a step of the mass, in so many runs."""
+    """A fault, and LATER a step of the mass, in N runs."""
     axis, calibration = AXES[name], _calibration(name)
     for seed in range(runs):
         rng = np.random.default_rng([seed, KINDS.index(kind)])
@@ -118,12 +118,12 @@ def _heard(axis: Axis, calibration: Calibration, u: Floats, counts: Counts, step
 
 
 def rows(runs: int) -> Iterator[list[str]]:
-    """Axis, fault, runs, outliers told; false alarms and steps found, with the fault and without."""
+    """Axis, fault, runs, outliers reported; false alarms and steps found, with the fault and without."""
     for name in WATCHED:
         for kind in KINDS:
             found = list(watched(name, kind, runs))
-            told, faults = sum(one.faulty.told for one in found), sum(one.faults for one in found)
-            row = [name, kind, str(len(found)), f"{told} for {faults}"]
+            reported, faults = sum(one.faulty.reported for one in found), sum(one.faults for one in found)
+            row = [name, kind, str(len(found)), f"{reported} for {faults}"]
             for heard in ([one.faulty for one in found], [one.clean for one in found]):
                 row += [str(sum(one.alarms for one in heard)), f"{sum(one.found for one in heard)} of {len(found)}"]
             print(" | ".join(row), flush=True)
@@ -131,7 +131,7 @@ def rows(runs: int) -> Iterator[list[str]]:
 
 
 def page(runs: int) -> str:
-    """The page, with so many runs of each fault."""
+    """The page, with N runs of each fault."""
     return "\n".join(
         [
             "# Samples that no motion explains, under the monitor",
@@ -149,7 +149,7 @@ def page(runs: int) -> str:
                     "axis",
                     "fault",
                     "runs",
-                    "samples told",
+                    "samples reported",
                     "false alarms",
                     "steps found",
                     "without: false alarms",

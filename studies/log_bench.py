@@ -58,7 +58,7 @@ Writer = Callable[[Path, Bench], Path]
 @dataclass(frozen=True, eq=False)
 class Log:
     """A variant: what is written of a bench's columns t, u, y, and the keys of AXIS.toml that someone writes who knows
-    the names of the columns and what the numbers on the data sheet are, but not what this program wants to be told.
+    the names of the columns and what the numbers on the data sheet are, but not what this program wants to be reported.
 
     units: those of the user's own numbers, with which a remedy of two ways is chosen; mend: what a remedy in words does
     to the file, of a user who follows it.
@@ -135,5 +135,5 @@ def renamed(**changes: tuple[str, float]) -> Callable[[Bench], Columns]:
 
 
 def replaced(**changes: Callable[[Bench], object]) -> Callable[[Bench], Mapping[str, object]]:
-    """Columns computed anew."""
+    """Columns computed again."""
     return lambda bench: columns(bench) | {key: make(bench) for key, make in changes.items()}

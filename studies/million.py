@@ -40,7 +40,7 @@ HOW = """## How it is used
     fleet.remove(handles[:100])
     fleet.checkpoint({"read until": 1234.5})              # of the shards that have changed since the last one
 
-*Handles.* An axis is called by the number that `add` gave. Behind `remove` its place in memory goes to the next axis
+*Handles.* An axis is called by the number that `add` gave. After `remove` its place in memory goes to the next axis
 that is added, its number to none: a call with it is refused, and says that this axis was removed.
 
 *Shards.* Axes of one configuration lie in shards of 4096; any number of configurations stand side by side, each in
@@ -50,10 +50,10 @@ gathered and put back. Each axis has the bits that its estimator alone would giv
 *Checkpoints.* Every shard has two files. A checkpoint writes the shards that have changed to the files that the last
 checkpoint does not use, waits until the disk has them (`sync=False`: does not wait, and outlives the process, not the
 power), and then replaces the older one of two lists of files by a rename. Until that rename the last checkpoint is
-whole, behind it the new one. Every file has a checksum and says whose states it holds; what is read is mapped,
+whole, after it the new one. Every file has a checksum and says whose states it holds; what is read is mapped,
 checked, and taken only if samples could have made these numbers. A file that is not whole is set aside and named in
 `fleet.restored.damaged`, and the older checkpoint is taken; where that is not whole either, the axes of the damaged
-shards alone begin anew, and `fleet.restored.lost` says which. A full disk is an `OSError`, and the last checkpoint
+shards alone restart, and `fleet.restored.lost` says which. A full disk is an `OSError`, and the last checkpoint
 stays. The states are written from where they lie: no copy is made, and other threads of the interpreter go on.
 
 *Memory.* An axis of `bcrls` with three parameters has 1.5 kB, in memory once and on disk twice.
@@ -92,17 +92,17 @@ def sizes(costs: Sequence[Cost]) -> list[str]:
     ]  # fmt: skip
     header = ("axes", *(name for name, _ in columns))
     return [
-        "Wall time [s], two threads, with whatever else the machine had to do; *the next* checkpoint is the one behind "
+        "Wall time [s], two threads, with whatever else the machine had to do; *the next* checkpoint is the one after "
         "another step of all:",
         "",
         *table(header, rows),
         "Processor time [s] of the same:",
         "",
         *table(header, processor),
-        f"Memory [MB] beyond the {costs[-1].empty:.0f} MB of the interpreter with what it has loaded, behind the "
-        "calls, and of another process behind the restore:",
+        f"Memory [MB] beyond the {costs[-1].empty:.0f} MB of the interpreter with what it has loaded, after the "
+        "calls, and of another process after the restore:",
         "",
-        *table(("axes", "states", "in the process", "behind a restore", "on disk"), memory),
+        *table(("axes", "states", "in the process", "after a restore", "on disk"), memory),
     ]
 
 
@@ -113,7 +113,7 @@ def kill_lines(axes: int, found: Sequence[Kill]) -> list[str]:
     return [
         "## A kill in a checkpoint",
         "",
-        f"{len(found)} times SIGKILL {times} s behind the begin of a checkpoint of {axes} axes ({within} before it was "
+        f"{len(found)} times SIGKILL {times} s after the begin of a checkpoint of {axes} axes ({within} before it was "
         f"done), and a restart that goes on: in {whole} of {len(found)} the states are bit by bit those of the last "
         f"checkpoint that was done or, {newer} times, of the one under way, whose list was in its place already; "
         f"{sum(kill.damaged for kill in found)} files were damaged. "
@@ -159,7 +159,7 @@ def page(costs: Sequence[Cost], found: Sequence[Kill]) -> str:
         "# A million axes in one process",
         "",
         "Written by `python -m studies.million`: carts with masses of their own under random binary inputs, `bcrls`, "
-        f"float64, {BEFORE} samples behind each before anything is measured; each size in a process of its own.",
+        f"float64, {BEFORE} samples after each before anything is measured; each size in a process of its own.",
         "",
         *HOW,
         "## What it costs",

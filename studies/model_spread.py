@@ -31,7 +31,7 @@ from studies.sections import Page, by_name
 METHODS = (AUTO, "iv", "output-error", "interval")
 INCREMENTS = (4096, 1024, 128)
 SEEDS = 8
-#: The constants of the model spread were chosen on seed 0 of three machines: the study begins behind it.
+#: The constants of the model spread were chosen on seed 0 of three machines: the study begins after it.
 FIRST_SEED = 100
 NOTHING = "nothing"
 #: Times the actual error that an interval may be long where the model is right.
@@ -178,8 +178,8 @@ model has not moves the value by the same amount in every record. `interval_95` 
 - **The note `model_spread`** is more cautious than the number: it is there where a force as large as machines well may
   have, and the record would not show, moves a parameter by more than its std. The number weighs each force by how
   likely the record leaves it.
-- **The interval is of the machine's own parameters**: mass, and the friction of the equation's terms beside what it
-  lacks. Of Coulomb friction beside Stribeck friction that is the level to which it falls.
+- **The interval is of the machine's own parameters**: mass, and the friction of the equation's terms next to what it
+  lacks. Of Coulomb friction next to Stribeck friction that is the level to which it falls.
 - **What nothing here can see**: a wrong input gain scales every parameter alike and leaves no trace in any motion; no
   interval contains that. Nor is there anything in it for a force that none of those in
   `pmfid/estimators/adequacy.py` resembles and the counts do not show.

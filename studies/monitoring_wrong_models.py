@@ -58,7 +58,7 @@ def work_growth(bench: str, friction: str, seeds: int) -> dict[str, list[dict[st
 
 
 def _hours(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, hours: int) -> dict[str, Any]:
-    """Alarms of every detector for every asked time in so many hours, at tolerance 0; the hours; size of a unit of work
+    """Alarms of every detector for every asked time in N hours, at tolerance 0; the hours; size of a unit of work
     and its time [s]; by detector and asked time the standard error that the calibration expects."""
     wait, parts = start_blocks(estimator, found.theta), []
     for seed in range(FIRST_HOUR, FIRST_HOUR + hours):
@@ -118,7 +118,7 @@ def write_hours(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "## False alarms",
         "",
         f"{HOURS_PER_SEED * seeds} hours of normal work of each machine, tolerance 0, all detectors on the same hours, "
-        f"learned from one other hour; after an alarm a detector starts anew {HOLD:g} s later. Said: the factor within "
+        f"learned from one other hour; a detector restarts {HOLD:g} s after an alarm. Said: the factor within "
         "which the calibration itself takes the time to be known (one standard error). Possible: the interval reaches "
         "into the factor of two.",
         "",

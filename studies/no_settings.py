@@ -26,7 +26,7 @@ METHODS = ("auto", "iv", "output-error", "interval", "bcls", "ls", "riv", "bcrls
 COARSER = (1, 16)
 SEEDS = 4
 FIRST_SEED = 300
-#: An estimate is wrong beyond so many of its error bars, both taken together.
+#: An estimate is wrong beyond N of its error bars, both taken together.
 WRONG = 3.0
 #: A relative error below which nobody minds how small the error bar is.
 SMALL = 1e-3

@@ -128,7 +128,9 @@ def _slow(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     intro = (
         f"The methods that fit the simulated position, first {count} seeds, Tf = {TIME_CONSTANT} T where a filter is "
     )
-    intro += "used, `iv` on the same seeds beside them; in brackets the efficiency, uncertain by half with so few runs."
+    intro += (
+        "used, `iv` on the same seeds next to them; in brackets the efficiency, uncertain by half with so few runs."
+    )
     return [intro, "", *table(["increments", "iv", *SLOW], rows)]
 
 

@@ -27,7 +27,7 @@ METHODS: dict[str, tuple[type[BatchEstimator], dict[str, object]]] = {
     "windows": (OE, {"window": "auto"}),
 }
 EXPLAINED = (
-    "`output-error` is that of the command, behind a high-pass where friction drifts; `position` is the same without "
+    "`output-error` is that of the command, after a high-pass where friction drifts; `position` is the same without "
     '(`drift_cutoff` = 0), least squares of the whole simulated position; `windows` is `window = "auto"`.'
 )
 

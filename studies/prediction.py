@@ -15,7 +15,7 @@ INTRODUCTION = """\
 A model is worth what it predicts on records that it has not seen, simulated from the input alone: `pmfid validate`.
 The start of every run is read from its first samples, over five filter time constants; nothing else of the output is
 used. Friction that a model lacks adds up in the position, so that the longer the run, the more is left to chance: the
-same runs begun anew every few seconds say more on the model.
+same runs restarted every few seconds say more on the model.
 
 Which friction the model has decides more than the method. Least squares of the force balance alone (`ls`) is lost with
 a coarse encoder. Where the model lacks nothing, windows cost nothing, for then one window over all is chosen; where it

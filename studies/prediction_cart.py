@@ -34,7 +34,7 @@ def measured(name: str) -> Motion:
 
 
 def work(name: str, model: str, method: str) -> list[list[float]]:
-    """Errors [m] over each of the other records: free, and begun anew every 1, 2, 5, 10 s; none without an estimate."""
+    """Errors [m] over each of the other records: free, and restarted every 1, 2, 5, 10 s; none without an estimate."""
     train, others = measured(name), sorted(path.name for path in FOLDER.glob("*.csv") if path.name != name)
     rows = []
     for other in others:
@@ -60,7 +60,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     return [
         *lines,
         "Six records of 21 s under relay current, from every second one each of the others predicted: geometric mean "
-        "of the root mean square error in mm, free over all 21 s, and begun anew.",
+        "of the root mean square error in mm, free over all 21 s, and restarted.",
         "",
         *table(heads, [row + ["–"] * (len(heads) - len(row)) for row in rows]),
     ]

@@ -85,7 +85,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "The electro-mechanical positioning system, 24 841 samples at 1 kHz: fitted on the first two thirds, simulated "
         f"from the input alone over the last 8.28 s, which no estimate has seen but the published ones. Filters "
         f"{CUTOFF:g} rad/s. With an encoder of 1 mm everything is from its counts, the start and the errors, too. "
-        f"{EXPLAINED} Errors are root mean squares in mm; every 1, 2, 5 s: begun anew. The directional model has the "
+        f"{EXPLAINED} Errors are root mean squares in mm; every 1, 2, 5 s: restarted. The directional model has the "
         "offset as half the difference of its Coulomb frictions; with an offset of its own it is not identifiable. "
         "Searched: the symmetric model with the terms that `pmfid terms` finds in the first two thirds.",
         "",

@@ -30,7 +30,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, wrong: str, motion: str, increments: int, seed: int) -> dict[str, tuple[float, float]]:
-    """Method -> 100 less the fit [%] of the free run, and its error in parts of that of standstill when begun anew at
+    """Method -> 100 less the fit [%] of the free run, and its error in parts of that of standstill when restarted at
     the shortest horizon; infinite without an estimate."""
     axis, found = AXES[name], {}
     model, cutoff = Drive(axis.drive.input_gain), 1 / (3 * axis.dt)
@@ -57,7 +57,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         f"{', '.join(MACHINES)} of [confidence.md](confidence.md), seen through {encoders} increments, {seeds} pair of "
         "records each: the model with symmetric friction is fitted on one and predicts another of the same kind of "
         "motion, free over all of it. Error in percent of the motion (100 less the fit), geometric mean over the "
-        "machines; in brackets begun anew every second, in percent of what standstill would be off by. "
+        "machines; in brackets restarted every second, in percent of what standstill would be off by. "
         f"{EXPLAINED}",
         "",
     ]
@@ -74,9 +74,9 @@ def _cell(values: Floats) -> str:
     there = values[np.isfinite(values[:, 0])]
     if not there.size:
         return "no estimate"
-    whole, anew = np.exp(np.mean(np.log(np.maximum(there, 1e-12)), axis=0))
+    whole, again = np.exp(np.mean(np.log(np.maximum(there, 1e-12)), axis=0))
     missing = f", {len(values) - len(there)} refused" if len(there) < len(values) else ""
-    return f"{whole:.3g} ({anew:.2g}){missing}"
+    return f"{whole:.3g} ({again:.2g}){missing}"
 
 
 STUDY = Study("machines", tasks, work, write)
@@ -92,7 +92,7 @@ def bar_tasks(seeds: int) -> list[Task]:
 
 
 def bar_work(window: float | str, seed: int) -> Floats | None:
-    """(3,) errors over error bars of windows of so many filter time constants, on a machine drawn by the seed; None
+    """(3,) errors over error bars of windows of N filter time constants, on a machine drawn by the seed; None
     without an estimate."""
     rng = np.random.default_rng([seed, 4])
     dt, mass, slow = 10 ** rng.uniform(-3.3, -1.9), 10 ** rng.uniform(-4, 2.5), rng.uniform(20.0, 120.0)

@@ -35,7 +35,7 @@ from studies.process_records import (
 )
 
 QUANTILE = 1.96
-#: One search for so many records.
+#: One search for N records.
 SEARCHES = 5
 SEARCHED = 1000
 

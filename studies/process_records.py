@@ -101,7 +101,7 @@ def open_record(
 
 
 def closed_record(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> Experiment:
-    """Under proportional and integral control with a gain margin; the reference is not told."""
+    """Under proportional and integral control with a gain margin; the reference is not reported."""
     return _closed(plant, kind, noise, samples, rng)[0]
 
 

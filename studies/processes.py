@@ -192,7 +192,7 @@ def _checks(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     )
     lines.append(
         f"- `srivc`, efficiency with white noise at least 0.9: {'met' if least >= 0.9 else '**not met**'}; the least "
-        f"of any parameter is {least:.2f}, uncertain by {100 * np.sqrt(2 / seeds):.0f} % with so many runs."
+        f"of any parameter is {least:.2f}, uncertain by {100 * np.sqrt(2 / seeds):.0f} % with this number of runs."
     )
     return [*lines, ""]
 

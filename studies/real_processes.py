@@ -166,7 +166,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     return [
         *lines,
         f"- median error of every parameter within {GOAL_ERROR:g} times what the bound allows: {met}; {worst:.2f}, "
-        f"uncertain by {100 * 1.17 / np.sqrt(seeds):.0f} % with so many runs.",
+        f"uncertain by {100 * 1.17 / np.sqrt(seeds):.0f} % with this number of runs.",
         f"- {GOAL_COVERAGE[0]:.0%} to {GOAL_COVERAGE[1]:.0%} covered: {within}; {low:.2f} to {high:.2f}.",
         "",
     ]

@@ -17,7 +17,7 @@ from studies.prediction_emps import EMPS, measured
 #: Logs of a cart under relay current: 150 Hz, travel per count [m], force per current [N/A].
 CART, CART_DT, STEP, FORCE = EMPS.parents[1] / "real" / "cart_relay", 1 / 150, 8.8e-5, 3.3357
 PARTS = 4
-#: Half of an interval is at most so many times the scatter of the parts.
+#: Half of an interval is at most N times the scatter of the parts.
 LONGEST = 4.0
 #: Value from each part that has one (k,), and half its interval (k,).
 Parts = tuple[Floats, Floats]

@@ -39,11 +39,11 @@ def work(scenario: str, wrong: str, seed: int) -> dict[str, Any]:
             continue
         if isinstance(result, DriveResult) and result.model_spread is not None:
             bars = result.theta - TRUTH, result.theta_std, result.model_spread
-            found[method] = *(100 * bar / TRUTH for bar in bars), (*result.status, *told(result.notes))
+            found[method] = *(100 * bar / TRUTH for bar in bars), (*result.status, *reported(result.notes))
     return found
 
 
-def told(notes: tuple[str, ...]) -> list[str]:
+def reported(notes: tuple[str, ...]) -> list[str]:
     """The sentences on the model among the notes."""
     return [f"“{note}”" for note in notes if any(part in note for part in TELLING)]
 

@@ -24,7 +24,7 @@ from studies.paper.truth import CartRecord, table
 FACTORS = (1 / 100, 1 / 30, 1 / 10, 1 / 3, 1.0, 3.0, 10.0, 30.0, 100.0)
 #: Memories at the old amplitude, at the new one, and at that with another mass.
 STRETCHES = (10, 2, 3)
-#: Of the estimators: at least so many samples and time constants of the axis.
+#: Of the estimators: at least N samples and time constants of the axis.
 MEMORY, TIME_CONSTANTS = 500, 5
 #: The pole of their filters times the sample period.
 CUTOFF = 1 / 3
@@ -145,7 +145,7 @@ def rows(name: str, seeds: int, factors: Sequence[float]) -> list[list[str]]:
 
 
 def page(axes: Sequence[str], seeds: int, factors: Sequence[float]) -> str:
-    """The page, with so many records of each axis and factor."""
+    """The page, with N records of each axis and factor."""
     lines = []
     for name in axes:
         for line in rows(name, seeds, factors):

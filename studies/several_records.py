@@ -26,7 +26,7 @@ COMPARED = (("cart", "iv", 6), ("stage", "iv", 4), ("cart", "output-error", 2), 
 
 
 def compared_page(seeds: int) -> Iterator[str]:
-    """A row for each axis and method, of so many runs times its own number."""
+    """A row for each axis and method, of N runs times its own number."""
     rows = []
     for axis, method, times in COMPARED:
         pairs = [_pair(axis, method, seed) for seed in range(seeds * times)]

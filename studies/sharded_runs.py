@@ -83,8 +83,8 @@ def resident() -> float:
 
 @dataclass(frozen=True)
 class Cost:
-    """Of a fleet of so many axes. state: bytes of an axis; empty, stepped, restored: memory of the process before it,
-    behind the calls and of another process behind the restore [MB]; step: a call of `CALL` samples; first, again, few:
+    """Of a fleet of N axes. state: bytes of an axis; empty, stepped, restored: memory of the process before it,
+    after the calls and of another process after the restore [MB]; step: a call of `CALL` samples; first, again, few:
     checkpoints of all, of all once more, and of one shard; disk: bytes of the folder."""
 
     axes: int
@@ -137,17 +137,17 @@ def _restore(folder: Path) -> dict[str, object]:
 
 
 def in_a_process(axes: int) -> Cost:
-    """Of a fleet of so many, in processes of their own."""
+    """Of a fleet of N, in processes of their own."""
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as name:
-        found = _told("run", name, axes) | _told("restore", name, axes)
+        found = _reported("run", name, axes) | _reported("restore", name, axes)
     times = {key: Spent(**value) for key, value in found.items() if isinstance(value, dict)}
     return Cost(**(found | times))  # type: ignore[arg-type]
 
 
-def _told(what: str, folder: str, axes: int) -> dict[str, object]:
+def _reported(what: str, folder: str, axes: int) -> dict[str, object]:
     command = [sys.executable, "-m", "studies.sharded_runs", what, folder, str(axes)]
-    told: dict[str, object] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    return told
+    reported: dict[str, object] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    return reported
 
 
 # --- kills ------------------------------------------------------------------------------------------------------------
@@ -185,22 +185,22 @@ class Kill:
 
 
 def kills(axes: int, times: int, seed: int = 5) -> Iterator[Kill]:
-    """So many SIGKILLs within a checkpoint of all axes, at random in equal parts of the time that one takes."""
+    """N SIGKILLs within a checkpoint of all axes, at random in equal parts of the time that one takes."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as name:
         for part in range(times):
             after, lines = _killed(Path(name), axes, (part + rng.random()) / times)
-            told = {line["mark"]: line["sums"] for line in lines if "mark" in line}
+            reported = {line["mark"]: line["sums"] for line in lines if "mark" in line}
             done = [line["done"] for line in lines if "done" in line]
             with ShardedFleet(name, [estimator()]) as fleet:
                 mark = int(fleet.restored.mark) if fleet.restored else 0  # type: ignore[call-overload]
                 damaged = len(fleet.restored.damaged) if fleet.restored else 0
-                whole = mark >= done[-1] and _sums(fleet) == told[mark]
+                whole = mark >= done[-1] and _sums(fleet) == reported[mark]
             yield Kill(after, len(done) == 1, whole, mark > done[-1], damaged)
 
 
 def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str, Any]]]:
-    """A child that has its first checkpoint done and is killed in its second, behind a part of the first one's time;
+    """A child that has its first checkpoint done and is killed in its second, after a part of the first one's time;
     how long that was [s], and what it said."""
     command = [sys.executable, "-m", "studies.sharded_runs", "child", str(folder), str(axes)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
@@ -221,7 +221,7 @@ def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str,
 def per_sample(
     single: RecursiveEstimator, axes: int, samples: int, workers: int | None = 1, quantile: float = 0.0
 ) -> tuple[float, int]:
-    """Processor time of a sample of an axis [s] in calls of so many, behind others: a quantile of five, 0: the least;
+    """Processor time of a sample of an axis [s] in calls of N, after others: a quantile of five, 0: the least;
     bytes of an axis."""
     fleet = Fleet(single, axes, workers=workers)
     fleet.run(*motion(axes, 0, BEFORE))

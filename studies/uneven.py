@@ -70,7 +70,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         "## Records as they come",
         "",
         f"`srivc`, white noise at {10 * np.log10(SNR):g} dB, {seeds} runs. jitter: every instant is off by up to "
-        f"{JITTER:.0%} of the period; missing: {MISSING:.0%} of the output's samples are; rows lost: so many rows are "
+        f"{JITTER:.0%} of the period; missing: {MISSING:.0%} of the output's samples are; rows lost: N rows are "
         f"not in the record at all, in {BURSTS} bursts: the input is not known there and the filters restart; three "
         f"records: {RECORDS} of a third of the length; all: jitter and missing in three records. All cases have the "
         "same number of instants. Root mean square error of each parameter in percent, and the largest ratio to that "

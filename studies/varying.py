@@ -1,4 +1,4 @@
-"""Study of a process that changes all the time: recursive methods beside each other."""
+"""Study of a process that changes all the time: recursive methods next to each other."""
 
 from __future__ import annotations
 

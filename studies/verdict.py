@@ -170,7 +170,7 @@ def record(axis: Axis, machine: Machine, what: Wrong, motion: str, rng: Rng) -> 
 
 
 @dataclass(frozen=True)
-class Told:
+class Report:
     """What `identify` says of a record. error, std, half: each (3,), in parts of the truth, half of the interval above
     the value; None where it refuses; status: or the reason; shown: can this input show a dead zone?"""
 
@@ -188,17 +188,17 @@ class Told:
         return bool(np.any(np.abs(self.error) > np.maximum(TUNING.noise_limit * self.std, TUNING.matter_tolerance)))
 
 
-def work(wrong: str, seed: int) -> Told:
+def work(wrong: str, seed: int) -> Report:
     axis, motion, made = run(wrong, seed)
     shown = motion != "binary"
     model, encoder, known = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(made.resolution), truth(axis)
     try:
         found = pmfid.identify(made.u, made.counts, model=model, encoder=encoder, dt=axis.dt)
     except pmfid.NotIdentifiableError as error:
-        return Told((str(error),), shown)
+        return Report((str(error),), shown)
     assert found.interval_95 is not None
     theta, std, interval = found.theta[:3], found.theta_std[:3], found.interval_95[:3]
-    return Told(found.status, shown, (theta - known) / known, std / known, (interval[:, 1] - theta) / known)
+    return Report(found.status, shown, (theta - known) / known, std / known, (interval[:, 1] - theta) / known)
 
 
 def tasks(seeds: int) -> list[Task]:
@@ -206,8 +206,8 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
-    rows = [_row(wrong, [told for (kind, _), told in results.items() if kind == wrong]) for wrong in WRONG]
-    wrong = [told for (kind, _), told in results.items() if kind not in (RIGHT, "dead zone, binary")]
+    rows = [_row(wrong, [reported for (kind, _), reported in results.items() if kind == wrong]) for wrong in WRONG]
+    wrong = [reported for (kind, _), reported in results.items() if kind not in (RIGHT, "dead zone, binary")]
     rows.append(_row("all that is wrong", wrong, every=True))
     header = ["lacks", "runs", "refused", "empty", "matters", "silent", "covered [%]", "all three [%]", "length"]
     return [
@@ -229,14 +229,20 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     ]
 
 
-def _row(name: str, told: Sequence[Told], every: bool = False) -> list[str]:
-    found = [one for one in told if one.error is not None]
+def _row(name: str, reported: Sequence[Report], every: bool = False) -> list[str]:
+    found = [one for one in reported if one.error is not None]
     empty, matters = [one for one in found if not one.status], [one for one in found if one.matters]
     error, half = (np.array([getattr(one, part) for one in found]).reshape(-1, 3) for part in ("error", "half"))
     inside, shown = np.abs(error) <= half, np.array([one.shown for one in found])
     shown |= not shown.any()
     length = np.sqrt(np.mean(half[shown] ** 2, axis=0) / np.mean(error[shown] ** 2, axis=0)) / TUNING.normal_95
-    counts = len(told), len(told) - len(found), len(empty), len(matters), len([one for one in empty if one.matters])
+    counts = (
+        len(reported),
+        len(reported) - len(found),
+        len(empty),
+        len(matters),
+        len([one for one in empty if one.matters]),
+    )
     return [
         name,
         *map(str, counts),
@@ -251,7 +257,7 @@ STUDY = Study("random", tasks, work, write)
 INTRODUCTION = """\
 What is found becomes a status where it may move a parameter by more than `[estimator] tolerance`, 1 % if nothing else
 is said, and by more than noise; else it is a note. A status that is always up says nothing, and one that is empty
-beside a wrong number is the worst."""
+next to a wrong number is the worst."""
 PAGE = Page("verdict", "Does the status mean something?", INTRODUCTION, by_name(STUDY, RECORD_PARTS), SEEDS)
 
 

@@ -29,7 +29,7 @@ COARSER = 4
 #: Memory of the estimate [s].
 MEMORY = 1.0
 REFERENCE_HOURS = 1.0
-#: Friction grows in so many steps, each while the axis rests.
+#: Friction grows in N steps, each while the axis rests.
 STEPS = 30
 
 FRICTIONS: Mapping[str, Callable[[Axis], Machine]] = MappingProxyType(
@@ -96,7 +96,7 @@ def _worn(machine: Machine, factor: float, place: float) -> Machine:
 
 
 def _rest(reference: Floats, index: int) -> int:
-    """The last sample of the first rest of a reference behind an index."""
+    """The last sample of the first rest of a reference after an index."""
     still = np.diff(reference[index:]) == 0
     return index + int(np.flatnonzero(still[:-1] & ~still[1:])[0]) + 1
 

@@ -46,7 +46,7 @@ def _stamps(columns: Columns) -> list[int]:
 
 
 def write_matlab_7_3(path: Path, columns: Columns) -> None:
-    """Behind MATLAB's header, rows as columns."""
+    """After MATLAB's header, rows as columns."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in _arrays(columns).items():
             file.create_dataset(name, data=np.atleast_2d(values), compression="gzip" if values.size else None)

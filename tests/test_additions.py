@@ -39,7 +39,7 @@ def bcrls() -> pmfid.BCRLS:
 # --- a detector -------------------------------------------------------------------------------------------------------
 
 
-def test_every_detector_is_made_and_told_of_and_every_file_and_option_may_name_it() -> None:
+def test_every_detector_is_made_and_reported_and_every_file_and_option_may_name_it() -> None:
     assert set(make_detectors(0.9)) == set(DETECTORS)
     (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
     assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
@@ -61,7 +61,7 @@ class Slower(Cusum):
 def test_thresholds_of_other_detectors_are_not_those_of_these(
     further: dict[str, Detector], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file from before a detector was added, or tuned anew, is no calibration of it: it would have no threshold."""
+    """A file from before a detector was added, or tuned again, is no calibration of it: it would have no threshold."""
 
     def made(*_: object, **__: object) -> Calibration:
         scale = Scale(*(np.ones(3) for _ in Scale.__dataclass_fields__))
@@ -105,7 +105,7 @@ PROCESS = {"n": 3, "m": 2, "delay": 4, "offset": True, "integrators": 1, "unstab
 TERM = {"signal": "forward_output", "derivative": 1, "name": "d", "unit": "N s/m", "coefficient": 2.5}
 SHAPE = {"form": "stribeck", "speed": 0.02}
 SHAPED = pmfid.Term("friction", 0, "stribeck_friction", "N", shape=pmfid.Stribeck(0.02))
-#: What a model needs beside a field.
+#: What a model needs next to a field.
 PLAIN: dict[type, dict[str, object]] = {pmfid.Drive: {"input_gain": 2.0}, pmfid.TransferFunction: {"n": 2, "m": 0}}
 FIELDS = [(pmfid.Drive, {name: value}) for name, value in DRIVE.items()]
 FIELDS += [(pmfid.TransferFunction, {name: value}) for name, value in PROCESS.items()]
@@ -218,7 +218,7 @@ def test_every_signal_has_its_facts() -> None:
 # --- a file format ----------------------------------------------------------------------------------------------------
 
 
-def test_every_format_has_a_reader_is_told_of_and_is_attacked() -> None:
+def test_every_format_has_a_reader_is_reported_and_is_attacked() -> None:
     """`test_records.py` and `test_unpacked.py` go through the same list."""
     assert set(READERS) == set(FORMATS)
     assert set(records.WRITERS) == set(FORMATS)

@@ -405,7 +405,7 @@ def mutable_objects(source: str) -> list[str]:
     statements = [" ".join(statement.split()) for statement in code.split(";")]
     declared = [s for s in statements if not re.match(r"typedef\b|(enum|struct|union)\b[\w ]*@?$|$", s)]
     outside = [s for s in declared if "(" not in s.partition("=")[0] or "(*" in s]
-    # const must stand behind the last star: a pointer to const can itself be changed
+    # const must stand after the last star: a pointer to const can itself be changed
     return sorted({s for s in static + outside if "const" not in s.partition("=")[0].rpartition("*")[2]})
 
 

@@ -32,7 +32,7 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
             "cart",
             "stop-and-go",
             4096,
-        ),  # 9 to 11 times too long, of scores beside the edges of parked counts
+        ),  # 9 to 11 times too long, of scores next to the edges of parked counts
         pytest.param(IntervalML, "rotary", "stop-and-go", 4096, marks=pytest.mark.long),  # 4
         (pmfid.IV, "heavy", "multisine", 4096),  # 3 to 8: blocks with sharp ends
         pytest.param(pmfid.IV, "rotary", "prbs", 32, marks=pytest.mark.long),

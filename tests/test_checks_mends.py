@@ -87,7 +87,7 @@ def test_a_short_record_whose_input_explains_it_is_not() -> None:
 # --- limits of the input ----------------------------------------------------------------------------------------------
 
 
-def test_what_the_log_cuts_off_is_told_from_the_limit_of_the_drive() -> None:
+def test_what_the_log_cuts_off_is_distinguished_from_the_limit_of_the_drive() -> None:
     assert found_in(faulty("saturated input", 3027)) == ("saturated",)
     log = limited(3041)
     found = check_record(log.record(), log.configuration)
@@ -108,7 +108,7 @@ def test_a_note_ends_no_search_and_is_no_fault(tmp_path: Path) -> None:
 # --- clean logs -------------------------------------------------------------------------------------------------------
 
 
-def test_a_sign_is_not_told_from_what_explains_nothing() -> None:
+def test_a_sign_is_not_distinguished_from_what_explains_nothing() -> None:
     assert "reversed" not in found_in(clean(5020))
 
 
@@ -120,5 +120,5 @@ def test_a_motion_that_starts_with_all_its_force_has_no_wrong_first_row() -> Non
     assert [one.code for one in repair_record(wrong).findings] == ["count_jump"]
 
 
-def test_findings_are_told_by_their_weight() -> None:
+def test_findings_are_reported_by_their_weight() -> None:
     assert codes((Finding("saturated", "at a limit", severity="note"),)) == ()

@@ -324,7 +324,7 @@ STEPS = [("91e-6", 0), ("91e-6", 100), ("364e-6", 100), ("728e-6", 0), ("1.5e-3"
         [(method, *step) for method in METHODS for step in STEPS],
     ),
 )
-def test_constant_input_behind_a_coarse_encoder_is_never_silently_wrong(
+def test_constant_input_with_a_coarse_encoder_is_never_silently_wrong(
     tmp_path: Path, method: str, step: str, start: int
 ) -> None:
     """It starts at once, or after a second."""
@@ -340,7 +340,7 @@ def test_input_that_has_nothing_to_do_with_the_motion_is_never_silently_wrong(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_memory_far_behind_the_last_reversal_is_never_silently_wrong(tmp_path: Path, method: str) -> None:
+def test_memory_far_after_the_last_reversal_is_never_silently_wrong(tmp_path: Path, method: str) -> None:
     u = np.where(np.arange(3000) < 1500, 3.0, -3.0)
     never_silently_wrong(run(written(tmp_path, moved(u)), "--json", "--method", method))
 
@@ -465,7 +465,7 @@ def test_a_jump_of_the_counter_is_flagged_and_left_out(tmp_path: Path, cart: Car
     assert values(printed)["mass"] == pytest.approx(CART.mass, rel=0.02)
 
 
-def test_a_homing_in_a_record_is_told_once(tmp_path: Path, cart: Cart) -> None:
+def test_a_homing_in_a_record_is_reported_once(tmp_path: Path, cart: Cart) -> None:
     homed = pl.when(pl.col.t > 15).then(7000).otherwise(0)
     printed = good(written(tmp_path, cart.frame.with_columns(pl.col.counts + homed)), "--method", "iv")
     assert printed["status"].count("count_jump") == 1

@@ -42,7 +42,7 @@ def test_the_methods_are_these():
 
 
 @pytest.mark.parametrize("cls", METHODS)
-def test_finds_the_truth_behind_noise(cls):
+def test_finds_the_truth_after_noise(cls):
     """A zero in the right half-plane, 30 dB; the output is measured as a number: its noise is not the encoder's."""
     run = make_record(UNDERSHOOT, 1, snr=30.0)
     options = {"noise_std": run.noise_std} if "known-step" in cls.method else {}

@@ -59,7 +59,7 @@ def test_no_setting_of_the_estimator_is_needed(name: str) -> None:
 
 
 def test_filters_far_too_fast_for_the_encoder_are_not_chosen() -> None:
-    """With three samples the mass of the mirror is 26 % off behind its encoder."""
+    """With three samples the mass of the mirror is 26 % off with its encoder."""
     axis = REAL["mirror"]
     record = record_of(axis, Machine(axis.drive), "stop-and-go", 4096, 11)
     model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
@@ -123,7 +123,7 @@ def test_the_command_needs_none_and_export_asks_for_one_or_a_record(tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["crane", "door"])
 def test_on_line_the_filters_settle_within_what_is_remembered(name: str) -> None:
-    """A record of many minutes prefers filters behind which a recursion of two seconds never trusts its instruments."""
+    """A record of many minutes prefers filters after which a recursion of two seconds never trusts its instruments."""
     axis = replace(REAL[name], samples=30_000)
     record, forgetting = record_of(axis, Machine(axis.drive), "multisine", 256, 5), 1 - axis.dt / 2.0
     model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)

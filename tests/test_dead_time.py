@@ -157,7 +157,7 @@ def test_riv_under_position_control(late: float) -> None:
 
 
 @pytest.mark.parametrize("method", [IV, OE])
-def test_beside_friction_of_a_given_form(method: type) -> None:
+def test_next_to_friction_of_a_given_form(method: type) -> None:
     gain, mass, viscous, coulomb, dt, size, step, cutoff = WHEEL
     rng = np.random.default_rng(5)
     u = size * np.repeat(rng.choice([-1.0, 1.0], 400), 12)
@@ -187,8 +187,8 @@ def test_from_arrays_to_json() -> None:
         run.u, run.counts, model=Drive(2.0, dead_time="estimate"), encoder=Encoder(CART[6]), dt=0.01, cutoff=20.0
     )
     assert result["dead_time"] == pytest.approx(0.007, abs=2e-4)
-    told = json.loads(json.dumps(result.to_json()))
-    assert told["parameters"]["dead_time"]["unit"] == "s"
+    reported = json.loads(json.dumps(result.to_json()))
+    assert reported["parameters"]["dead_time"]["unit"] == "s"
 
 
 def test_saved_states_go_on_with_the_same_bits_and_hold_the_inputs_that_are_still_to_act() -> None:

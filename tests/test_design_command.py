@@ -137,7 +137,7 @@ def test_a_campaign_is_in_the_object() -> None:
     assert found["campaign"]["gain"] > 1.2
 
 
-def test_the_trap_of_no_least_speed_is_told(tmp_path: Path) -> None:
+def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:
     result = run("design", changed(tmp_path, ("min_speed = 0.01", "min_speed = 0.0")), *FEW)
     assert result.exit_code == 0
     assert "warning" in result.stdout
@@ -175,7 +175,7 @@ def test_limits_that_cannot_be_met_say_what_to_relax(tmp_path: Path, old: str, n
     assert all(np.isfinite(way["to"]) for way in found["relax"])
 
 
-def test_relaxing_as_told_is_enough(tmp_path: Path) -> None:
+def test_relaxing_as_reported_is_enough(tmp_path: Path) -> None:
     result = run("design", changed(tmp_path, ("input = 3.0", "input = 1.0")), *FEW, "--json")
     needed = next(way["to"] for way in json.loads(result.stdout)["relax"] if way["limit"] == "input")
     assert 1.0 < needed < 3.0

@@ -50,7 +50,7 @@ def test_sensitivities_are_difference_quotients(drive: tuple[float, float, float
         def moved(part: float, name: str = name, h: float = h) -> np.ndarray:
             return motion(case, u, {name: case.nominal[name] + part * h})[0][1:]
 
-        # the quotient of order six leaves h^6: nothing beside rounding
+        # the quotient of order six leaves h^6: nothing next to rounding
         quotient = (45 * (moved(1) - moved(-1)) - 9 * (moved(2) - moved(-2)) + moved(3) - moved(-3)) / (60 * h)
         assert np.abs(quotient - exact[:, i]).max() <= 1e-8 * max(np.abs(exact[:, i]).max(), 1e-3)
 

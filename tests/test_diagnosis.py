@@ -145,7 +145,7 @@ def test_an_angle_that_wraps_has_another_period_than_a_counter() -> None:
 
 
 @pytest.mark.parametrize("jump", [20_000, 3, 100_000])
-def test_a_counter_set_anew_once_does_not_wrap(jump: int) -> None:
+def test_a_counter_reset_once_does_not_wrap(jump: int) -> None:
     counts = np.round(500 * np.sin(np.linspace(0, 20, 2000))).astype(np.int64)
     counts[1000:] += jump
     assert wrap_of(counts) is None

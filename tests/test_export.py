@@ -116,7 +116,7 @@ VARIANTS = {
     "shapes": {"drive": pmfid.Drive(2.0, stribeck=0.05, quadratic=True, cogging=0.01)},
     "places": {"drive": pmfid.Drive(2.0, gravity=True)},
     "late": {"drive": pmfid.Drive(2.0, dead_time=0.017)},
-    "behind a lag": {"drive": pmfid.Drive(2.0, dead_time=0.017, lag=0.006)},
+    "after a lag": {"drive": pmfid.Drive(2.0, dead_time=0.017, lag=0.006)},
     "late by how much": {"drive": pmfid.Drive(2.0, dead_time="estimate", stribeck=0.05)},
     "late, within the counts": {"drive": pmfid.Drive(2.0, dead_time="estimate")},
     "order": {"order": 4},
@@ -136,7 +136,7 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
     assert difference(exported(estimator, tmp_path, *hostile()), GCC, "-O0", *WARNINGS) is None
 
 
-@pytest.mark.parametrize("variant", ["shapes", "behind a lag", "late by how much", "late, within the counts"])
+@pytest.mark.parametrize("variant", ["shapes", "after a lag", "late by how much", "late, within the counts"])
 @pytest.mark.parametrize(
     "target",
     [pytest.param(t, marks=[needs(t), *([pytest.mark.long] if t is M4F else [])], id=t.name) for t in (CLANG, M4F, M7)],
@@ -166,10 +166,10 @@ GAPS = (250, 302, 850, 1100, 1101)
 
 
 def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, counts: np.ndarray) -> tuple[bool, bool]:
-    """Whether the exported C has other bits than Python, where it is told of the gaps and where it is not."""
+    """Whether the exported C has other bits than Python, where it knows the gaps and where it does not."""
     exported(estimator, folder, u, counts, GAPS)
-    told = f"-DGAPS={','.join(map(str, GAPS))}"
-    return difference(folder, GCC, "-O2", told, *WARNINGS) is not None, difference(folder, GCC, "-O2") is not None
+    reported = f"-DGAPS={','.join(map(str, GAPS))}"
+    return difference(folder, GCC, "-O2", reported, *WARNINGS) is not None, difference(folder, GCC, "-O2") is not None
 
 
 @needs(GCC)

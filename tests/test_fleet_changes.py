@@ -35,7 +35,7 @@ def breathing(rng: np.random.Generator, place: int, factor: float, phase: float)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_step_beside_friction_that_breathes_is_a_step(seed: int) -> None:
+def test_a_step_next_to_friction_that_breathes_is_a_step(seed: int) -> None:
     """The friction's own motion had been taken for the beginning of the step, and then a drift explained more."""
     rng = np.random.default_rng(seed)
     place, factor = int(rng.integers(5, 12)), float(rng.choice([0.85, 1.2]))
@@ -49,7 +49,7 @@ def test_a_step_beside_friction_that_breathes_is_a_step(seed: int) -> None:
 
 
 def test_a_step_in_a_segment_that_says_nothing_came_there() -> None:
-    """It had been told of the segment after, in which nothing happened."""
+    """It was reported for the segment after, in which nothing happened."""
     rng = np.random.default_rng(5)
     whole = breathing(rng, 9, 1.2, 0.0)
     step = step_of(whole[np.arange(N) != 8], NAMES, 0.02)
@@ -57,7 +57,7 @@ def test_a_step_in_a_segment_that_says_nothing_came_there() -> None:
     assert (step.since, step.until) == (SEGMENT * 8, SEGMENT * 10)
 
 
-def test_a_drift_of_minutes_is_not_told_per_day() -> None:
+def test_a_drift_of_minutes_is_not_reported_per_day() -> None:
     quick = AxisVerdict(DRIFTS, 2.0, "mass", size=27.0, std=5.0, days=0.01)
     assert sentence(quick) == "mass drifts by +27 % ± 5 % within 0:14:24"
     assert "per day" in sentence(AxisVerdict(DRIFTS, 2.0, "mass", size=0.01, std=0.001, days=9.0))
@@ -65,7 +65,7 @@ def test_a_drift_of_minutes_is_not_told_per_day() -> None:
 
 @pytest.mark.parametrize("cause", ["mass", "friction", "input_gain"])
 def test_a_drift_has_its_cause_and_its_size_from_the_begin_on(cause: str) -> None:
-    """It had been told of one parameter, whichever moved most clearly, and relative to the middle of the history."""
+    """One parameter was reported, whichever moved most clearly, and relative to the middle of the history."""
     rng, n, factor = np.random.default_rng(3), 40, 1.25
     line = np.linspace(1.0, factor, n)
     theta, std = np.tile([90.0, 120.0, 18.0], (n, 1)), np.tile([0.1, 0.5, 0.05], (n, 1))

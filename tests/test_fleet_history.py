@@ -71,13 +71,13 @@ def test_those_that_changed_are_named_with_cause_size_and_time(plain: History) -
 
 
 def test_numbers_with_a_unit_give_the_same_bytes(log: pl.DataFrame, config: Path, tmp_path: Path) -> None:
-    part, told = log.filter(pl.col("machine") == "axis-0000"), tmp_path / "axis.toml"
+    part, reported = log.filter(pl.col("machine") == "axis-0000"), tmp_path / "axis.toml"
     text = config.read_text()
     step = f"{tomllib.loads(text)['encoder']['resolution']!r}"
-    told.write_text(text.replace(f"resolution = {step}", f'resolution = "{step} m"'))
-    assert told.read_text() != text
+    reported.write_text(text.replace(f"resolution = {step}", f'resolution = "{step} m"'))
+    assert reported.read_text() != text
     bare, with_unit = (
-        fleet.estimate(part, axis=one, by="machine", out=tmp_path / one.parent.name) for one in (config, told)
+        fleet.estimate(part, axis=one, by="machine", out=tmp_path / one.parent.name) for one in (config, reported)
     )
     assert with_unit.periods.equals(bare.periods)
 
@@ -348,9 +348,9 @@ def test_the_command_prints_and_writes(log: pl.DataFrame, plain: History, tmp_pa
     page = (tmp_path / "out" / "fleet.html").read_text()
     assert all(f"axis-{k:04d}" in page for k in CHANGES)
     again = CliRunner().invoke(main, [*words, "--json"])
-    told = json.loads(again.stdout)
-    assert (told["shards"], told["reused"]) == (1, 1)
-    assert {one["axis"] for one in told["attention"]} == set(plain.named["axis"].to_list())
+    reported = json.loads(again.stdout)
+    assert (reported["shards"], reported["reused"]) == (1, 1)
+    assert {one["axis"] for one in reported["attention"]} == set(plain.named["axis"].to_list())
 
 
 def test_the_report_draws_any_name_and_has_the_trends(plain: History, tmp_path: Path) -> None:
@@ -383,7 +383,7 @@ def test_the_package_opens_by_its_name() -> None:
     assert pmfid.fleet.estimate is fleet.estimate
 
 
-def test_the_name_of_the_readme_is_there_behind_a_plain_import() -> None:
+def test_the_name_of_the_readme_is_there_after_a_plain_import() -> None:
     shown = subprocess.run(
         [sys.executable, "-c", "import pmfid; print(pmfid.fleet.estimate.__name__)"],
         capture_output=True,

@@ -110,7 +110,7 @@ def test_axes_whose_names_are_numbers_are_not_put_together(mixed: History) -> No
     assert "" not in known
 
 
-def test_a_file_that_grows_while_it_is_read_is_named_and_done_anew(
+def test_a_file_that_grows_while_it_is_read_is_named_and_done_again(
     logs: list[pl.DataFrame], config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = tmp_path / "data"
@@ -172,7 +172,7 @@ def test_durations_are_seconds() -> None:
     assert frame.select(seconds_of(pl.col("t"), "t", frame.schema["t"], 1e-3))["t"].to_list() == [1.5]
 
 
-def test_another_unit_is_told() -> None:
+def test_another_unit_is_reported() -> None:
     assert 'time_unit = "ms"' in other_unit(1.7e12, 1.8e12, 1.0)
     assert 'time_unit = "s"' in other_unit(5e9, 5.1e9, 3.0)
     assert not other_unit(0.0, 1.8e9, 1.0)
@@ -192,7 +192,7 @@ def test_an_axis_of_two_types_is_named(logs: list[pl.DataFrame], config: Path, t
 
 @pytest.fixture(scope="module")
 def lake(logs: list[pl.DataFrame], config: Path, tmp_path_factory: pytest.TempPathFactory) -> History:
-    """What is no file, or hangs on links, beside files."""
+    """What is no file, or hangs on links, next to files."""
     folder, other = tmp_path_factory.mktemp("lake"), tmp_path_factory.mktemp("other")
     logs[0].write_parquet(folder / "a.parquet")
     logs[1].write_parquet(other / "b.parquet")

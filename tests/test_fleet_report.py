@@ -16,7 +16,7 @@ from tests.test_fleet_changes import NAMES, N, series
 
 
 def alike(axes: int) -> list[AxisVerdict]:
-    """Of so many axes whose segments have the same numbers: a spread of zero."""
+    """Of N axes whose segments have the same numbers: a spread of zero."""
     one = series(np.tile([1.0, 10.0, 2.0], (N, 1)), np.tile([0.01, 0.1, 0.02], (N, 1)))
     return judge_axes([follow_axis(f"a{k}", "", one, NAMES, 0.02) for k in range(axes)], NAMES, 0.02)
 
@@ -79,7 +79,7 @@ def test_axes_without_an_estimate_are_listed_and_counted_in_the_title(tmp_path: 
     assert "No axis changed" not in nothing
 
 
-def test_axes_that_wander_are_told_apart_from_those_that_need_attention(tmp_path: Path) -> None:
+def test_axes_that_wander_are_distinguished_from_those_that_need_attention(tmp_path: Path) -> None:
     page = page_of(tmp_path, with_kinds(history(3, 0.1), ["changed", "wanders", "wanders"]))
     assert "1 of 3 axes needs attention</h1>" in page
     assert "2 axes wander, which needs no action." in page
@@ -111,6 +111,6 @@ def test_trends_are_drawn_of_what_moves() -> None:
         ([0.0, 600.0], ["0:00:00", "0:10:00"]),
     ],
 )
-def test_times_of_hours_and_of_months_are_told_apart(times: list[float], texts: list[str]) -> None:
+def test_times_of_hours_and_of_months_are_distinguished(times: list[float], texts: list[str]) -> None:
     """Of a history of hours every label had been the same date."""
     assert ticks_of(np.array(times)) == texts

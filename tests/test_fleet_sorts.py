@@ -28,14 +28,14 @@ def fleet(masses: Floats, seed: int = 0) -> list[Follow]:
 
 @pytest.mark.parametrize("second", [30, 12])
 @pytest.mark.parametrize("factor", [0.6, 1.8])
-def test_two_versions_are_told_and_neither_is_named(second: int, factor: float) -> None:
+def test_two_versions_are_reported_and_neither_is_named(second: int, factor: float) -> None:
     masses = np.r_[np.full(60 - second, 1.0), np.full(second, factor)]
     follows = fleet(masses)
     assert not any(one.named for one in judge_axes(follows, NAMES, 0.02))
-    told = _sorts(follows, NAMES, 0.02)
-    assert [(one.code, one.part) for one in told] == [("several_sorts", "type press")]
-    assert "2 sorts of machines, by mass" in told[0].text
-    assert f"{second} around {factor:.1g}"[:10] in told[0].text
+    reported = _sorts(follows, NAMES, 0.02)
+    assert [(one.code, one.part) for one in reported] == [("several_sorts", "type press")]
+    assert "2 sorts of machines, by mass" in reported[0].text
+    assert f"{second} around {factor:.1g}"[:10] in reported[0].text
 
 
 @pytest.mark.parametrize("odd", [0.6, 1.4, 2.8])

@@ -51,7 +51,7 @@ def test_friction_that_breathes_is_not_named(wave: object) -> None:
     assert sum(one.named for one in found) <= 2
 
 
-def test_who_wanders_is_told_so_after_all_who_need_attention() -> None:
+def test_who_wanders_is_reported_after_all_who_need_attention() -> None:
     rng = np.random.default_rng(1)
     fleet = [seen(rng, friction(1.5 * walk(rng))) for _ in range(20)]
     found = verdicts(fleet)
@@ -65,7 +65,7 @@ def test_who_wanders_is_told_so_after_all_who_need_attention() -> None:
 
 @pytest.mark.parametrize("wave", [sinusoid, walk])
 @pytest.mark.parametrize("factor", [0.85, 1.1, 1.25])
-def test_a_step_of_the_mass_beside_it_keeps_cause_and_time(wave: object, factor: float) -> None:
+def test_a_step_of_the_mass_next_to_it_keeps_cause_and_time(wave: object, factor: float) -> None:
     rng = np.random.default_rng(3)
     factors = [friction(wave(rng)) for _ in range(10)]  # type: ignore[operator]
     for k, one in enumerate(factors):

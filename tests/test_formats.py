@@ -209,7 +209,7 @@ def test_a_library_that_is_not_there_is_named_with_what_installs_it(
 
 
 @pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != ".csv"])
-def test_damage_is_told_or_harmless(tmp_path: Path, suffix: str) -> None:
+def test_damage_is_reported_or_harmless(tmp_path: Path, suffix: str) -> None:
     """A few bytes changed at a time: a sentence, or a table."""
     path = tmp_path / f"run{suffix}"
     WRITERS[suffix](path, RUN)

@@ -200,15 +200,15 @@ def test_the_command(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "out")])
     assert shown.exit_code == 0, shown.output
     assert "friction [N]" in shown.output
-    told = json.loads(CliRunner().invoke(main, [*command, "--json"]).stdout)
-    assert told["mass"]["value"] == pytest.approx(0.3, rel=0.01)
-    assert told == json.loads((tmp_path / "out" / "friction.json").read_text())
+    reported = json.loads(CliRunner().invoke(main, [*command, "--json"]).stdout)
+    assert reported["mass"]["value"] == pytest.approx(0.3, rel=0.01)
+    assert reported == json.loads((tmp_path / "out" / "friction.json").read_text())
     page = (tmp_path / "out" / "friction.html").read_text()
     assert "The curve ends at these velocities" in page
 
 
 def test_a_curve_without_a_mass_is_refused() -> None:
-    """Behind filters of a hundred samples it was -0.65 +- 0.95 kg, and a curve beside it."""
+    """After filters of a hundred samples it was -0.65 +- 0.95 kg, and a curve next to it."""
     axis = TABLE
     record = record_of(axis, FRICTIONS["quadratic 20 %"](axis), "prbs", 1024, 6)
     with pytest.raises(NotIdentifiableError, match="higher cutoff"):
@@ -227,6 +227,6 @@ def test_a_wrong_count_is_left_out(tmp_path: Path) -> None:
         f"[encoder]\nresolution = {record.resolution!r}\n[model]\ninput_gain = 2.0\n"
     )
     command = ["friction", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml"), "--json"]
-    told = json.loads(CliRunner().invoke(main, command).stdout)
-    assert told["mass"]["value"] == pytest.approx(0.3, rel=0.01)
-    assert any("701" in note for note in told["notes"])
+    reported = json.loads(CliRunner().invoke(main, command).stdout)
+    assert reported["mass"]["value"] == pytest.approx(0.3, rel=0.01)
+    assert any("701" in note for note in reported["notes"])

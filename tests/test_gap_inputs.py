@@ -40,7 +40,7 @@ def wave(samples: int = 6000) -> Floats:
 
 
 def waving(samples: int = 6000) -> Floats:
-    """As from a controller behind a coarse encoder: smooth, with noise on top."""
+    """As from a controller with a coarse encoder: smooth, with noise on top."""
     return wave(samples) + 0.003 * np.random.default_rng(2).standard_normal(samples)
 
 
@@ -82,7 +82,7 @@ def test_samples_beyond_another_gap_hardly_count() -> None:
 
 
 def test_an_input_that_rests_now_and_then_is_not_held() -> None:
-    """It was taken for one, and every single missing sample of it for a gap behind which all begins anew."""
+    """It was taken for one, and every single missing sample of it for a gap after which all restarts."""
     u, there = waving(3000), kept(3000, 0.01)
     u[1000:2800] = 0.0
     assert not is_held(u, there)
@@ -92,7 +92,7 @@ def test_an_input_that_rests_now_and_then_is_not_held() -> None:
 
 
 def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> None:
-    """Filled, the mass was 0.06 % off, and behind gaps of 50 samples 1.1 %. The note says what became of them."""
+    """Filled, the mass was 0.06 % off, and after gaps of 50 samples 1.1 %. The note says what became of them."""
     axis, run = AXES["heavy"], machine_record(AXES["heavy"], "nothing", "stop-and-go", 4096, 40)
     there = kept(run.u.size, 0.1, 20)[:2500]
     line, counts, _ = fill_gaps(run.u[:2500][there], run.counts[:2500][there], np.flatnonzero(there))
@@ -148,7 +148,7 @@ def online(there: Flags, u: Floats, counts: Counts) -> tuple[Floats, np.ndarray]
 
 @pytest.mark.parametrize(("part", "used"), [(0.1, 0.7), (0.3, 0.4)])
 def test_on_line_a_hidden_switch_costs_some_samples_and_no_spike(part: float, used: float) -> None:
-    """With filters that began anew half of the samples were lost at 10 %, and all but a tenth at 30 %."""
+    """With filters that restarted half of the samples were lost at 10 %, and all but a tenth at 30 %."""
     u, counts = held(4000)
     theta, status = online(kept(4000, part), u, counts)
     settled, own = (status & int(Status.SETTLING)) == 0, (status & int(Status.FALLBACK | Status.STARTING)) == 0

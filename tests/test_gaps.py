@@ -155,7 +155,7 @@ def test_a_gap_leaves_what_was_gathered(precision: str) -> None:
 
 
 def test_a_gap_is_forgotten_by_the_filters() -> None:
-    """Least squares go on as if the samples behind were a record of their own, with the sums of both."""
+    """Least squares go on as if the samples after were a record of their own, with the sums of both."""
     u, counts = run(3000)
     rls = RLS(**SETTINGS)
     rls.run(u[:1500], counts[:1500])
@@ -245,7 +245,7 @@ def test_what_looks_at_one_motion_takes_the_part_without_gaps_that_moves_most_an
     assert part.notes == ("only the part without gaps that moves most is used here: 68 of 200 samples",)
 
 
-def test_a_start_behind_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:
+def test_a_start_after_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:
     """From rest a speed moves little, beyond friction much: steps by the effect at rest ran away, and overflowed."""
     t = np.linspace(0.0, 1.0, 50)
 
@@ -254,13 +254,13 @@ def test_a_start_behind_a_gap_is_found_though_the_axis_moves_otherwise_there() -
         return moved * t, np.full(50, moved)
 
     y = motion(np.zeros(0), 0.31, None)[0]
-    behind = Restart(slice(0, 50), y + 7.0, 1e-8, 0.0, 0.1, motion)
-    position, _ = behind.best(np.zeros(0), None)
-    assert behind.speed == pytest.approx(0.31, rel=1e-3)
+    later = Restart(slice(0, 50), y + 7.0, 1e-8, 0.0, 0.1, motion)
+    position, _ = later.best(np.zeros(0), None)
+    assert later.speed == pytest.approx(0.31, rel=1e-3)
     assert position - 7.0 == pytest.approx(y, abs=1e-3)
 
 
-def test_a_row_right_behind_another_costs_no_record() -> None:
+def test_a_row_right_after_another_costs_no_record() -> None:
     """As a logger starts: a real record with two rows 0.1 ms apart and 6.7 ms between all others was refused."""
     time = np.r_[0.0, 1e-4 + DT * np.arange(300)]
     config = Axis.model_validate(

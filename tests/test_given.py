@@ -291,7 +291,7 @@ def test_times_and_speeds_do_not_go_with_the_gain() -> None:
     assert dead_time["input_gain"] == pytest.approx(4.0)
 
 
-def test_a_dead_time_that_is_found_beside_the_gain() -> None:
+def test_a_dead_time_that_is_found_next_to_the_gain() -> None:
     axis = BENCHES["gantry"]
     record = record_of(axis, Machine(axis.drive, dead_time=0.8 * axis.dt), "prbs", 1024, 9)
     model = pmfid.Drive(1.0, dead_time="estimate")
@@ -356,11 +356,11 @@ def test_a_result_says_what_was_known(records: dict[str, CartRecord]) -> None:
     axis = BENCHES["gantry"]
     prior = {"coulomb_friction": (15.0, 3.0)}
     result = identified(axis, records["gantry"], method="iv", given={"mass": 37.0}, prior=prior)
-    told = result.to_json()
-    json.dumps(told, allow_nan=False)
-    assert (told["given"], told["prior"]) == ({"mass": 37.0}, {"coulomb_friction": [15.0, 3.0]})
-    assert told["input_gain"] == result["input_gain"]
-    parameters = told["parameters"]
+    reported = result.to_json()
+    json.dumps(reported, allow_nan=False)
+    assert (reported["given"], reported["prior"]) == ({"mass": 37.0}, {"coulomb_friction": [15.0, 3.0]})
+    assert reported["input_gain"] == result["input_gain"]
+    parameters = reported["parameters"]
     assert isinstance(parameters, dict)
     assert list(parameters) == [*NAMES, "input_gain"]
     assert "mass = 37 ± 0 kg (given)" in str(result)
@@ -471,16 +471,16 @@ def invoked(*arguments: object, code: int = 0) -> str:
 
 def test_a_result_with_a_gain_that_was_found_predicts(folder: Path) -> None:
     record, axis = folder / "run.csv", folder / "axis.toml"
-    told = json.loads(invoked("identify", record, "--config", axis, "--json", "--out", folder / "out"))
-    assert told["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.01)
+    reported = json.loads(invoked("identify", record, "--config", axis, "--json", "--out", folder / "out"))
+    assert reported["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.01)
     stored = folder / "out" / "result.json"
     found = json.loads(invoked("validate", record, "--config", axis, "--model", stored, "--json"))
     assert found["records"][0]["fit"] > 99
-    number = axis.read_text().replace('"estimate"', repr(told["input_gain"])).partition("given")[0]
+    number = axis.read_text().replace('"estimate"', repr(reported["input_gain"])).partition("given")[0]
     (folder / "number.toml").write_text(number)
     same = json.loads(invoked("validate", record, "--config", folder / "number.toml", "--model", stored, "--json"))
     assert same["records"] == found["records"]
-    (folder / "other.toml").write_text(number.replace(repr(told["input_gain"]), "9.0"))
+    (folder / "other.toml").write_text(number.replace(repr(reported["input_gain"]), "9.0"))
     refused = invoked("validate", record, "--config", folder / "other.toml", "--model", stored, code=2)
     assert "identified with input_gain" in refused
 
@@ -493,11 +493,11 @@ def test_a_result_in_python_predicts(records: dict[str, CartRecord]) -> None:
 
 @pytest.mark.long
 def test_all_methods_side_by_side(folder: Path) -> None:
-    told = json.loads(
+    reported = json.loads(
         invoked("identify", "--method", "all", folder / "run.csv", "--config", folder / "axis.toml", "--json")
     )
     for method in ("ls", "iv", "output-error", "riv"):
-        assert told["methods"][method]["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.02)
+        assert reported["methods"][method]["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.02)
 
 
 def test_what_has_no_such_map_says_what_to_do(folder: Path) -> None:
@@ -532,7 +532,7 @@ def test_what_has_no_such_map_says_what_to_do(folder: Path) -> None:
         ),
     ],
 )
-def test_slips_in_the_file_are_told(folder: Path, old: str, new: str, said: str) -> None:
+def test_slips_in_the_file_are_reported(folder: Path, old: str, new: str, said: str) -> None:
     axis = folder / "axis.toml"
     text = axis.read_text()
     assert old in text

@@ -10,7 +10,7 @@ import pytest
 from pmfid.simulation import SCENARIOS
 from tests.golden.make import DIGITS_OFF_LINE, HEADER, INCREMENTS, PLACE, rows
 
-#: Each scenario behind one of the encoders by turns, and all processes; the rest takes as long again.
+#: Each scenario with one of the encoders by turns, and all processes; the rest takes as long again.
 OFTEN = {f"{name} {INCREMENTS[k % len(INCREMENTS)]}" for k, name in enumerate(SCENARIOS)}
 
 

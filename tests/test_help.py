@@ -12,7 +12,7 @@ import pmfid
 from pmfid.estimators.iv import IV
 from pmfid.estimators.registry import ESTIMATORS
 
-#: What is configured by hand, beside the estimators.
+#: What is configured by hand, next to the estimators.
 OBJECTS = [
     "Along",
     "Drive",

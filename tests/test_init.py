@@ -60,7 +60,7 @@ LOGS: dict[str, tuple[Callable[[], Frame], float]] = {
         },
         RESOLUTION / 2,
     ),
-    "beside its velocity": (
+    "next to its velocity": (
         lambda: {
             "c0": np.r_[run().motion.t[1] - 1e-4, run().motion.t[1:]],
             "c1": run().motion.u,
@@ -79,7 +79,7 @@ def saved(name: str, folder: Path) -> Path:
     return path
 
 
-def told(path: Path) -> Axis:
+def guess_axis(path: Path) -> Axis:
     """What init writes, read again."""
     place = path.with_suffix(".toml")
     place.write_text(guess(path).text, encoding="utf-8")
@@ -89,7 +89,7 @@ def told(path: Path) -> Axis:
 @pytest.mark.parametrize("name", LOGS)
 def test_init_then_identify_is_right_with_nothing_edited(name: str, tmp_path: Path) -> None:
     path = saved(name, tmp_path)
-    axis = told(path)
+    axis = guess_axis(path)
     axis = axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": "iv", "cutoff": 20.0})})
     kind = kind_of(axis)
     with unjudged():
@@ -97,7 +97,7 @@ def test_init_then_identify_is_right_with_nothing_edited(name: str, tmp_path: Pa
     assert result.theta[0] == pytest.approx(LOGS[name][1] * CART.mass, rel=0.01)
 
 
-def test_each_line_has_its_reason_and_what_is_not_told_is_marked(tmp_path: Path) -> None:
+def test_each_line_has_its_reason_and_what_is_not_reported_is_marked(tmp_path: Path) -> None:
     lines = guess(saved("counts", tmp_path)).text.splitlines()
     assert all("# " in line for line in lines if "=" in line)
     marked = [line.partition(" =")[0] for line in lines if "TO DO" in line and "=" in line]
@@ -105,7 +105,7 @@ def test_each_line_has_its_reason_and_what_is_not_told_is_marked(tmp_path: Path)
 
 
 def test_of_several_inputs_the_one_that_explains_the_motion_is_taken(tmp_path: Path) -> None:
-    assert told(saved("many", tmp_path)).record.input == "current"
+    assert guess_axis(saved("many", tmp_path)).record.input == "current"
 
 
 def test_what_is_asked_is_written(tmp_path: Path) -> None:
@@ -171,14 +171,14 @@ def test_a_column_that_may_number_the_samples_is_no_time(tmp_path: Path) -> None
 
 def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     path = saved("counts", tmp_path)
-    record = kind_of(told(path)).read([path], told(path))
+    record = kind_of(guess_axis(path)).read([path], guess_axis(path))
     assert "resolution is 1: lengths are in counts; give the travel of a count in [encoder]" in record.notes
     (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
     assert "TO DO: taken to be in m or rad, else write" in line
 
 
 def _relay_log(path: Path, seed: int, step: float) -> None:
-    """A cart under a relay, as a rig logs it without a header: time, current, position in so many decimals, velocity by
+    """A cart under a relay, as a rig logs it without a header: time, current, position with a few decimals, velocity by
     differences."""
     rng, dt, n = np.random.default_rng(seed), 1 / 150, 3000
     x, v, u, rows, before = 0.0, 0.0, 2.0, [], 0.0

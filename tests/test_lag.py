@@ -1,4 +1,4 @@
-"""An input behind a first-order lag: known, estimated, and told from a dead time."""
+"""An input after a first-order lag: known, estimated, and distinguished from a dead time."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ STEPS = 80
 
 
 @cache
-def behind(axis: str, lag: float, dead_time: float = 0.0, switches: int = 250) -> MachineRun:
-    """Random steps behind a lag and a dead time [samples]."""
+def run_lagged(axis: str, lag: float, dead_time: float = 0.0, switches: int = 250) -> MachineRun:
+    """Random steps after a lag and a dead time [samples]."""
     gain, mass, viscous, coulomb, dt, size, step, _ = AXES[axis]
     rng = np.random.default_rng(7)
     u = size * np.repeat(rng.choice([-1.0, 1.0], switches), 6)
@@ -45,7 +45,7 @@ def made(method: type, axis: str, **late: object) -> pmfid.IV:
 
 @pytest.mark.parametrize("late_by", [0.0, 0.0037, 0.013])
 @pytest.mark.parametrize("lag", [0.0004, 0.005, 0.07])
-def test_the_motion_behind_a_lag_is_that_of_the_lagged_input_in_small_steps(lag: float, late_by: float) -> None:
+def test_the_motion_after_a_lag_is_that_of_the_lagged_input_in_small_steps(lag: float, late_by: float) -> None:
     rng, dt, fine = np.random.default_rng(1), 0.01, 200
     u = 3 * np.repeat(rng.choice([-1.0, 1.0], 60), 5)
     delayed = np.r_[np.zeros(round(late_by / dt * fine)), np.repeat(u, fine)][: u.size * fine]
@@ -71,7 +71,7 @@ LAGS = [0.2, 0.9, 2.5]
     ),
 )
 def test_iv_finds_it_and_the_rest_is_as_without_one(axis: str, lag: float) -> None:
-    run, dt = behind(axis, lag), AXES[axis][4]
+    run, dt = run_lagged(axis, lag), AXES[axis][4]
     fit = made(IV, axis, lag="estimate").fit(run.u, run.counts)
     assert (fit.names[-1], fit.units[-1]) == ("lag", "s")
     known = np.r_[truth(axis), lag * dt]
@@ -83,14 +83,14 @@ def test_iv_finds_it_and_the_rest_is_as_without_one(axis: str, lag: float) -> No
 @pytest.mark.parametrize("method", [OE, IntervalML])
 @pytest.mark.parametrize("axis", ["wheel", "stage"])
 def test_methods_that_follow_the_whole_motion_find_it(method: type, axis: str) -> None:
-    run, dt = behind(axis, 0.6, switches=100), AXES[axis][4]
+    run, dt = run_lagged(axis, 0.6, switches=100), AXES[axis][4]
     fit = made(method, axis, lag="estimate").fit(run.u, run.counts)
     assert fit.theta[-1] / dt == pytest.approx(0.6, abs=0.01)
     np.testing.assert_allclose(fit.theta[:3] / truth(axis), 1.0, atol=0.002)
 
 
-def test_beside_a_dead_time() -> None:
-    run = behind("cart", 0.8, 1.3)
+def test_next_to_a_dead_time() -> None:
+    run = run_lagged("cart", 0.8, 1.3)
     fit = made(IntervalML, "cart", lag="estimate", dead_time="estimate").fit(run.u, run.counts)
     assert fit.names[-2:] == ("dead_time", "lag")
     np.testing.assert_allclose(fit.theta[-2:] / 0.01, [1.3, 0.8], atol=0.03)
@@ -108,7 +108,7 @@ def test_the_body_is_not_taken_for_its_lag() -> None:
 
 
 def test_where_there_is_none_none_is_found() -> None:
-    run = behind("cart", 0.0)
+    run = run_lagged("cart", 0.0)
     fit = made(IV, "cart", lag="estimate").fit(run.u, run.counts)
     assert 0 <= fit.theta[-1] < 0.02 * 0.01
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.01)
@@ -116,7 +116,7 @@ def test_where_there_is_none_none_is_found() -> None:
 
 @pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV, OE])
 def test_a_known_lag_leaves_nothing_of_its_bias(method: type) -> None:
-    run = behind("cart", 1.2)
+    run = run_lagged("cart", 1.2)
     known, none = (made(method, "cart", lag=lag).fit(run.u, run.counts).theta for lag in (0.012, 0.0))
     np.testing.assert_allclose(known / THETA, 1.0, atol=0.03)
     assert abs(none[0] / 1.07 - 1) > 0.15
@@ -124,15 +124,15 @@ def test_a_known_lag_leaves_nothing_of_its_bias(method: type) -> None:
 
 @pytest.mark.parametrize("method", [pmfid.RLS, pmfid.BCRLS, RIV])
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_a_known_lag_on_line_beside_a_known_dead_time(method: type, precision: str) -> None:
-    run = behind("cart", 0.7, 0.6)
+def test_a_known_lag_on_line_next_to_a_known_dead_time(method: type, precision: str) -> None:
+    run = run_lagged("cart", 0.7, 0.6)
     estimator = method(Drive(2.0, lag=0.007, dead_time=0.006), Encoder(CART[6]), 0.01, 20.0, precision=precision)
     track = estimator.run(run.u, run.counts)
     np.testing.assert_allclose(track.theta[-1] / THETA, 1.0, atol=0.03)
 
 
 def test_saved_states_go_on_with_the_same_bits() -> None:
-    run = behind("cart", 1.2)
+    run = run_lagged("cart", 1.2)
     one, other = (made(RIV, "cart", lag=0.012) for _ in range(2))
     one.run(run.u[:700], run.counts[:700])
     other.set_state(one.get_state())
@@ -146,7 +146,7 @@ def test_saved_states_go_on_with_the_same_bits() -> None:
 @pytest.mark.parametrize("axis", ["wheel", "stage"])
 @pytest.mark.long
 def test_which_of_the_two_it_is_is_said_and_the_remedy_helps(axis: str, kind: str, said: str) -> None:
-    run = behind(axis, *((0.8, 0.0) if kind == "lag" else (0.0, 0.8)), switches=100)
+    run = run_lagged(axis, *((0.8, 0.0) if kind == "lag" else (0.0, 0.8)), switches=100)
     found = examine(made(IV, axis), run.u, run.counts)
     (finding,) = late(found)
     assert finding.code == "dead_time"
@@ -156,18 +156,18 @@ def test_which_of_the_two_it_is_is_said_and_the_remedy_helps(axis: str, kind: st
 
 
 def test_the_wrong_one_in_the_model_is_said() -> None:
-    run = behind("cart", 0.8)
+    run = run_lagged("cart", 0.8)
     (finding,) = late(examine(made(IV, "cart", dead_time="estimate"), run.u, run.counts))
     assert 'set lag = "estimate" and dead_time = 0 in [model]' in finding.text
 
 
 def test_what_acts_at_once_is_not_said_to_act_late() -> None:
-    run = behind("cart", 0.0)
+    run = run_lagged("cart", 0.0)
     assert examine(made(IV, "cart"), run.u, run.counts).adequate
 
 
 def test_from_arrays_to_json() -> None:
-    run, (gain, _, _, _, dt, _, step, cutoff) = behind("stage", 0.8, switches=100), AXES["stage"]
+    run, (gain, _, _, _, dt, _, step, cutoff) = run_lagged("stage", 0.8, switches=100), AXES["stage"]
     model = Drive(gain, lag="estimate")
     result = pmfid.identify(run.u, run.counts, model=model, encoder=Encoder(step), dt=dt, cutoff=cutoff)
     assert result["lag"] == pytest.approx(0.8 * dt, abs=0.02 * dt)
@@ -176,7 +176,7 @@ def test_from_arrays_to_json() -> None:
 
 
 def test_windows_know_the_inputs_before_them() -> None:
-    run = behind("cart", 2.5)
+    run = run_lagged("cart", 2.5)
     method = OE(Drive(2.0, lag="estimate"), Encoder(CART[6]), 0.01, 20.0, window=2.0)
     fit = method.fit(run.u, run.counts)
     assert fit.theta[-1] / 0.01 == pytest.approx(2.5, abs=0.03)

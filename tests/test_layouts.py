@@ -198,7 +198,7 @@ def test_no_lines_make_the_program_wait() -> None:
         layout_of(["x" * 100_000] * 400)
 
 
-def test_what_is_in_the_file_beside_data_is_named(tmp_path: Path) -> None:
+def test_what_is_in_the_file_next_to_data_is_named(tmp_path: Path) -> None:
     same(read(tmp_path, text() + "# end of measurement"))
     with pytest.raises(UsageError, match=r"has 3 columns: remove lines that are no data"):
         read(tmp_path, text() + "sum,1,2,3\n")

@@ -55,7 +55,7 @@ def test_filters_of_their_own_cost_data_little():
 
 @pytest.mark.parametrize(("precision", "within"), [("float64", 1e-6), ("float32", 1e-3)])
 def test_without_noise_those_filters_make_no_error_of_the_discretisation(precision, within):
-    """A decay of 560 samples behind filters of 20: what the discrete equation is for the one, it is for the other."""
+    """A decay of 560 samples after filters of 20: what the discrete equation is for the one, it is for the other."""
     run = record(0.01, 6000, 1, 200.0)
     error, _, status = last(run, 0.01, forgetting=0.997, precision=precision)
     assert status == 0

@@ -90,13 +90,13 @@ def test_only_long_memories_of_float32_carry_the_code() -> None:
     assert found == [1, 0, 0, 0]
 
 
-@pytest.mark.parametrize(("forgetting", "told"), [("1", True), ("0.999", False)])
-def test_export_says_how_long_float32_remembers(forgetting: str, told: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("forgetting", "reported"), [("1", True), ("0.999", False)])
+def test_export_says_how_long_float32_remembers(forgetting: str, reported: bool, tmp_path: Path) -> None:
     axis = Path(__file__).parents[1] / "examples" / "cart.toml"
     options = ["--out", str(tmp_path / "c"), "--precision", "float32", "--method", "bcrls", "--dt", "0.01"]
     result = CliRunner().invoke(main, ["export", str(axis), *options, "--forgetting", forgetting])
     assert result.exit_code == 0, result.output
-    assert ("remembers at most the last 524288 samples" in result.output) == told
+    assert ("remembers at most the last 524288 samples" in result.output) == reported
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ INERTIA, DT = 1.6e-4, 0.01
 
 
 def chirp(viscous: float, top: float, increments: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Input, counts and resolution of a small rotary axis under a slow chirp, its inertia hidden behind friction, and
+    """Input, counts and resolution of a small rotary axis under a slow chirp, its inertia hidden by friction, and
     the input logged one sample late."""
     t = np.arange(600) * DT
     u = 0.3 * np.sin(2 * np.pi * (0.05 * t + (top - 0.05) * t**2 / 2 / t[-1]))

@@ -111,7 +111,7 @@ def test_where_no_motion_can_be_fitted_the_interval_is_a_number(monkeypatch: pyt
 
 
 def test_a_machine_at_the_edge_of_rest_has_error_bars() -> None:
-    """The model moved where it rested at parameters a millionth beside, and the arrays of both did not fit together."""
+    """The model moved where it rested at parameters a millionth off, and the arrays of both did not fit together."""
     rng, what = np.random.default_rng([8101, 18]), Wrong(_load, ("levels",), most=0.75)
     axis = random_axis(rng)
     rng.integers(len(what.motions))

@@ -186,7 +186,7 @@ def test_the_friction_of_the_model_is_that_of_its_parameters() -> None:
     np.testing.assert_allclose(balance.model_friction(velocity), viscous * velocity + coulomb * np.sign(velocity))
 
 
-def test_behind_a_coarse_encoder_the_velocity_is_that_of_the_model() -> None:
+def test_with_a_coarse_encoder_the_velocity_is_that_of_the_model() -> None:
     fine, coarse = balance_of(clean()), balance_of(clean(increments=64))
     assert fine is not None
     assert coarse is not None

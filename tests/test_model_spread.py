@@ -86,7 +86,7 @@ def test_the_standard_deviation_alone_does_not() -> None:
 
 @pytest.mark.parametrize(("axis", "motion"), [(TABLE, "prbs"), (LIFT, "stop-and-go"), (TABLE, "multisine")])
 def test_little_is_added_where_the_model_is_right(axis: Axis, motion: str) -> None:
-    """Beside a dead zone, which an input of one size does not show."""
+    """Next to a dead zone, which an input of one size does not show."""
     result = identified(axis, record_of(axis, Machine(axis.drive), motion, 1024, 11))
     std, spread = bars(result)
     unseen = ESTIMATOR_TUNING.dead_zone * result.theta if motion == "prbs" else np.zeros(3)
@@ -222,7 +222,7 @@ def result() -> DriveResult:
     return identified(TABLE, record_of(TABLE, FRICTIONS["quadratic 20 %"](TABLE), "prbs", 1024, 11), method="iv")
 
 
-def test_json_has_it_beside_what_it_had(result: DriveResult) -> None:
+def test_json_has_it_next_to_what_it_had(result: DriveResult) -> None:
     printed = json.loads(json.dumps(result.to_json(), allow_nan=False))["parameters"]["mass"]
     assert list(printed) == ["value", "std", "unit", "model_spread", "interval_95"]
     std, spread = (float(bar[0]) for bar in bars(result))

@@ -273,7 +273,7 @@ def test_the_cause_is_found_with_its_start(index: int, name: str) -> None:
 
 
 def test_a_parameter_that_was_zero_may_change() -> None:
-    """Its size is told in standard deviations."""
+    """Its size is reported in standard deviations."""
     u, counts = normal_work(4, INCREMENTS, 0.05)
     blocks, theta = scores(front(), THETA, u, counts)[6:], THETA * [1.0, 1.0, 0.0]
     score = blocks.score.copy()
@@ -293,7 +293,7 @@ def run(calibration: Calibration, schedule: Any, watch: Watch, seconds: float = 
 
 
 @pytest.mark.parametrize("detector", DETECTORS)
-def test_a_mass_step_is_told_once(calibration: Calibration, detector: str) -> None:
+def test_a_mass_step_is_reported_once(calibration: Calibration, detector: str) -> None:
     step = Schedule(((0.0, CART), (12.0, replace(CART, mass=1.1 * CART.mass))))
     events = run(calibration, step, Watch(detector))
     (alarm,) = [event for event in events if isinstance(event, Alarm)]
@@ -305,7 +305,7 @@ def test_a_mass_step_is_told_once(calibration: Calibration, detector: str) -> No
     assert settled.theta / settled.before == pytest.approx([1.1, 1.0, 1.0], abs=0.015)
 
 
-def test_two_changes_are_told_one_after_the_other(calibration: Calibration) -> None:
+def test_two_changes_are_reported_one_after_the_other(calibration: Calibration) -> None:
     heavy = replace(CART, mass=1.3 * CART.mass)
     changes = Schedule(((0.0, CART), (10.0, heavy), (35.0, replace(heavy, coulomb_friction=1.4 * 0.8)), (60.0, CART)))
     alarms = [event for event in run(calibration, changes, Watch(), 75.0) if isinstance(event, Alarm)]
@@ -367,7 +367,7 @@ def test_wrong_wishes_are_refused(options: dict[str, Any], message: str) -> None
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_change_of_mass_is_reported_after_five_seconds_at_24_volt(calibration: Calibration, seed: int) -> None:
-    """What a violent motion told does not make it deaf to the normal one, which begins two seconds later."""
+    """What a violent motion showed does not make it deaf to the normal one, which begins two seconds later."""
     rng = np.random.default_rng((seed, 24))
     violent = np.where(np.arange(500) // 25 % 2 == 0, 3.0, -3.0)
     reference = np.concatenate([violent, np.zeros(200), random_stop_and_go(3700, rng)])

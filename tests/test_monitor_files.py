@@ -53,7 +53,7 @@ def watch(folder: Path, *arguments: str) -> Any:
 def start(
     folder: Path, *arguments: str, before: Callable[[], None] | None = None, samples: int = N, **pipes: Any
 ) -> Any:
-    """`pmfid monitor -` on so many samples, which have been written to it; its input stays open."""
+    """`pmfid monitor -` on N samples, which have been written to it; its input stays open."""
     command = [sys.executable, "-c", START, "monitor", "-", "--config", str(folder / "axis.toml"), "--json", *arguments]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **pipes}
     process = subprocess.Popen(command, stdin=subprocess.PIPE, preexec_fn=before, **pipes)
@@ -202,9 +202,9 @@ REAL_WRITE = os.write
 
 
 def test_a_file_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    disk, told = Disk(12), []
+    disk, reported = Disk(12), []
     monkeypatch.setattr(os, "write", disk.write)
-    file = RowFile(tmp_path / "a.csv", told.append)
+    file = RowFile(tmp_path / "a.csv", reported.append)
     for k in range(6):
         file.put(f"row {k}")
     assert (tmp_path / "a.csv").read_text() == "row 0\nrow 1\n"
@@ -212,7 +212,7 @@ def test_a_file_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Mon
     file.put("row 6")
     file.close()
     assert (tmp_path / "a.csv").read_text() == "".join(f"row {k}\n" for k in range(7))
-    assert [event["event"] for event in told] == ["write error", "written again"]
+    assert [event["event"] for event in reported] == ["write error", "written again"]
     assert file.lost == 0
 
 

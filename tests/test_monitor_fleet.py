@@ -26,7 +26,7 @@ from studies.monitoring.axis import INCREMENTS, changing, normal_work
 AXES = 4
 SECONDS = 25.0
 THRESHOLDS = {"glr": 12.0, "cusum": 8.0, "page-hinkley": 8.0, "chi-square": 25.0}
-Told = list[tuple[Any, ...]]
+Report = list[tuple[Any, ...]]
 
 
 def estimator(kind: type[RecursiveEstimator], start: bool = False, **options: Any) -> RecursiveEstimator:
@@ -140,28 +140,28 @@ def turns(u: Floats, counts: Counts, seed: int) -> tuple[list[Any], list[list[Tu
     return calls, single
 
 
-def alone(monitor: Monitor, history: list[Turn]) -> Told:
+def alone(monitor: Monitor, history: list[Turn]) -> Report:
     """What a monitor by itself says, sample by sample."""
-    told: Told = []
+    reported: Report = []
     for turn in history:
         if turn.name != "run":
-            told.append((turn.name, repr(getattr(monitor, turn.name)(*turn.values))))
+            reported.append((turn.name, repr(getattr(monitor, turn.name)(*turn.values))))
             continue
         for one, count in zip(*(part.tolist() for part in turn.values), strict=True):
             estimate, events = monitor.step(one, count)
             seen = monitor.apply_known(estimate)
             numbers = seen.theta.tolist(), seen.theta_std.tolist(), seen.innovation, seen.status
-            told.append((*numbers, STATES.index(monitor.state), [repr(event) for event in events]))
-    return told
+            reported.append((*numbers, STATES.index(monitor.state), [repr(event) for event in events]))
+    return reported
 
 
-def together(fleet: MonitorFleet, calls: list[Any]) -> list[Told]:
+def together(fleet: MonitorFleet, calls: list[Any]) -> list[Report]:
     """The same of a fleet."""
-    told: list[Told] = [[] for _ in range(fleet.axes)]
+    reported: list[Report] = [[] for _ in range(fleet.axes)]
     for call in calls:
         if call[0] != "run":
             axis, turn = call
-            told[axis].append((turn.name, repr(getattr(fleet, turn.name)(axis, *turn.values))))
+            reported[axis].append((turn.name, repr(getattr(fleet, turn.name)(axis, *turn.values))))
             continue
         rows = fleet.run(*call[1:])
         events: dict[tuple[int, int], list[str]] = {}
@@ -169,8 +169,8 @@ def together(fleet: MonitorFleet, calls: list[Any]) -> list[Told]:
             events.setdefault((row, sample), []).append(repr(event))
         for row, axis in enumerate(call[1].tolist()):
             lists = [part[row].tolist() for part in (rows.theta, rows.std, rows.innovation, rows.status, rows.state)]
-            told[axis] += [(*one, events.get((row, k), [])) for k, one in enumerate(zip(*lists, strict=True))]
-    return told
+            reported[axis] += [(*one, events.get((row, k), [])) for k, one in enumerate(zip(*lists, strict=True))]
+    return reported
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -180,30 +180,30 @@ def test_every_axis_has_the_bits_of_a_monitor_alone(
     source = monitor_of(case, normal)
     calls, single = turns(*records, seed=list(CASES).index(case))
     fleet, before = MonitorFleet(source, AXES), source.get_state()
-    told = together(fleet, calls)
+    reported = together(fleet, calls)
     for axis in range(AXES):
         monitor = MonitorFleet(source, 1).monitor(0)
-        assert told[axis] == alone(monitor, single[axis])
+        assert reported[axis] == alone(monitor, single[axis])
         assert monitor.get_state() == fleet.monitor(axis).get_state()
         assert fleet.samples()[axis] == monitor.samples
         assert fleet.statistics()[axis] == monitor.statistic
         assert fleet.references()[axis].tolist() == monitor.reference.tolist()
         assert STATES[fleet.states()[axis]] == monitor.state
     assert source.get_state() == before
-    said = str(told)
+    said = str(reported)
     assert all(word in said for word in (WATCHING, SUSPICIOUS, SETTLING, "Alarm", "Settled", "Outlier"))
 
 
-def test_what_is_known_is_told_beside_each_estimate(
+def test_what_is_known_is_reported_next_to_each_estimate(
     normal: tuple[Floats, Counts], records: tuple[Floats, Counts]
 ) -> None:
     riv = estimator(RIV, True)
     source = Monitor(riv, calibrated(riv, normal), Watch(), Known(riv, given={"mass": CART.mass}, find_gain=True))
     fleet, u, counts = MonitorFleet(source, 1), records[0][:1, :300], records[1][:1, :300]
-    told = together(fleet, [("run", np.array([0]), u, counts)])
-    assert told[0] == alone(MonitorFleet(source, 1).monitor(0), [Turn("run", (u[0], counts[0]))])
+    reported = together(fleet, [("run", np.array([0]), u, counts)])
+    assert reported[0] == alone(MonitorFleet(source, 1).monitor(0), [Turn("run", (u[0], counts[0]))])
     assert fleet.names[-1] == "input_gain"
-    assert np.isfinite(told[0][-1][1]).all()
+    assert np.isfinite(reported[0][-1][1]).all()
 
 
 def test_quiet_axes_are_not_run_one_by_one(
@@ -225,12 +225,12 @@ def test_quiet_axes_are_not_run_one_by_one(
 def test_run_of_a_monitor_has_the_bits_of_step(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
     u, counts = records[0][0], records[1][0]
     one, other = (MonitorFleet(monitor, 1).monitor(0) for _ in range(2))
-    told = alone(one, [Turn("run", (u, counts))])
+    reported = alone(one, [Turn("run", (u, counts))])
     rows = [other.run(u[k : k + 333], counts[k : k + 333]) for k in range(0, u.size, 333)]
-    assert np.concatenate([part.theta[0] for part in rows]).tolist() == [sample[0] for sample in told]
-    assert np.concatenate([part.state[0] for part in rows]).tolist() == [sample[4] for sample in told]
+    assert np.concatenate([part.theta[0] for part in rows]).tolist() == [sample[0] for sample in reported]
+    assert np.concatenate([part.state[0] for part in rows]).tolist() == [sample[4] for sample in reported]
     events = [repr(event) for part in rows for _, _, event in part.events]
-    assert events == [event for sample in told for event in sample[5]]
+    assert events == [event for sample in reported for event in sample[5]]
     assert one.get_state() == other.get_state()
 
 

@@ -55,8 +55,8 @@ def test_pieces_of_a_record() -> None:
     """Pieces are runs of neighbours from anywhere; mean and size of each run err as those of the record may."""
     rng = np.random.default_rng(0)
     x, w = rng.standard_normal((500, 2)), np.ones((500, 2))
-    drawn, told = resample_units(x, w, (400, 64), 4, rng)
-    assert drawn.shape == told.shape == (400, 64, 2)
+    drawn, reported = resample_units(x, w, (400, 64), 4, rng)
+    assert drawn.shape == reported.shape == (400, 64, 2)
     differences = np.diff(x[:, 0], append=x[:1, 0])
     found = np.diff(drawn[0, :4, 0])
     scale = [found / differences[(k + np.arange(3)) % 500] for k in range(500)]
@@ -121,7 +121,7 @@ def alarms_of(calibration: Calibration, kind: str, pair: Any, riv: Any) -> int:
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_friction_that_grows_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of it grows by a fifth: with much Coulomb friction that was told as a loss of force, which it resembles."""
+    """All of it grows by a fifth: with much Coulomb friction this was reported as a loss of force."""
     machine, riv = MACHINES[name], make_riv(INCREMENTS)
     u, counts = normal(machine, 1, 0.25)
     theta = IV(riv.model, riv.encoder, CART_DT, 50.0).fit(u, counts).theta
@@ -185,7 +185,7 @@ SEQUENCES = {
 @pytest.mark.parametrize("name", SEQUENCES)
 @pytest.mark.long
 def test_the_run_length_is_the_one_asked(name: str) -> None:
-    """Blocks of known laws, as if each told as much as the next: an hour of them gives the thresholds, and other hours
+    """Blocks of known laws, all with the same information: an hour of them gives the thresholds, and other hours
     have about as many alarms as asked."""
     rng, ratios = np.random.default_rng(7), []
     for _ in range(3):

@@ -35,7 +35,7 @@ from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import lines, resident, write_axis
 
 CHANGE = 15.0
-#: A calibration of so many hours is enough here, and the same for the command in a process of its own.
+#: A calibration of N hours is enough here, and the same for the command in a process of its own.
 HOURS = 4.0
 START = (
     f"import pmfid.pipeline.monitored.setup as m; m.simulated_hours = lambda h: {HOURS}; "
@@ -135,7 +135,7 @@ def test_the_calibration_is_made_once(folder: Path) -> None:
     assert start["cached"] is True
     path = Path(start["calibration"])
     assert path.parent == folder / "cache"
-    path.write_text(path.read_text()[:100])  # a broken file is made anew
+    path.write_text(path.read_text()[:100])  # a broken file is made again
     (start,) = events(invoke(folder, "--json", stdin=TWO_LINES), "start")
     assert start["cached"] is False
 
@@ -217,7 +217,7 @@ def test_bad_lines_are_counted_and_harmless(folder: Path) -> None:
     assert np.isfinite(table["mass_std"][200:].to_numpy()).all()
 
 
-def test_lines_that_are_missing_are_told(folder: Path) -> None:
+def test_lines_that_are_missing_are_reported(folder: Path) -> None:
     rows = (folder / "run.csv").read_bytes().splitlines(keepends=True)
     del rows[400:460], rows[800]
     text = invoke(folder, "--json", stdin=b"".join(rows))
@@ -352,7 +352,7 @@ def test_estimates_in_another_kind_of_file_are_refused(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("option", ["--out", "--report"])
-def test_a_place_that_is_not_there_is_told_before_the_run(folder: Path, option: str) -> None:
+def test_a_place_that_is_not_there_is_reported_before_the_run(folder: Path, option: str) -> None:
     text = invoke(folder, option, str(folder / "nowhere" / "x.csv"), code=2)
     assert "there is no folder" in text
     assert "normal:" not in text

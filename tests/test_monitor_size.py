@@ -48,12 +48,12 @@ def test_the_bar_contains_the_truth(calibration: Calibration, name: str, factor:
     """Before, half of the sizes were further off than two bars, some 45."""
     truth = (factor - 1) * getattr(CART, name)
     alarms = [first_alarm(calibration, name, factor, seed) for seed in range(SEEDS)]
-    told = [alarm for alarm in alarms if alarm is not None and alarm.parameter == name]
-    assert len(told) >= SEEDS - 2
-    z = np.array([(alarm.change - truth) / alarm.std for alarm in told])
+    reported = [alarm for alarm in alarms if alarm is not None and alarm.parameter == name]
+    assert len(reported) >= SEEDS - 2
+    z = np.array([(alarm.change - truth) / alarm.std for alarm in reported])
     assert np.mean(np.abs(z) < 2) >= 0.8
     assert np.max(np.abs(z)) < 4
-    assert np.median([alarm.std for alarm in told]) < 0.35 * abs(truth)
+    assert np.median([alarm.std for alarm in reported]) < 0.35 * abs(truth)
 
 
 def changed(direction: np.ndarray, partly: float) -> tuple[Blocks, Scale]:
@@ -83,7 +83,7 @@ def test_a_change_did_not_begin_after_it_was_noticed() -> None:
 
 
 def test_reversals_that_come_at_other_instants_are_no_part_of_the_change() -> None:
-    """With much dry friction, +20 % were told as +13 %, with a bar of 0.6 %: the reversals were the reference's."""
+    """With much dry friction, +20 % were reported as +13 %, with a bar of 0.6 %: the reversals were the reference's."""
     axis = replace(CART, mass=1.5, viscous_friction=6.0, coulomb_friction=0.5)
     theta, dt, when = np.array([1.5, 6.0, 0.5]), 0.01, 12.0
     drive, encoder = Drive(CART.input_gain), Encoder(2e-5)
@@ -102,7 +102,7 @@ def test_reversals_that_come_at_other_instants_are_no_part_of_the_change() -> No
 
 
 def test_friction_that_grows_as_a_whole_is_one_cause() -> None:
-    """Viscous and Coulomb friction grow alike: before, a mass that is small beside them made it a loss of force."""
+    """Viscous and Coulomb friction grow alike: before, a mass that is small next to them made it a loss of force."""
     direction = 0.2 * np.array([0.0, THETA[1], THETA[2]])
     blocks, scale = changed(direction, 1.0)
     friction = np.array([0.0, THETA[1], THETA[2]])

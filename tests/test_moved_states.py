@@ -111,6 +111,6 @@ def watched(
 
 
 def monitor_of(prepared: Prepared, estimator: RecursiveEstimator) -> Monitor:
-    """The watch begins anew, the estimator goes on."""
+    """The watch restarts, the estimator goes on."""
     like = prepared.setup.monitor
     return Monitor(estimator, like.calibration, like.watch, like.known)

@@ -9,7 +9,8 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-SOURCE = Path(__file__).parents[1] / "src" / "pmfid"
+PROJECT = Path(__file__).parents[1]
+SOURCE = PROJECT / "src" / "pmfid"
 PREPOSITIONS = {"of", "by", "in", "at", "between", "apart", "behind", "beside", "within", "along", "about", "beyond"}
 PREPOSITIONS |= {"around", "through", "after", "before", "above", "below", "without", "over", "against", "since", "off"}
 #: Participles without -ed that have stood as names of functions here.
@@ -32,6 +33,12 @@ IRREGULAR |= {"written", "hidden", "drawn", "shown", "built", "begun", "spent", 
 #: Verbs and nouns that only look like participles.
 VERBS = {"feed", "need", "seed", "speed", "embed", "proceed", "exceed"}
 WORDS = re.compile(r"\b(told|anew|behind|beside|so many)\b", re.IGNORECASE)
+#: The same as parts of names, and what these words are literally: an event, a button, a path, a column.
+PARTS = re.compile(r"(?<![a-z])(told|anew|behind|beside|so[ _]many)(?![a-z])", re.IGNORECASE)
+LITERAL = re.compile(r"Begin anew|/anew|\banew: |([\"'])(told|anew)\1|time, told:|found\.anew")
+ELSEWHERE = ["tests", "studies", "examples", "benchmarks", "docs", "csrc", "deploy"]
+TEXTS = {".py", ".md", ".toml", ".c", ".h", ".ipynb", ".cpp"}
+MOST_OF_A_WORD = 5
 #: What is left; these numbers may only fall. Public methods keep their names until the next major version.
 FUNCTIONS_LEFT, CLASSES_LEFT, WORDS_LEFT = 19, 1, 19
 #: Numbers at module level outside the files `tuning.py`: codes of formats, bits and versions.
@@ -71,6 +78,21 @@ def test_words_that_hide_the_subject_stay_away() -> None:
     lines = [line for path in sorted(SOURCE.rglob("*.py")) for line in path.read_text(encoding="utf-8").splitlines()]
     found = [line.strip() for line in lines if WORDS.search(line)]
     assert len(found) <= WORDS_LEFT, found
+
+
+def read_prose(path: Path) -> str:
+    """The text of a file; of the kernel its comments, as its names are those of states that are saved."""
+    text = path.read_text(encoding="utf-8")
+    return " ".join(re.findall(r"/\*.*?\*/", text, re.DOTALL)) if "csrc" in path.parts else LITERAL.sub("", text)
+
+
+def test_these_words_stay_away_from_everything_else() -> None:
+    files = [path for folder in ELSEWHERE for path in sorted((PROJECT / folder).rglob("*")) if path.suffix in TEXTS]
+    files = [path for path in [*files, PROJECT / "README.md"] if path != Path(__file__) and "vendor" not in path.parts]
+    assert len(files) > 200
+    found = [(word.lower().replace("_", " "), path.name) for path in files for word in PARTS.findall(read_prose(path))]
+    counts = Counter(word for word, _ in found)
+    assert {word for word, count in counts.items() if count > MOST_OF_A_WORD} == set(), sorted(found)
 
 
 def is_number(value: ast.expr) -> bool:

@@ -51,10 +51,10 @@ def test_it_goes_from_a_file_to_a_figure_in_six_lines(outputs: list[object]) -> 
 
 
 def test_what_it_shows_is_the_cart(outputs: list[object]) -> None:
-    _, _, result, told, frame, track = outputs
+    _, _, result, reported, frame, track = outputs
     assert isinstance(result, pmfid.Result)
     assert result.theta == pytest.approx([CART.mass, CART.viscous_friction, CART.coulomb_friction], rel=0.01)
-    assert result["mass"] == told["value"] == pytest.approx(CART.mass, rel=0.002)  # type: ignore[index]
+    assert result["mass"] == reported["value"] == pytest.approx(CART.mass, rel=0.002)  # type: ignore[index]
     assert isinstance(frame, pl.DataFrame)
     assert frame["parameter"].to_list() == list(result.names)
     assert "<table>" in result._repr_html_()

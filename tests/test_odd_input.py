@@ -68,7 +68,7 @@ def test_a_cutoff_below_the_number_format_is_refused(cutoff: float) -> None:
         pmfid.RLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, cutoff)
 
 
-def test_a_damaged_calibration_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_calibration_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where it is still JSON, of other numbers or of another kind."""
     made: list[int] = []
     plain = Calibration(

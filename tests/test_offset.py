@@ -102,7 +102,7 @@ def test_online_the_level_is_in_the_constant_alone(cls: type[RecursiveEstimator]
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("cls", RECURSIVE)
 def test_online_far_from_zero_a_run_goes_on_and_fleets_agree(cls: type[RecursiveEstimator], precision: str) -> None:
-    """A saved state, a counter set anew, an opened memory and a fleet: the bits of the same without them."""
+    """A saved state, a counter reset, an opened memory and a fleet: the bits of the same without them."""
     estimator, (u, counts) = online(cls, "two, late", precision)
     counts = counts + 10_132_500
     whole = estimator.run(u, counts)

@@ -23,7 +23,7 @@ def problem(**changes: object) -> Problem:
     return Problem(pmfid.Drive(2.0), unknown=("mass",), horizon=2.0, intervals=20, limits=Limits(input=3.0), **given)
 
 
-def test_sensitivities_whose_squares_are_beyond_numbers_are_told_apart_and_infinite_ones_are_not() -> None:
+def test_sensitivities_whose_squares_are_beyond_numbers_are_distinguished_and_infinite_ones_are_not() -> None:
     apart, _ = parts_of_their_own(np.array([[1e200, 1.0], [1.0, 1e200]]))
     assert np.allclose(apart, 1.0)
     none, inverse = parts_of_their_own(np.array([[np.inf, 1.0], [1.0, 1.0]]))

@@ -87,7 +87,7 @@ def test_no_method_gets_a_wrong_sample(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["auto", "iv"])
-def test_an_input_lost_where_it_switches_is_told_in_the_status(method: str) -> None:
+def test_an_input_lost_where_it_switches_is_reported_in_the_status(method: str) -> None:
     """Nobody knows it: what stands in its place is wrong by half the switch, for a sample."""
     record = recorded(AXIS, "prbs", 1024)
     u = record.u.copy()
@@ -97,7 +97,7 @@ def test_an_input_lost_where_it_switches_is_told_in_the_status(method: str) -> N
     np.testing.assert_allclose(found.theta, identified(record, method).theta, rtol=0.03)
 
 
-def test_a_counter_that_was_set_anew_is_put_back() -> None:
+def test_a_counter_that_was_reset_is_put_back() -> None:
     record = recorded(AXIS, "stop-and-go", 1024)
     counts = record.counts + 5_000_000 * (np.arange(record.counts.size) >= 1333)
     found = identified(CartRecord(record.u, counts, record.resolution), "interval")
@@ -140,7 +140,7 @@ def test_a_counter_that_wraps_is_no_jump() -> None:
 
 
 def test_the_remedy_of_the_command_works(tmp_path: Path) -> None:
-    """A wrong row is told; `guard = false`, which the sentence offers, lets it in, and then the record is refused."""
+    """A wrong row is reported; `guard = false`, which the message offers, lets it in, then the record is refused."""
     axis = AXES[AXIS]
     record = recorded(AXIS, "stop-and-go", 1024)
     counts = record.counts.copy()

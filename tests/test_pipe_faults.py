@@ -100,7 +100,7 @@ def test_without_a_time_every_line_is_the_next_sample(axis: Axis, name: str) -> 
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_the_change_is_found_behind_a_fault(axis: Axis, calibration: Calibration, rows: list[Row], name: str) -> None:
+def test_the_change_is_found_after_a_fault(axis: Axis, calibration: Calibration, rows: list[Row], name: str) -> None:
     rng, fault = np.random.default_rng(len(name)), FAULTS[name]
     run = monitored(axis, calibration, fault.do(rows, int(rng.integers(200, 600)), rng))
     assert [(alarm["parameter"], alarm["direction"]) for alarm in run.alarms] == [("mass", "up")]
@@ -205,7 +205,7 @@ def test_even_stamps_are_the_samples(start: float, off: list[float]) -> None:
 
 @settings(deadline=None, max_examples=100)
 @given(st.lists(st.floats(-1e9, 1e9) | st.integers(0, 200).map(lambda k: k * DT), max_size=120))
-def test_every_line_is_told_once(times: list[float]) -> None:
+def test_every_line_is_reported_once(times: list[float]) -> None:
     """Whatever the stamps: a line is a sample or skipped; counts and time stay in order between breaks."""
     timeline = Timeline(DT)
     taken: list[Any] = []

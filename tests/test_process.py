@@ -124,7 +124,7 @@ def test_instrumental_variables_without_the_bias_of_least_squares():
 
 
 def closed_loop(seed: int, samples: int = 4000, dt: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """r, u, y: the second plant of Ljung's kind, 2 / (s^2 + s + 2), behind a gain of 3, coloured noise in the loop."""
+    """r, u, y: the second plant of Ljung's kind, 2 / (s^2 + s + 2), after a gain of 3, coloured noise in the loop."""
     from scipy.linalg import expm
 
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""A memory is one of time: what a larger motion told before does not make the estimate deaf to a smaller one."""
+"""A memory is one of time: what a larger motion showed before does not make the estimate deaf to a smaller one."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def test_a_made_up_record_is_not_made_for_it() -> None:
 
 @pytest.mark.parametrize("speed", ["given", "estimate"])
 def test_the_force_balance_knows_its_friction(speed: str) -> None:
-    """Also where the Stribeck speed is an estimate, behind the other parameters."""
+    """Also where the Stribeck speed is an estimate, after the other parameters."""
     run, machine, case = made("cart", 4, stribeck=0.5)
     own = model(machine, stribeck=machine.stribeck_speed if speed == "given" else speed)
     estimator = pmfid.OE(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff)

@@ -52,14 +52,14 @@ def states(fleet: pmfid.ShardedFleet) -> dict[int, bytes]:
 
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
-    """Folders are free behind a test."""
+    """Folders are free after a test."""
     yield
     while _OPEN:
         _OPEN.pop().close()
 
 
 def kept(fleet: pmfid.ShardedFleet) -> pmfid.ShardedFleet:
-    """To be closed behind the test."""
+    """To be closed after the test."""
     _OPEN.append(fleet)
     return fleet
 
@@ -269,7 +269,7 @@ def stepped(fleet: pmfid.ShardedFleet, turn: int) -> None:
 
 @pytest.fixture(scope="module")
 def as_it_was() -> list[dict[int, bytes]]:
-    """The states behind so many turns."""
+    """The states after N turns."""
     fleet = pmfid.ShardedFleet(shard=16, workers=1)
     found = [states(fleet)]
     for turn in range(12):
@@ -279,7 +279,7 @@ def as_it_was() -> list[dict[int, bytes]]:
 
 
 def two_checkpoints(folder: Path) -> None:
-    """Behind 6 and behind 7 turns."""
+    """After 6 and after 7 turns."""
     fleet = opened(folder)
     for turn in range(7):
         stepped(fleet, turn)
@@ -373,7 +373,7 @@ def killed(folder: Path, setting: str = "", seconds: float | None = None) -> lis
 
 
 def check_whole(folder: Path, done: list[int], as_it_was: list[dict[int, bytes]]) -> int:
-    """The last whole checkpoint is there; behind how many turns it was made."""
+    """The last whole checkpoint is there; after how many turns it was made."""
     fleet = opened(folder)
     turns = int(fleet.restored.mark) if fleet.restored else 0  # type: ignore[call-overload]
     assert fleet.restored is None or not fleet.restored.damaged
@@ -477,7 +477,7 @@ def test_a_damaged_shard_is_set_aside_and_the_older_checkpoint_taken(
     assert check_whole(tmp_path, [7], as_it_was) == 7
 
 
-def test_where_no_checkpoint_is_whole_only_the_damaged_axes_begin_anew(
+def test_where_no_checkpoint_is_whole_only_the_damaged_axes_restart(
     tmp_path: Path, as_it_was: list[dict[int, bytes]]
 ) -> None:
     two_checkpoints(tmp_path)
@@ -498,7 +498,7 @@ def test_where_no_checkpoint_is_whole_only_the_damaged_axes_begin_anew(
     assert fleet.restored.damaged == ()
 
 
-def test_shards_that_were_exchanged_are_told(tmp_path: Path) -> None:
+def test_shards_that_were_exchanged_are_reported(tmp_path: Path) -> None:
     fleet = opened(tmp_path)
     fleet.run(fleet.add(BCRLS, 32), *some(32))
     fleet.checkpoint()

@@ -1,4 +1,4 @@
-"""The encoder that watches the simulated cart: lines beside their place, jitter, missed edges, wrap-around."""
+"""The encoder that watches the simulated cart: lines next to their place, jitter, missed edges, wrap-around."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_the_controller_sees_the_faults_and_counts_on_past_the_wrap() -> None:
     assert counts.max() > 512
     np.testing.assert_array_equal(counts, quantize(whole.x, **lattice, faults=faults))
     good, _ = position_control(CART, reference, 0.01, **CART_CONTROL, **lattice)
-    # with the edges that are missed on the way, the cart goes further than it was told
+    # with the edges that are missed on the way, the cart goes further than it was commanded
     assert whole.x[125] > good.x[125] + 5 * lattice["resolution"]
 
 

@@ -118,7 +118,7 @@ def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[
 
 
 @pytest.mark.long
-def test_a_dead_time_and_stribeck_friction_are_told_apart() -> None:
+def test_a_dead_time_and_stribeck_friction_are_distinguished() -> None:
     """Each imitates the other at a reversal."""
     found = searched(made(samples=2000, stribeck=0.02, stribeck_speed=0.6, dead_time=1e-3))
     assert set(found.added) == {"stribeck", "dead_time"}
@@ -150,8 +150,8 @@ def test_the_share_of_the_friction_falls(directional: TermSearch) -> None:
     assert f"with directional friction {100 * last:.2g} %" in directional.sentence
 
 
-def test_what_would_not_be_seen_is_told_with_its_size(directional: TermSearch) -> None:
-    """The chosen model lacks no direction any more, and all others are told."""
+def test_what_would_not_be_seen_is_reported_with_its_size(directional: TermSearch) -> None:
+    """The chosen model lacks no direction any more, and all others are reported."""
     said = [one.says for one in directional.hidden]
     assert any("Stribeck" in one for one in said)
     assert not any("direction" in one for one in said)
@@ -174,7 +174,7 @@ def test_every_change_is_a_line_that_the_cure_names(plain: TermSearch) -> None:
     ).forces
     changes = [(candidate, change) for candidate in forces for change in candidate.changes]
     keys = {next(iter(change)) for _, change in changes}
-    # a lag is told from a dead time by `judge`, once one of them is there
+    # a lag is distinguished from a dead time by `judge`, once one of them is there
     assert keys == names - {"input_gain", "lag", "axis"}, "a field of a drive that no force asks for is never searched"
     for candidate, change in changes:
         key, value = next(iter(change.items()))

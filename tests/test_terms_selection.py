@@ -209,7 +209,7 @@ def test_each_term_is_left_out_by_itself() -> None:
 
 @pytest.mark.parametrize("part", [201, 205, 300])
 def test_without_a_cutoff_the_filters_leave_parts_to_predict(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The slow filters that the record says most behind were refused with the advice to set faster ones."""
+    """The slow filters that the record says most about were refused with the advice to set faster ones."""
     data = record_of({"u": np.zeros(6 * part), "y": np.zeros(6 * part)}, SLOW)
     monkeypatch.setattr(Drives, "prepare_axis", lambda drives, data, axis: FIXED)
     cutoff = session._fast_enough(data, SLOW).estimator.pole
@@ -245,11 +245,11 @@ def test_no_advice_on_the_model_stands_next_to_its_lines(monkeypatch: pytest.Mon
 
 
 def test_a_search_says_how_far_it_is() -> None:
-    record, told = made(samples=1800, asymmetry=0.15), list[float]()
-    search(Bench(METHOD, record.u, record.counts), pmfid.Drive(GAIN), scan=False, done=told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-    assert len(told) >= 3
+    record, reported = made(samples=1800, asymmetry=0.15), list[float]()
+    search(Bench(METHOD, record.u, record.counts), pmfid.Drive(GAIN), scan=False, done=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == 1.0
+    assert len(reported) >= 3
 
 
 # --- the machines of the study ----------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ METHOD = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
 
 
 def test_a_motion_that_begins_at_rest_is_not_begun_with_a_speed() -> None:
-    """The first counts, within stiction, show no speed: least squares with cogging of a known pitch stayed beside the
+    """The first counts, within stiction, show no speed: least squares with cogging of a known pitch stayed next to the
     minimum."""
     axis = BENCHES["gantry"]
     pitch = axis.stroke / 12
@@ -38,12 +38,12 @@ def test_a_motion_that_begins_at_rest_is_not_begun_with_a_speed() -> None:
     method = IntervalML(model, encoder, axis.dt, 1 / (3 * axis.dt))
     theta = like(IV, method).fit(record.u, record.counts).theta
     whole = method.make_difference(theta, record.u, method.position(record.counts))
-    behind = replace(whole, pole=method.cutoff, parts=2)
-    speed = first_speed(behind.y, axis.dt, method.cutoff, record.resolution)
-    begin = np.r_[theta, behind.y[0], speed] / behind.scale
-    found = find_least_from_start(behind, begin, method.cutoff, [1e-4])
-    assert rms(behind(found)) < 0.35
-    assert found[0] * behind.scale[0] == pytest.approx(axis.drive.mass, rel=1e-3)
+    filtered = replace(whole, pole=method.cutoff, parts=2)
+    speed = first_speed(filtered.y, axis.dt, method.cutoff, record.resolution)
+    begin = np.r_[theta, filtered.y[0], speed] / filtered.scale
+    found = find_least_from_start(filtered, begin, method.cutoff, [1e-4])
+    assert rms(filtered(found)) < 0.35
+    assert found[0] * filtered.scale[0] == pytest.approx(axis.drive.mass, rel=1e-3)
 
 
 def test_a_balance_of_forces_sees_the_pitch_wherever_the_simulation_is() -> None:
@@ -70,7 +70,7 @@ def test_a_difference_knows_its_pitch() -> None:
     assert free.model_at(q).cogging == pytest.approx(0.65)
 
 
-def test_a_lag_is_tried_beside_a_dead_time() -> None:
+def test_a_lag_is_tried_next_to_a_dead_time() -> None:
     found = searched(made("stop-and-go", samples=2400, lag=4e-3))
     tried = {step.candidate.key for step in found.terms.steps[0]}
     assert {"dead_time", "lag"} <= tried

@@ -28,7 +28,7 @@ class Hidden(pmfid.RLS):
 
 
 class Forgetful(pmfid.RLS):
-    """Copies begin anew."""
+    """Copies restart."""
 
     def __deepcopy__(self, memo):
         return replace(self)

@@ -61,7 +61,7 @@ def respond(plant: Plant, u: np.ndarray) -> np.ndarray:
 
 
 def make_record(plant: Plant, seed: int, *, snr: float | None = None, load: float = 0.0, delay: int = 0) -> Record:
-    """White noise at `snr` dB (None: none) on the output under a random binary input; a constant beside it."""
+    """White noise at `snr` dB (None: none) on the output under a random binary input; a constant next to it."""
     rng = np.random.default_rng(seed)
     u = rng.choice([-1.0, 1.0], plant.samples // plant.clock + 1).repeat(plant.clock)[: plant.samples]
     y = respond(plant, np.r_[np.zeros(delay), u][: u.size]) + load

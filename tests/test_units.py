@@ -140,7 +140,7 @@ def test_positions_in_any_unit_are_the_same_record(tmp_path: Path, case: str) ->
 def test_a_number_that_may_be_meant_in_two_units_is_refused_and_either_remedy_is_taken_literally(
     tmp_path: Path, extra: dict[str, object]
 ) -> None:
-    """A resolution of 0.02275 beside a column in mm once gave a mass a thousand times too small, in "kg"."""
+    """A resolution of 0.02275 next to a column in mm once gave a mass a thousand times too small, in "kg"."""
     path = logged(tmp_path, "pos_mm", 1e-3)
     with pytest.raises(UsageError, match=r'write \[encoder\] resolution = "0.02275 mm" or "0.02275 m"') as caught:
         read_record(path, axis("pos_mm", resolution=0.02275, **extra))
@@ -216,7 +216,7 @@ def test_a_pipe_converts_as_a_record_does() -> None:
     assert [sample.counts for sample in samples] == [5, 6]
 
 
-# --- velocity, and angles that begin anew -----------------------------------------------------------------------------
+# --- velocity, and angles that restart -----------------------------------------------------------------------------
 
 
 def test_differences_of_counts_add_up_to_the_counts(tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_a_velocity_that_is_no_change_of_counts_is_integrated(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("span", ["0.05 m", "50 mm"])
-def test_a_position_that_begins_anew(tmp_path: Path, span: str) -> None:
+def test_a_position_that_restarts(tmp_path: Path, span: str) -> None:
     y = np.mod(RUN.counts * STEP, 0.05)
     pl.DataFrame({"u": RUN.u, "y": y}).write_csv(tmp_path / "run.csv")
     record = read_record(tmp_path / "run.csv", axis("y", encoder_range=span))
@@ -247,7 +247,7 @@ def test_a_position_that_begins_anew(tmp_path: Path, span: str) -> None:
     assert any("wrapped" in note for note in record.notes)
 
 
-def test_counts_that_begin_anew_at_any_number(tmp_path: Path) -> None:
+def test_counts_that_restart_at_any_number(tmp_path: Path) -> None:
     pl.DataFrame({"u": RUN.u, "y": RUN.counts % 3600}).write_csv(tmp_path / "run.csv")
     turns = axis("y", resolution="0.1 deg", encoder_range="360 deg", record_output_kind="counts")
     same(read_record(tmp_path / "run.csv", turns))

@@ -119,7 +119,7 @@ def method(step: float = STEP) -> OE:
     return OE(pmfid.Drive(1.5), pmfid.Encoder(step), DT, 60.0)
 
 
-def test_nothing_behind_the_start_is_used() -> None:
+def test_nothing_after_the_start_is_used() -> None:
     run, theta = run_of(4, v0=0.3), np.array([0.5, 2.9, 0.55])
     whole = drive_run(method(), theta, run.u, run.counts, "whole")
     read = round(whole.read / DT)
@@ -143,7 +143,7 @@ def test_figures_of_merit_are_what_they_are_called() -> None:
     assert (second.seconds, second.runs) == (2.0, 3)
 
 
-def test_runs_that_begin_anew_drift_less() -> None:
+def test_runs_that_restart_drift_less() -> None:
     """A constant force that the model lacks moves the axis away."""
     rng = np.random.default_rng(3)
     u = prbs(2400, clock=14, amplitude=3.0, rng=rng)
@@ -251,7 +251,7 @@ HOSTILE: dict[str, tuple[object, str]] = {
 
 
 @pytest.mark.parametrize(("content", "said"), HOSTILE.values(), ids=list(HOSTILE))
-def test_what_is_no_result_is_told_in_one_line(tmp_path: Path, content: object, said: str) -> None:
+def test_what_is_no_result_is_reported_in_one_line(tmp_path: Path, content: object, said: str) -> None:
     result = called(files(tmp_path, content))
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith("pmfid: ")
@@ -309,7 +309,7 @@ def test_an_equation_that_nothing_simulates(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("still", ["axis", "input"])
-def test_a_record_without_a_motion_is_told(still: str) -> None:
+def test_a_record_without_a_motion_is_reported(still: str) -> None:
     run = run_of(7)
     u, counts = (run.u, 0 * run.counts) if still == "axis" else (0 * run.u, run.counts)
     with pytest.raises(pmfid.UsageError, match=f"the {still}"):

@@ -112,7 +112,7 @@ def test_descent_ends_at_the_least_squares() -> None:
         assert min(rms(windows(q + step)), rms(windows(q - step))) > here * (1 - 1e-6)
 
 
-def test_a_free_run_reads_nothing_behind_its_start() -> None:
+def test_a_free_run_reads_nothing_after_its_start() -> None:
     run = moved(7)
     difference, theta = prepared(run)
     read = start_samples(DT, CUTOFF)

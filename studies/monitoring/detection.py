@@ -1,4 +1,4 @@
-"""How soon a change is told, and whether the right cause is named; how soon the estimate is right again."""
+"""How soon a change is reported, and whether the right cause is named; how soon the estimate is right again."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from studies.monitoring.axis import INCREMENTS, calibration, make_riv, normal_wo
 
 RUN_HOURS, RUNS_PER_TASK = 0.5, 25
 ASKED = (1.0, 24.0)
-#: After an alarm a detector starts anew, that much later [s].
+#: After an alarm a detector restarts, that much later [s].
 HOLD = 15.0
 
 
@@ -43,7 +43,7 @@ def _detectors(riv: Any, found: Calibration) -> Mapping[str, Detector]:
 
 
 def count_alarms(detector: Detector, x: Floats, w: Floats, threshold: float, hold: int) -> int:
-    """Alarms over x, w: (runs, n, p); after each the detector starts anew, `hold` blocks later."""
+    """Alarms over x, w: (runs, n, p); after each the detector restarts, `hold` blocks later."""
     runs, n, p = x.shape
     fresh = detector.start((runs, p))
     state, waiting, alarms, tolerance = fresh, np.zeros(runs, int), 0, np.zeros(p)

@@ -48,7 +48,7 @@ def _false_alarms(results: list[dict[str, Any]]) -> list[str]:
         "## False alarms",
         "",
         f"{hours:.0f} simulated hours of normal work under control, tolerance 0, all detectors on the same runs; after "
-        f"an alarm a detector starts anew {false_alarms.HOLD:g} s later.",
+        f"an alarm a detector restarts after {false_alarms.HOLD:g} s.",
         "",
         *table(head, rows),
         f"Correlation of a block's deviation (mass, viscous, Coulomb) with the next block's: {near}; two apart: {far}.",
@@ -63,7 +63,7 @@ def _detection(results: list[dict[str, Any]], tasks: Sequence[Any]) -> list[str]
         groups.setdefault((change, detector, tolerance), []).append(result)
     for (change, detector, tolerance), found in groups.items():
         rows.append([change, detector, f"{100 * tolerance:g}", *_detection_cells(change, found)])
-    head = ["change", "detector", "tolerance [%]", "runs", "told within 3 s [%]", "median [s]", "95 % [s]"]
+    head = ["change", "detector", "tolerance [%]", "runs", "reported within 3 s [%]", "median [s]", "95 % [s]"]
     head += ["right cause [%]", "size, median [%]", "alarms before"]
     return [
         "## Detection",

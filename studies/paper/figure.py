@@ -18,7 +18,7 @@ Results = Mapping[Task, Any]
 class PaperFigure:
     """name: as on the command line; caption: what it shows.
 
-    tasks: what is to be computed with so many seeds; work: one of them, in a process of its own; rows: of the table,
+    tasks: what is to be computed with N seeds; work: one of them, in a process of its own; rows: of the table,
     from the results by task; draw: the pictures and their data in a folder, returns what it has written.
     """
 

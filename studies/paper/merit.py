@@ -65,7 +65,7 @@ class Merit:
 
 
 def merit(figure: str, condition: str, method: str, increments: int, scores: Sequence[Score]) -> Merit:
-    """The row of so many runs, all with the same number of samples."""
+    """The row of N runs, all with the same number of samples."""
     answered = [s for s in scores if not math.isnan(s.error)]
     bias, square, covered = np.mean([(s.error, s.square, s.covered) for s in answered] or [(math.nan,) * 3], axis=0)
     return Merit(

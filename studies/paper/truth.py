@@ -195,6 +195,6 @@ def triple(values: Floats, digits: Sequence[int] = (2, 2, 2), sign: str = "+") -
 
 
 def tally(names: Sequence[Sequence[str]]) -> str:
-    """How often each name occurs in so many runs: "feedback 3/5"."""
+    """How often each name occurs in N runs: "feedback 3/5"."""
     every = [name for run in names for name in run]
     return ", ".join(f"{name} {every.count(name)}/{len(names)}" for name in sorted(set(every))) or "–"

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from studies.service.finding import Finding, changes, others_unchanged, sentences, without_alarm
-from studies.service.hall import PATIENCE, Hall, Metrics, Told, hall, name_of
+from studies.service.hall import PATIENCE, Hall, Metrics, Report, hall, name_of
 from studies.service.processes import Service
 
 AXES, BEFORE, DURING, AFTER = 6, 5.0, 20.0, 10.0
@@ -82,7 +82,7 @@ def read_only(state: Path) -> Disk:
 
 
 def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
-    """Before, during, and behind the fault, without a restart."""
+    """Before, during, and after the fault, without a restart."""
     with _small(place / "state"), hall(place, AXES, 60.0, SINKS) as there:
         there.play(BEFORE)
         there.through()
@@ -93,17 +93,19 @@ def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
         there.play(DURING / 2)
         there.post(f"/api/axis/{name_of(0)}/reference")  # a notice that must not be lost
         there.play(DURING / 2)
-        during, told = there.through(), there.notices()
-        claims = list(_stopped(there, disk, during, told))
+        during, reported = there.through(), there.notices()
+        claims = list(_stopped(there, disk, during, reported))
         disk.end()
         there.play(AFTER)
         there.through()
         after, later = _recovered(there, disk.hits), there.notices()
-        claims = [others_unchanged(there), without_alarm([*told, *later]), *claims]
+        claims = [others_unchanged(there), without_alarm([*reported, *later]), *claims]
         claims += [(f"{one} works again without a restart", _works(after, one)) for one in disk.hits]
         kept = _notices_in(place / "state" / "database.sqlite")
         claims.append((f"reference set meanwhile is in the database ({kept} notices)", kept > 0))
-        return Finding(disk.how, [*sentences(told), "*after it:*", *sentences(later)], changes(start, during), claims)
+        return Finding(
+            disk.how, [*sentences(reported), "*after it:*", *sentences(later)], changes(start, during), claims
+        )
 
 
 def _works(metrics: Metrics, what: str) -> bool:
@@ -121,8 +123,8 @@ def _recovered(there: Hall, hits: tuple[str, ...]) -> Metrics:
         time.sleep(0.5)
 
 
-def _stopped(there: Hall, disk: Disk, during: Metrics, told: list[Told]) -> Iterator[tuple[str, bool]]:
-    said = {str(one.get("sink", one["event"])) for one in told if "problem" in one}
+def _stopped(there: Hall, disk: Disk, during: Metrics, reported: list[Report]) -> Iterator[tuple[str, bool]]:
+    said = {str(one.get("sink", one["event"])) for one in reported if "problem" in one}
     for one in disk.hits:
         yield f"/metrics show that {one} does not work", not _works(during, one)
         yield f"a notice says so of {one}", one in said
@@ -137,7 +139,7 @@ def _notices_in(database: Path) -> int:
 
 def forced_read_only(place: Path) -> Finding | None:
     """An ext4 that the kernel makes read-only for an error, whatever is open; None where root has no loop device. It
-    stays so until it is mounted anew: then the service starts again."""
+    stays so until it is mounted again: then the service starts again."""
     place.mkdir(parents=True, exist_ok=True)
     image = place / "image"
     with image.open("wb") as file:
@@ -156,14 +158,14 @@ def forced_read_only(place: Path) -> Finding | None:
             with suppress(OSError):
                 device.write_text("1")
             there.play(DURING)
-            during, told = there.through(), there.notices()
+            during, reported = there.through(), there.notices()
             disk = Disk("", lambda: None, lambda: None, ("checkpoint", "table"))
-            claims = [others_unchanged(there), without_alarm(told), *_stopped(there, disk, during, told)]
+            claims = [others_unchanged(there), without_alarm(reported), *_stopped(there, disk, during, reported)]
             at = there.at
     with mounted(place / "state", *how):
         claims += _again(place, at)
-    fault = "disk read-only (an ext4 that the kernel remounts for an error; mounted anew, service started again)"
-    return Finding(fault, sentences(told), changes(start, during), claims)
+    fault = "disk read-only (an ext4 that the kernel remounts for an error; mounted again, service started again)"
+    return Finding(fault, sentences(reported), changes(start, during), claims)
 
 
 def _error_of(place: Path) -> Path | None:
@@ -176,9 +178,9 @@ def _error_of(place: Path) -> Path | None:
 def _again(place: Path, at: int) -> Iterator[tuple[str, bool]]:
     """The service started again on the disk as it was left; its machines go on from sample `at`."""
     with hall(place, AXES, 60.0, SINKS) as there:
-        (told,) = [one for one in there.notices() if one["event"] == "checkpoint"]
-        went_on = told.get("restored") == AXES
-        yield f"started again from the last checkpoint ({told.get('restored', 0)} axes go on)", went_on
+        (reported,) = [one for one in there.notices() if one["event"] == "checkpoint"]
+        went_on = reported.get("restored") == AXES
+        yield f"started again from the last checkpoint ({reported.get('restored', 0)} axes go on)", went_on
         there.at = at
         there.play(2.0)
         time.sleep(2.0)
@@ -225,17 +227,17 @@ def slow_sink(place: Path) -> Finding:
         start = there.served.metrics()
         there.play(150.0, speed=10.0)
         there.through()
-        after, told = _drained(there), there.notices()
+        after, reported = _drained(there), there.notices()
         dropped = there.total("pmfid_dropped_rows_total", after)
         slower = _slower(there.served, after, 0.5) - _slower(there.served, start, 0.5)
-        claims = [others_unchanged(there), without_alarm(told)]
+        claims = [others_unchanged(there), without_alarm(reported)]
         claims.append((f"{slower:g} deliveries waited longer than 0.5 s", slower == 0))
         claims.append((f"{dropped:g} rows are said to be dropped", dropped > 0))
     receiver.ended.wait(PATIENCE)
     total = receiver.rows + dropped
     claims.append((f"{receiver.rows} rows received, {total:g} with the dropped, {there.sent} given out",
                    total == there.sent))  # fmt: skip
-    return Finding("sink that takes 1 MB/s (a named pipe)", sentences(told), changes(start, after), claims)
+    return Finding("sink that takes 1 MB/s (a named pipe)", sentences(reported), changes(start, after), claims)
 
 
 def _slower(served: Service, metrics: Metrics, limit: float) -> float:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 from pmfid.cli.serve_lines import line
 from pmfid.stream.outcome import Notice
-from studies.service.hall import Hall, Metrics, Told
+from studies.service.hall import Hall, Metrics, Report
 
 #: Metrics that a fault may change; the others change by themselves.
-TOLD = re.compile(
+REPORTED = re.compile(
     r"pmfid_(unusable|samples_(missing|dropped|without)|lines_dropped|dropped_|refused|sink_(working|errors)|events"
     r"|checkpoint_(working|errors)|page_|paused_|deliveries_slower_total\{than=.5.\})"
 )
@@ -43,25 +43,25 @@ class Finding:
         return f"| {' | '.join(cells)} |"
 
 
-def sentences(notices: Sequence[Told]) -> list[str]:
+def sentences(notices: Sequence[Report]) -> list[str]:
     """As the log for people has them, those alike once; not what the motion itself does to the watch, and not the
     start."""
-    told = Counter[str]()
+    reported = Counter[str]()
     for one in notices:
         if one["event"] in ("state", "configuration", "serving"):
             continue
         what = {key: value for key, value in one.items() if key not in ("axis", "number", "wall")}
         text = line(Notice(one["axis"], one["number"], one["wall"], what))
         if text:
-            told[text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."] += 1
-    return [text if times == 1 else f"{text} ({times} times)" for text, times in told.items()]
+            reported[text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."] += 1
+    return [text if times == 1 else f"{text} ({times} times)" for text, times in reported.items()]
 
 
 def changes(before: Metrics, after: Metrics) -> list[str]:
     """Totals that grew, levels that changed."""
     found = []
     for name, value in sorted(after.items()):
-        if TOLD.match(name) and 'event="state"' not in name and value != before.get(name, 0.0):
+        if REPORTED.match(name) and 'event="state"' not in name and value != before.get(name, 0.0):
             grew = f"+{value - before.get(name, 0.0):g}" if "_total" in name else f"= {value:g}"
             found.append(f"{name.removeprefix('pmfid_')} {grew}")
     return found
@@ -73,6 +73,6 @@ def others_unchanged(hall: Hall, since: int = 0) -> tuple[str, bool]:
     return f"{rows} rows of the other axes to the last bit, {differ} differ", rows > 0 and differ == 0
 
 
-def without_alarm(notices: Sequence[Told]) -> tuple[str, bool]:
+def without_alarm(notices: Sequence[Report]) -> tuple[str, bool]:
     alarms = sum(one["event"] == "alarm" and "silent" not in one for one in notices)
     return f"{alarms} false alarms", alarms == 0

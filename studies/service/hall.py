@@ -1,5 +1,5 @@
-"""A plant of many carts behind a broker, what it is sent, what its page and its metrics say, and what its estimates
-should be."""
+"""Many carts on a broker, what they are sent, what the page and the metrics say, and what the estimates should
+be."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pmfid.types import Floats
 from studies.service.machines import DT, NAME, write_plant
 from studies.service.processes import BROKER, Service, broker, free_port, service
 
-#: Samples of a block, and samples by which the place of an axis in the motion is behind that of the one before.
+#: Samples of a block, and samples by which the place of an axis in the motion lags that of the one before.
 SAMPLES, APART = 25, 37
 PAGE = '\n[page]\nport = {port}\ntoken_env = "PMFID_TOKEN"\n'
 #: Seconds that what was sent may take until it is through.
@@ -37,7 +37,7 @@ PATIENCE = 60.0
 #: Bytes to send in place of a block; nothing: it is lost.
 Change = Callable[[Block], Sequence[bytes]]
 Metrics = dict[str, float]
-Told = dict[str, Any]
+Report = dict[str, Any]
 
 
 def name_of(k: int) -> str:
@@ -104,7 +104,7 @@ class Hall:
     def total(self, name: str, metrics: Metrics | None = None) -> float:
         return self.served.total(name, metrics)
 
-    def notices(self) -> list[Told]:
+    def notices(self) -> list[Report]:
         """Those that the page got since the last time, by its stream."""
         with self.open_stream() as answer:
             first = json.loads(answer.readline())
@@ -132,7 +132,7 @@ class Hall:
     # --- what should be said ------------------------------------------------------------------------------------------
 
     def compared(self, since: int = 0, axes: Sequence[int] | None = None) -> tuple[int, int]:
-        """Rows of the page behind sample `since`, and how many of them differ in a bit from those of `pmfid monitor` on
+        """Rows of the page after sample `since`, and how many of them differ in a bit from those of `pmfid monitor` on
         what was sent; axes: numbers of these, None: of all that nothing was done to."""
         others = [k for k in range(self.axes) if k not in self.struck] if axes is None else list(axes)
         fleet = MonitorFleet(prepare(self.folder / "cell.toml").setup.monitor, len(others))

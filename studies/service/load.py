@@ -55,7 +55,7 @@ class Run:
 
     @property
     def late(self) -> dict[float, float]:
-        """Part of the deliveries, behind the start, whose estimates took longer than so many seconds."""
+        """Part of the deliveries, after the start, whose estimates took longer than N seconds."""
         first = next((look for look in self.looks if look.time > GROWING), self.looks[0])
         last = self.looks[-1]
         n = max(1.0, last.deliveries - first.deliveries)
@@ -63,7 +63,7 @@ class Run:
 
     @property
     def memory(self) -> tuple[float, float]:
-        """Least and most behind the start [MB]."""
+        """Least and most after the start [MB]."""
         kept = [look.memory for look in self.looks if look.time > GROWING] or [self.looks[-1].memory]
         return min(kept), max(kept)
 
@@ -158,7 +158,7 @@ and gives out an estimate per axis and second. Made by `python -m studies.servic
 )
 TAIL = """
 *99 % of estimates within*: from a message's arrival at the service until its estimates are given out; the memory is
-that behind the first minute.
+that after the first minute.
 
 ![Memory, open files and late estimates over time](images/{image})
 """

@@ -22,9 +22,9 @@ from pmfid.stream.blocks import MAGIC, VERSION, block_type
 
 #: Sample period of the machines [s], and samples of a block.
 DT, SAMPLES = 0.01, 50
-#: Messages of so many axes; the axes take turns in so many parts of the time of a block.
+#: Messages of N axes; the axes take turns in N parts of the time of a block.
 AXES_IN_MESSAGE, TURNS = 50, 25
-#: Samples by which the place of one axis in the record is behind that of the one before.
+#: Samples by which the place of one axis in the record lags that of the one before.
 APART = 37
 
 NAME = "cell-{:06d}"

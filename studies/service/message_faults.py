@@ -17,7 +17,7 @@ from studies.service.finding import Finding, changes, others_unchanged, sentence
 from studies.service.hall import SAMPLES, Change, Hall, Metrics, hall, lost, name_of
 from studies.service.machines import DT
 
-#: Seconds of samples of each fault, before it, and behind it.
+#: Seconds of samples of each fault, before it, and after it.
 BEFORE, DURING, AFTER = 5.0, 1.0, 4.0
 
 
@@ -26,7 +26,7 @@ def nan(block: Block) -> list[bytes]:
 
 
 def infinite(block: Block) -> list[bytes]:
-    """No encoder makes one: the bits of a u are replaced behind the header, and the checksum made anew."""
+    """No encoder makes one: the bits of a u are replaced after the header, and the checksum made again."""
     data = bytearray(encode(replace(block, u=block.u.astype(np.float32).astype(np.float64))))
     at = 40 + len(block.axis) + -len(block.axis) % 8
     struct.pack_into("<f", data, at, math.inf)
@@ -40,7 +40,7 @@ def wrong_crc(block: Block) -> list[bytes]:
 
 
 def oversized(block: Block) -> list[bytes]:
-    """Behind the block so many bytes that the message is more than `largest`, which the broker still delivers."""
+    """After the block, enough bytes that the message is more than `largest`, which the broker still delivers."""
     return [encode(block) + bytes(2**20)]
 
 
@@ -87,17 +87,17 @@ def message_faults(there: Hall) -> Iterator[Finding]:
         if "for good" in fault:
             always[k] = change
         there.play(AFTER, changes=always)
-        after, told = there.through(), there.notices()
+        after, reported = there.through(), there.notices()
         missing = there.total("pmfid_samples_missing_total", after) - there.total("pmfid_samples_missing_total", before)
         wanted = DURING / DT if gone else 0.0
         claims = [
             others_unchanged(there, since),
             (f"{missing:g} samples are said to be missing, {wanted:g} are", missing == wanted),
             (f"{there.sent:g} sent, {there.accounted(after):g} accounted for", there.accounted(after) == there.sent),
-            without_alarm(told),
+            without_alarm(reported),
         ]
         claims += _own_claims(there, k, change, before, after, since)
-        own = [one for one in told if one["axis"] in ("", name_of(k))]
+        own = [one for one in reported if one["axis"] in ("", name_of(k))]
         yield Finding(fault, sentences(own), changes(before, after), claims)
     there.play(1.0)  # the clock is right again
     there.through()
@@ -117,7 +117,7 @@ def _own_claims(
 
 
 def wrapped(bits: int) -> Change:
-    """The counter of an axis as one of so many bits, which stands just before its wrap at first."""
+    """The counter of an axis as one of N bits, which stands just before its wrap at first."""
 
     def change(block: Block) -> Sequence[bytes]:
         half = 2 ** (bits - 1)
@@ -131,7 +131,7 @@ BITS = (16, 24, 32)
 
 
 def wraps(place: Path) -> Finding:
-    """Axes with counters of 16, 24 and 32 bits beside one whose counter never wraps, all in the same motion."""
+    """Axes with counters of 16, 24 and 32 bits next to one whose counter never wraps, all in the same motion."""
     seconds = 30.0
     more = "".join(f'\n[axes.w{bits}]\nconfig = "w{bits}.toml"\n' for bits in BITS)
     with hall(place, 1, seconds, more, ready=write_wrapping) as there:
@@ -140,9 +140,9 @@ def wraps(place: Path) -> Finding:
         twins = {bits: wrapped(bits) for bits in BITS}
         _play_twins(there, twins, seconds)
         there.sent *= 1 + len(BITS)
-        after, told = there.through(), there.notices()
+        after, reported = there.through(), there.notices()
         numbers, theta = there.rows(name_of(0))
-        claims = [without_alarm(told)]
+        claims = [without_alarm(reported)]
         for bits in BITS:
             found, own = there.rows(f"w{bits}")
             differ = int((own.view(np.int64) != theta.view(np.int64)).sum()) if own.shape == theta.shape else -1
@@ -150,7 +150,7 @@ def wraps(place: Path) -> Finding:
         claims.append((f"{there.accounted(after):g} of {there.sent} samples", there.accounted(after) == there.sent))
         crossed = np.ptp(np.sign(there.counts[: there.at] - 0.5)) > 0
         claims.append(("the counters did wrap", bool(crossed) and numbers.size > 0))
-        return Finding("encoders that wrap at 16, 24 and 32 bits", sentences(told), changes(before, after), claims)
+        return Finding("encoders that wrap at 16, 24 and 32 bits", sentences(reported), changes(before, after), claims)
 
 
 def _play_twins(there: Hall, twins: dict[int, Change], seconds: float) -> None:

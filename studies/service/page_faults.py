@@ -80,15 +80,15 @@ def stuck_browser(there: Hall) -> Finding:
         with shared(there) as share:
             there.play(150.0)
             during = share()
-    after, told = there.through(), there.notices()
+    after, reported = there.through(), there.notices()
     dropped = there.total("pmfid_page_browsers_dropped_total", after)
     claims = [
         others_unchanged(there, since),
-        without_alarm(told),
+        without_alarm(reported),
         (f"{dropped:g} browser is said to be dropped", dropped == 1),
         _no_later(during, alone),
     ]
-    return Finding("a browser that stops reading", sentences(told), changes(before, after), claims)
+    return Finding("a browser that stops reading", sentences(reported), changes(before, after), claims)
 
 
 @dataclass
@@ -119,19 +119,21 @@ def many_browsers(there: Hall) -> Finding:
             there.play(LOOKING, speed=1.0)
             with_them = share()
         lines = list(looking.lines)
-    after, told = there.through(), there.notices()
+    after, reported = there.through(), there.notices()
     refused = there.total("pmfid_page_refused_total", after) + there.total("pmfid_page_browsers_dropped_total", after)
     refused -= there.total("pmfid_page_refused_total", before)
     refused -= there.total("pmfid_page_browsers_dropped_total", before)
     claims = [
         others_unchanged(there, since),
-        without_alarm(told),
+        without_alarm(reported),
         (f"each got {min(lines)} to {max(lines)} lines in {LOOKING:g} s", min(lines) > LOOKING),
         (f"{refused:g} were refused or dropped", refused == 0),
         (f"the service took {with_them.cores:.2f} cores, {alone.cores:.2f} alone", with_them.cores < 1),
         _no_later(with_them, alone),
     ]
-    return Finding(f"{BROWSERS} browsers, half of them at one axis", sentences(told), changes(before, after), claims)
+    return Finding(
+        f"{BROWSERS} browsers, half of them at one axis", sentences(reported), changes(before, after), claims
+    )
 
 
 def _quietly(action: Callable[..., None], *given: object) -> None:
@@ -160,14 +162,14 @@ def stopped(place: Path, fault: str, losing: bool) -> Finding:
         there.play(STOPPED, speed=1.0)
         os.kill(there.served.process.pid, signal.SIGCONT)
         there.play(20.0)
-        after, told = there.through(), there.notices()
+        after, reported = there.through(), there.notices()
         missing = there.total("pmfid_samples_missing_total", after)
         claims = [
             (f"{there.sent} sent, {there.accounted(after):g} accounted for", there.accounted(after) == there.sent),
             (f"{missing:g} are said to be missing", (missing > 0) == losing),
-            ("a notice says that the service stood still", any(one["event"] == "paused" for one in told)),
-            without_alarm(told),
+            ("a notice says that the service stood still", any(one["event"] == "paused" for one in reported)),
+            without_alarm(reported),
         ]
         if not losing:
             claims.append(others_unchanged(there))
-        return Finding(fault, sentences(told), changes(before, after), claims)
+        return Finding(fault, sentences(reported), changes(before, after), claims)

@@ -18,7 +18,7 @@ from pmfid.errors import UsageError
 
 #: Seconds until a process must be there, the calibration of a service included.
 STARTING = 600.0
-#: Seconds until the page must answer: a service that was stopped for a minute goes on behind it.
+#: Seconds until the page must answer: a service that was stopped for a minute goes on after it.
 ANSWERING = 180.0
 TICKS, PAGE = os.sysconf("SC_CLK_TCK"), os.sysconf("SC_PAGE_SIZE")
 BROKER = """\

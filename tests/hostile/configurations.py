@@ -54,7 +54,7 @@ def _estimator(rng: Rng, facts: Columns, methods: tuple[str, ...]) -> Columns:
 
 
 def monitor(rng: Rng, facts: Columns) -> str:
-    """The section [monitor], for behind an AXIS.toml."""
+    """The section [monitor], for after an AXIS.toml."""
     names = ["mass", "viscous_friction", "coulomb_friction"]
     nominal = dict(zip(names, facts.get("theta", (1.0, 1.0, 1.0)), strict=True))
     section = {
@@ -67,7 +67,7 @@ def monitor(rng: Rng, facts: Columns) -> str:
 
 
 def text_of(rng: Rng, sections: dict[str, Columns], broken: float = BROKEN) -> str:
-    """Sections as TOML; of so many keys the value is a wrong one, and now and then the text is cut off."""
+    """Sections as TOML; of N keys the value is a wrong one, and now and then the text is cut off."""
     for section in sections.values():
         for key in list(section):
             if rng.random() < broken:

@@ -29,7 +29,7 @@ LAGS = {"model": PROCESS, "encoder": pmfid.Encoder(1e-3), "dt": 0.05, "cutoff": 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of so many crafted states as many were taken; report: of a sanitizer or the program, "" where there is none."""
+    """Of N crafted states as many were taken; report: of a sanitizer or the program, "" where there is none."""
 
     states: int
     taken: int

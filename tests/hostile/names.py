@@ -58,7 +58,7 @@ PIECES += [
 
 
 def hostile_names(amount: int) -> Iterator[tuple[str, str]]:
-    """So many pairs of a parameter's name and unit; each second name is one that C would take."""
+    """`count` pairs of a parameter's name and unit; each second name is one that C would take."""
     rng = np.random.default_rng(13)
     for number in range(amount):
         name, unit = ("".join(rng.choice(PIECES, rng.integers(1, 5)).tolist()) for _ in range(2))

@@ -11,12 +11,12 @@ from tests.test_many import fleet_record, process_record
 
 #: Samples before the first opening, in which it may come, and after it.
 BEFORE, WITHIN, AFTER = 300, 200, 60
-#: An estimate of so many times the largest before, and of so many of its bars, is astray.
+#: An estimate of N times the largest before, and of N of its error bars, is astray.
 ASTRAY, CONVINCED = 1e3, 10.0
 
 
 def faults_of(estimator: RecursiveEstimator, rng: Rng, openings: int) -> list[str]:
-    """What is wrong after each of so many openings; empty where all is well."""
+    """What is wrong after each of N openings; empty where all is well."""
     u, counts = (table[0] for table in (process_record() if estimator.equation.process else fleet_record()))
     estimator.reset()
     estimator.run(u[:BEFORE], counts[:BEFORE])

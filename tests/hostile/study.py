@@ -14,7 +14,7 @@ from tests.hostile.commands import COMMANDS
 from tests.hostile.verdict import DONE, NOT_IDENTIFIABLE, USAGE, Verdict, judge
 
 CASES = 2000
-#: Calls that a process makes before the next one takes over: what one of them leaves behind ends there.
+#: Calls that a process makes before the next one takes over: what one of them leaves after ends there.
 PART = 1000
 
 PAGE = """# Hostile input
@@ -30,7 +30,7 @@ so do a file that is no longer what it was, {hangs:g} s of the processor, and 40
 
 | command | calls | an estimate, a design, a file: exit code 0 | wrong usage, unreadable input: 2 | \
 cannot be identified, or met: 3 | a traceback, a warning, another exit code | a number that is not finite, \
-output beside an error, a control character, memory |
+output next to an error, a control character, memory |
 |---|---|---|---|---|---|---|
 {rows}
 
@@ -67,7 +67,7 @@ def judged(seeds: range) -> Iterator[tuple[int, Verdict]]:
 
 
 def page(verdicts: list[Verdict]) -> str:
-    """The page of so many calls."""
+    """The page of N calls."""
     from tests.hostile.verdict import HANGS, RUN_TIME
 
     return PAGE.format(cases=len(verdicts), rows="\n".join(rows(verdicts)), hangs=HANGS, run=RUN_TIME, formats=SPOKEN)

@@ -1,4 +1,4 @@
-"""Short NumPy versions of the formulas, to be read beside the paper. Slow, and written for nothing but reading."""
+"""Short NumPy versions of the formulas, to be read next to the paper. Slow, and written for nothing but reading."""
 
 from __future__ import annotations
 

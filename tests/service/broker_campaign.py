@@ -1,4 +1,4 @@
-"""The broker killed again and again with the whole service behind it, and the service itself in between:
+"""The broker killed again and again with the whole service connected to it, and the service itself in between:
 `python -m tests.service.broker_campaign --kills 50 --service-kills 20`.
 
 A gateway, Mosquitto and a service are processes of their own. The gateway sends three axes in real time at quality of
@@ -171,7 +171,7 @@ def run(place: Path, axis: Path, work: Work, struck: Sequence[str], speed: float
 def campaign(
     axis: Path, folder: Path, kills: int, service_kills: int, apart: float, seed: int
 ) -> tuple[Counter[str], int]:
-    """So many kills, `apart` seconds apart on average, against a run without. What was killed how often, and how many
+    """N kills, `apart` seconds apart on average, against a run without. What was killed how often, and how many
     rows came again; AssertionError where one of them left a trace."""
     rng = random.Random(seed)
     struck = strikes(kills, service_kills, rng)

@@ -49,7 +49,7 @@ class Collected:
         return sorted((number, bits) for (name, number), bits in self.rows_of.items() if name == axis)
 
     def events(self, axis: str, *kinds: str) -> list[dict[str, Any]]:
-        """What was told of an axis, in order."""
+        """What was reported of an axis, in order."""
         found = [what for _, (name, what) in sorted(self.notices.items()) if name == axis]
         return [what for what in found if what["event"] in kinds]
 
@@ -77,6 +77,6 @@ class _Sink:
 def monitored(prepared: Prepared, samples: Iterable[Sample]) -> tuple[list[Bits], list[dict[str, Any]]]:
     """Rows and events of `pmfid monitor` over samples."""
     monitor = MonitorFleet(prepared.setup.monitor, 1).monitor(0)
-    sink, told = _Sink(len(monitor.names)), list[dict[str, Any]]()
-    watch(samples, monitor, sink, told.append)
-    return sink.rows, told
+    sink, reported = _Sink(len(monitor.names)), list[dict[str, Any]]()
+    watch(samples, monitor, sink, reported.append)
+    return sink.rows, reported

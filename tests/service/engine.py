@@ -14,11 +14,11 @@ from pmfid.stream.delivery import Block, Delivery, Lines, Unusable, split_tables
 
 @dataclass
 class FakeEngine:
-    """deliveries: all that came; told: what sources told; reached: end of the latest block of each axis; ends: takes no
+    """deliveries: all that came; reported: notices; reached: end of the latest block of each axis; ends: takes no
     more; slow: time that a delivery takes [s]."""
 
     deliveries: list[Delivery] = field(default_factory=list)
-    told: list[dict[str, Any]] = field(default_factory=list)
+    reported: list[dict[str, Any]] = field(default_factory=list)
     reached: dict[str, int] = field(default_factory=dict)
     ends: bool = False
     slow: float = 0.0
@@ -50,10 +50,10 @@ class FakeEngine:
         return [item for item in self.items if isinstance(item, Block)]
 
     def tell(self, what: dict[str, Any]) -> None:
-        self.told.append(what)
+        self.reported.append(what)
 
     def problems(self) -> list[str]:
-        return [one["problem"] for one in self.told]
+        return [one["problem"] for one in self.reported]
 
     def running(self, source: Source) -> Thread:
         """The source's thread, started."""

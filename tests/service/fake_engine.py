@@ -76,7 +76,7 @@ class FakePlant:
         self.samples = 0
 
     def run(self, seconds: float, received: float | None = None) -> None:
-        """So many seconds of the plant; received: of their end, None: now."""
+        """N seconds of the plant; received: of their end, None: now."""
         end = time.monotonic() if received is None else received
         steps = max(1, round(seconds / self.every))
         for step in range(steps):

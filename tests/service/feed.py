@@ -36,7 +36,7 @@ def kindred(axes: int = 3, config: str = "cart.toml", names: tuple[str, ...] = (
 
 
 def block(group: Kindred, first: int = 1, samples: int = 1) -> EstimateRows:
-    """So many rows of every axis, in the order of time; numbers that tell rows apart."""
+    """N rows of every axis, in the order of time; numbers that tell rows apart."""
     k, q = len(group.axes), len(group.names)
     axis = np.tile(np.arange(k), samples)
     number = first + np.repeat(np.arange(samples), k)
@@ -80,12 +80,12 @@ class Host:
     name: str = "hall-3"
     state: Path | None = None
     counters: Counters = field(default_factory=Counters)
-    told: list[dict[str, Any]] = field(default_factory=list)
+    reported: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def tell(self) -> Callable[[dict[str, Any]], None]:
-        """Keeps what is told."""
-        return self.told.append
+        """Keeps what is reported."""
+        return self.reported.append
 
     def count(self, name: str, **labels: str) -> float:
         """Of a total or a level."""

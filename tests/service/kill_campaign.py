@@ -3,7 +3,7 @@
 
 Each incarnation is a process of its own, forked from one that has calibrated. Its sources are one that acknowledges and
 delivers again what was not acknowledged, as a broker does at QoS 1, with blocks of one axis and lines of another, and
-a record that is played and goes on behind its mark. After some kills the last incarnation runs to the end; its state
+a record that is played and continues after its mark. After some kills the last incarnation runs to the end; its state
 must be that of a run without kills, bit by bit, and so must every row that any of them gave out.
 """
 
@@ -174,7 +174,7 @@ class _RowFile:
 
 
 class _Service(Service):
-    """With an outlet that is never behind."""
+    """With an outlet that is never late."""
 
     def _prepare(self, plant: Plant) -> None:
         super()._prepare(plant)
@@ -205,7 +205,7 @@ def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:
 
 
 def died(number: int, within: float) -> int | None:
-    """The exit status of a child, None while it lives after so many seconds."""
+    """The exit status of a child, None while it lives after N seconds."""
     end = time.monotonic() + within
     while time.monotonic() < end:
         found, status = os.waitpid(number, os.WNOHANG)
@@ -217,7 +217,7 @@ def died(number: int, within: float) -> int | None:
 
 @dataclass
 class Round:
-    """kills: so many; the others: what it was that killed, and how many incarnations ended by themselves."""
+    """kills: N; the others: what it was that killed, and how many incarnations ended by themselves."""
 
     kills: int = 0
     ended: int = 0
@@ -225,7 +225,7 @@ class Round:
 
 
 def kill_round(plant: Plant, wanted: int, rng: random.Random, log: IO[str], longest: float) -> Round:
-    """Kills until so many are done or the work is; raises AssertionError where an incarnation refuses to start."""
+    """Kills until N are done or the work is; raises AssertionError where an incarnation refuses to start."""
     done = Round()
     while done.kills < wanted:
         point = rng.choice([*crash.POINTS, "random", "random", "random"])
@@ -308,7 +308,7 @@ def assert_same(killed: Plant, whole: Plant) -> int:
 
 
 def campaign(axis: Path, folder: Path, kills: int, a_round: int, seconds: float, seed: int = 0) -> Round:
-    """So many kills in rounds of `a_round`, each with data of its own, against a run without kills."""
+    """N kills in rounds of `a_round`, each with data of its own, against a run without kills."""
     total, rng = Round(), random.Random(seed)
     prepared = prepare(axis)
     arrangement.prepare = lambda *given: prepared  # type: ignore[assignment]

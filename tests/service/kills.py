@@ -12,7 +12,7 @@ REPOSITORY = Path(__file__).parents[2]
 
 
 def killed_after(program: str, lines: int, *arguments: str) -> list[str]:
-    """Runs Python code, takes so many lines of its output, kills it without notice, and returns all lines that it had
+    """Runs Python code, takes N lines of its output, kills it without notice, and returns all lines that it had
     written by then."""
     command = [sys.executable, "-c", program, *arguments]
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}

@@ -36,14 +36,14 @@ class Sending:
 
 
 def _shuffled(sent: Sequence[tuple[int, Block]], window: int, random: Random) -> list[Block]:
-    # a block comes before another one only if it ends within the window behind the start of that
+    # a block comes before another one only if it ends within the window after the start of that
     keyed = [(place + random.uniform(0, window - LONGEST), block) for place, block in sent]
     keyed += [(key + random.uniform(0, 5 * window), block) for key, block in keyed if random.random() < 0.3]
     return [block for _, block in sorted(keyed, key=lambda pair: pair[0])]
 
 
 def made(u: Floats, counts: Counts, random: Random, window: int, loss: float = 0.15, restart: float = 0.05) -> Sending:
-    """Samples (n,) cut into blocks, some of them lost; now and then the sender begins anew, with a gap that its clock
+    """Samples (n,) cut into blocks, some of them lost; now and then the sender restarts, with a gap that its clock
     tells, or with another clock."""
     sent, expected = list[tuple[int, Block]](), list[Expected]()
     place, first, epoch, time, lead, apart, fresh = 0, random.randrange(50), 0, 100.0, 0, True, True

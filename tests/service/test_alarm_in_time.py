@@ -92,8 +92,8 @@ def test_the_alarm_of_the_examples_is_on_the_page_in_time(tmp_path: Path, capsys
     assert found == pytest.approx(expected, abs=1e-6), "as the monitor finds it"
     with capsys.disabled():
         print(
-            f"\nload at {STEP:g} s, found by pmfid monitor and by the service at the sample of {expected:.2f} s, told "
-            f"{wall - begin - expected:.2f} s and on the page {seen - expected:.2f} s after that sample was "
+            f"\nload at {STEP:g} s, found by pmfid monitor and by the service at the sample of {expected:.2f} s, "
+            f"reported {wall - begin - expected:.2f} s and on the page {seen - expected:.2f} s after that sample was "
             f"taken"
         )
     assert seen - expected < ALLOWED

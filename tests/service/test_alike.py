@@ -63,7 +63,7 @@ def sealed(part: bytes, place: int, value: bytes) -> bytes:
         (0, b"PMFX"),
     ],
 )
-def test_what_is_wrong_with_one_is_told_of_that_one(place: int, value: bytes) -> None:
+def test_what_is_wrong_with_one_is_reported_of_that_one(place: int, value: bytes) -> None:
     parts = [encode(block(k + 1)) for k in range(8)]
     parts[5] = sealed(parts[5], place, value)
     data = b"".join(parts)

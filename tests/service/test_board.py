@@ -140,7 +140,7 @@ def alarm(number: int, axis: str = "a") -> Notice:
     return Notice(axis, number, 1e9 + number, {"event": "alarm", "parameter": "mass", "change": 0.1})
 
 
-def test_an_alarm_is_told_once_acknowledged_and_settled() -> None:
+def test_an_alarm_is_reported_once_acknowledged_and_settled() -> None:
     board = board_of(kindred("a", "b"))
     board.notice(alarm(7))
     seen = board.news().version

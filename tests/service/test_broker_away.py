@@ -1,4 +1,4 @@
-"""The broker is killed, away, or has another service under the same name: nothing is lost, and it is told."""
+"""The broker is killed, away, or has another service under the same name: nothing is lost, and it is reported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = [needs_broker, pytest.mark.usefixtures("stopped_brokers")]
 
 
 def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[FakeEngine, dict[str, int]]:
-    """Deliveries of a sender whose broker is killed so many times, `seconds` apart, and samples sent of each axis."""
+    """Deliveries of a sender whose broker is killed N times, `seconds` apart, and samples sent of each axis."""
     engine, broker, rng = FakeEngine(), Broker(folder, more).start(), np.random.default_rng(kills)
     hall = source(engine, broker, "killed")
     thread = engine.running(hall)
@@ -95,9 +95,9 @@ def test_a_source_waits_for_a_broker_that_is_not_there_yet(tmp_path: Path) -> No
     engine, late = FakeEngine(), Broker(tmp_path)
     hall = source(engine, late, "late")
     thread = engine.running(hall)
-    assert wait_for(lambda: engine.told)
-    assert engine.told[0]["event"] == "source"
-    assert engine.told[0]["source"] == "hall"
+    assert wait_for(lambda: engine.reported)
+    assert engine.reported[0]["event"] == "source"
+    assert engine.reported[0]["source"] == "hall"
     assert f"no connection to 127.0.0.1 port {late.port}" in engine.problems()[0]
     late.start()
     assert connected(hall)
@@ -106,7 +106,7 @@ def test_a_source_waits_for_a_broker_that_is_not_there_yet(tmp_path: Path) -> No
     late.stop()
 
 
-def test_two_services_under_one_name_are_told(tmp_path: Path) -> None:
+def test_two_services_under_one_name_are_reported(tmp_path: Path) -> None:
     engine, broker = FakeEngine(), Broker(tmp_path).start()
     first, second = source(engine, broker, "same"), source(FakeEngine(), broker, "same")
     threads = [engine.running(first)]

@@ -111,16 +111,16 @@ def test_rows_are_those_of_the_monitor_bit_by_bit(
     restarted.run(deliveries, kills)
     assert (restarted.restarts > 3) == (kills > 0)
     for name, sending in sendings.items():
-        rows, told = monitored(prepared, expected(sending))
+        rows, reported = monitored(prepared, expected(sending))
         found = [bits for _, bits in outlet.of(name)]
         assert len(found) > len(rows) - 6 * WINDOW
         assert found == rows[: len(found)]
         numbers = [number for number, _ in outlet.of(name)]
         assert numbers == sorted(set(numbers))
-        told = [event for event in told if event["event"] in ("alarm", "state", "settled")]
+        reported = [event for event in reported if event["event"] in ("alarm", "state", "settled")]
         events = outlet.events(name, "alarm", "state", "settled")
-        assert len(events) >= len(told) - 2
-        for one, other in zip(events, told, strict=False):
+        assert len(events) >= len(reported) - 2
+        for one, other in zip(events, reported, strict=False):
             assert one["event"] == other["event"]
             assert one["time"] == pytest.approx(other["time"], abs=1e-6)
             assert {**one, "time": 0, "changed_at": 0} == {**other, "time": 0, "changed_at": 0}

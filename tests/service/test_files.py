@@ -83,15 +83,15 @@ def rows(*numbers: int) -> str:
     return "".join(f"{0.01 * k:.2f},0.5,{k}\n" for k in numbers)
 
 
-def follower(path: Path, axis: Axis, told: list[dict[str, Any]]) -> Follower:
-    context = Context("hall", path.parent, None, Counters(), told.append, lambda name: axis)
+def follower(path: Path, axis: Axis, reported: list[dict[str, Any]]) -> Follower:
+    context = Context("hall", path.parent, None, Counters(), reported.append, lambda name: axis)
     return Follower("log", "x1", path, axis, context)
 
 
 def test_a_growing_file_is_followed_through_rotation_and_cuts(tmp_path: Path, axis: Axis) -> None:
-    path, told = tmp_path / "log.csv", list[dict[str, Any]]()
-    taken = Taken(follower(path, axis, told))
-    taken.until(lambda: len(told) == 1)
+    path, reported = tmp_path / "log.csv", list[dict[str, Any]]()
+    taken = Taken(follower(path, axis, reported))
+    taken.until(lambda: len(reported) == 1)
     path.write_text("# a logger\n" + HEADER + rows(0, 1) + "0.02,0.5")
     taken.until(lambda: len(taken.lines) == 2)
     with path.open("a") as file:
@@ -107,10 +107,12 @@ def test_a_growing_file_is_followed_through_rotation_and_cuts(tmp_path: Path, ax
     taken.until(lambda: len(taken.lines) == 7)
     assert taken.ended().times == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
     assert [line.counts for line in taken.lines] == list(range(7))
-    assert [what["problem"] for what in told[:2]] == ["log.csv: No such file or directory", ""], "its end is told, too"
+    assert [what["problem"] for what in reported[:2]] == ["log.csv: No such file or directory", ""], (
+        "its end is reported, too"
+    )
 
 
-def test_a_file_goes_on_behind_the_mark_and_another_one_from_its_start(tmp_path: Path, axis: Axis) -> None:
+def test_a_file_goes_on_after_the_mark_and_another_one_from_its_start(tmp_path: Path, axis: Axis) -> None:
     path = tmp_path / "log.csv"
     path.write_text(HEADER + rows(0, 1, 2) + "0.03,0.5")
     taken = Taken(follower(path, axis, []))
@@ -139,11 +141,11 @@ def test_what_a_source_could_not_hand_over_comes_again(tmp_path: Path, axis: Axi
 
 
 def test_a_file_without_the_columns_is_said_and_the_next_one_taken(tmp_path: Path, axis: Axis) -> None:
-    path, told = tmp_path / "log.csv", list[dict[str, Any]]()
+    path, reported = tmp_path / "log.csv", list[dict[str, Any]]()
     path.write_text("time;force\n1;2\n")
-    taken = Taken(follower(path, axis, told))
-    taken.until(lambda: len(told) == 1)
-    assert "no column" in told[0]["problem"]
+    taken = Taken(follower(path, axis, reported))
+    taken.until(lambda: len(reported) == 1)
+    assert "no column" in reported[0]["problem"]
     path.unlink()
     path.write_text(HEADER + rows(1))
     taken.until(lambda: len(taken.lines) == 1)
@@ -171,7 +173,7 @@ def test_a_pipe_without_a_header_is_an_error(axis: Axis) -> None:
     assert isinstance(taken.error, UsageError)
 
 
-def test_a_record_is_played_and_goes_on_behind_its_mark(plant_folder: Path, axis: Axis) -> None:
+def test_a_record_is_played_and_goes_on_after_its_mark(plant_folder: Path, axis: Axis) -> None:
     path = plant_folder / "normal.csv"
     whole = Taken(Player("record", "x1", path, axis, 0.0)).ended(stop=False)
     counts = np.concatenate([block.counts for block in whole.blocks])
@@ -182,8 +184,8 @@ def test_a_record_is_played_and_goes_on_behind_its_mark(plant_folder: Path, axis
     assert [block.first for block in rest.blocks] == [2000, 3000, 4000, 5000]
     assert {block.epoch for block in rest.blocks} == {0}
     changed = {**(first.deliveries[-1].mark or {}), "version": "another file"}
-    anew = Taken(Player("record", "x1", path, axis, 0.0), changed, most=1).ended(stop=False)
-    assert (anew.blocks[0].first, anew.blocks[0].epoch) == (0, 1)
+    again_ = Taken(Player("record", "x1", path, axis, 0.0), changed, most=1).ended(stop=False)
+    assert (again_.blocks[0].first, again_.blocks[0].epoch) == (0, 1)
 
 
 def test_a_record_keeps_its_time(plant_folder: Path, axis: Axis) -> None:

@@ -115,13 +115,13 @@ def test_fields_are_scaled_as_columns_of_a_pipe(tmp_path: Path, record: str, nam
 
 
 def test_what_telegraf_makes_of_two_nodes_is_a_sample(messages: Messages) -> None:
-    """`inputs.opcua` behind `merge`, as in docs/guide/service.md."""
+    """`inputs.opcua` after `merge`, as in docs/guide/service.md."""
     data = b'drive,axis=x1 Quality="OK (0x0)",u=1.5,x=0.001,t=1 1700000000050000000\n'
     (line,) = lines_of(list(messages.items(data)))
     assert (line.u, line.counts, line.problem) == (1.5, 43, "")
 
 
-def test_a_time_beside_the_fields_serves_where_none_of_them_is_one(messages: Messages) -> None:
+def test_a_time_next_to_the_fields_serves_where_none_of_them_is_one(messages: Messages) -> None:
     data = b"cart,axis=x1,line=3 u=1.5,x=0.001 1700000000123456789\nx1 x=0.002,u=2i\nx1 x=1,u=1,t=5 1700000000000000000"
     first, second, third = lines_of(list(messages.items(data)))
     assert (first.time, first.u, first.counts) == (1700000000.123456789, 1.5, 43)
@@ -173,7 +173,7 @@ def test_a_value_that_is_none_is_a_lost_sample(messages: Messages, field: str, p
     assert problem in line.problem
 
 
-def test_forms_are_told_by_content_and_a_topic_of_one_axis_is_of_no_other(messages: Messages) -> None:
+def test_forms_are_reported_by_content_and_a_topic_of_one_axis_is_of_no_other(messages: Messages) -> None:
     block = encode(Block("x1", 0, 0, 0.0, 0.01, np.zeros(2), np.zeros(2, int)))
     assert isinstance(messages.items(block)[0], Block)
     assert isinstance(messages.items(block, "x1")[0], Block)

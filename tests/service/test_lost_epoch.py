@@ -1,4 +1,4 @@
-"""A sender that began anew without a higher epoch: it is said, and what is said helps when it is followed."""
+"""A sender that restarted without a higher epoch: it is said, and what is said helps when it is followed."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def expected(prepared: Prepared, motion: tuple[np.ndarray, np.ndarray], lost: sl
 
 
 @pytest.mark.parametrize("epoch", [3, 9], ids=["a lower epoch", "the same epoch"])
-@pytest.mark.parametrize("remedy", ["a higher epoch", "begin anew"])
-def test_a_sender_that_lost_its_epoch_is_told_what_helps(
+@pytest.mark.parametrize("remedy", ["a higher epoch", "restart"])
+def test_a_sender_that_lost_its_epoch_is_reported_what_helps(
     prepared: Prepared, motion: tuple[np.ndarray, np.ndarray], epoch: int, remedy: str
 ) -> None:
     outlet = Collected()
@@ -54,23 +54,21 @@ def test_a_sender_that_lost_its_epoch_is_told_what_helps(
         engine.process(blocks(motion, 600, 700, epoch=epoch, first=100))
     engine.tick(0.0)
     assert len(outlet.of("x1")) == 600, "none of them is believed"
-    told = outlet.events("x1", "late")
-    assert "higher epoch" in told[-1]["problem"]
-    assert "POST /api/axis/NAME/anew" in told[-1]["problem"]
-    assert len(told) < 20
-    if remedy == "begin anew":
+    reported = outlet.events("x1", "late")
+    assert "higher epoch" in reported[-1]["problem"]
+    assert "POST /api/axis/NAME/anew" in reported[-1]["problem"]
+    assert len(reported) < 20
+    if remedy == "restart":
         assert engine.commands.restart_numbers("x1")
         engine.tick(0.0)
-    again = epoch if remedy == "begin anew" else 10
+    again = epoch if remedy == "restart" else 10
     engine.process(blocks(motion, 700, SAMPLES, again, first=200))
     rows = [bits for _, bits in outlet.of("x1")]
     assert len(rows) == SAMPLES - 100, "all of what comes now"
     assert rows == expected(prepared, motion, slice(600, 700))
 
 
-def test_what_waited_is_said_where_an_axis_begins_anew(
-    prepared: Prepared, motion: tuple[np.ndarray, np.ndarray]
-) -> None:
+def test_what_waited_is_said_where_an_axis_restarts(prepared: Prepared, motion: tuple[np.ndarray, np.ndarray]) -> None:
     outlet = Collected()
     engine = engine_of(prepared, outlet, axes=["x1"])
     engine.process(blocks(motion, 0, 100, epoch=0, first=0))
@@ -93,7 +91,7 @@ def test_what_comes_again_after_a_broker_was_killed_is_no_news(
     assert outlet.events("x1", "late") == []
 
 
-def test_the_page_begins_an_axis_anew() -> None:
+def test_the_page_begins_an_axis_again() -> None:
     plant = FakePlant(2)
     with served(plant) as page:
         assert page.post("/api/axis/gantry-x1/anew", {}) == 202

@@ -38,13 +38,13 @@ def parsed(text: str) -> tuple[Parsed, dict[str, str], dict[str, str]]:
             helps[family] = words
         elif line.startswith("# TYPE "):
             _, _, name, kind = line.split(" ")
-            assert name == family, "TYPE stands behind HELP"
+            assert name == family, "TYPE stands after HELP"
             assert kind in ("counter", "gauge")
             types[name] = kind
         else:
             match = SAMPLE.fullmatch(line)
             assert match, line
-            assert match[1] == family, "samples stand behind the TYPE of their family"
+            assert match[1] == family, "samples stand after the TYPE of their family"
             pairs = re.findall(LABEL, match[2] or "")
             labels = tuple((label, re.sub(r"\\.", lambda m: ESCAPES[m[0]], value)) for label, value in pairs)
             assert len(dict(labels)) == len(labels)

@@ -264,15 +264,15 @@ def test_tls_with_a_password_out_of_a_file(tmp_path: Path) -> None:
         engine = FakeEngine()
         hall = replace(source(engine, safe, "tls", **(options | change)), folder=tmp_path)
         thread = engine.running(hall)
-        assert wait_for(lambda engine=engine: engine.told)
+        assert wait_for(lambda engine=engine: engine.reported)
         stop(hall, thread)
         assert not hall.subscribed
         assert "Not authorized" in engine.problems()[0] or "certificate verify failed" in engine.problems()[0]
-        assert "s3cret" not in str(engine.told) + repr(hall)
+        assert "s3cret" not in str(engine.reported) + repr(hall)
     safe.stop()
 
 
-def test_a_topic_that_the_broker_refuses_is_told(broker: Broker) -> None:
+def test_a_topic_that_the_broker_refuses_is_reported(broker: Broker) -> None:
     """Mosquitto's own lists of rights refuse no subscription, its plugins and other brokers do."""
     from paho.mqtt.packettypes import PacketTypes
     from paho.mqtt.reasoncodes import ReasonCode
@@ -283,12 +283,14 @@ def test_a_topic_that_the_broker_refuses_is_told(broker: Broker) -> None:
     answers = [ReasonCode(PacketTypes.SUBACK, identifier=code) for code in (1, 0x87)]
     hall._on_subscribe = lambda client, data, mid, _, properties: granted(client, data, mid, answers, properties)
     thread = engine.running(hall)
-    assert wait_for(lambda: engine.told)
+    assert wait_for(lambda: engine.reported)
     stop(hall, thread)
     assert engine.problems()[0] == "the broker refuses the topic theirs/# (Not authorized)"
 
 
-def test_a_secret_that_is_not_there_is_named_and_never_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_secret_that_is_not_there_is_named_and_never_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PMFID_TEST_SECRET", "s3cret")
     assert secret("PMFID_TEST_SECRET", None, tmp_path) == "s3cret"
     assert secret(None, None, tmp_path) is None

@@ -70,10 +70,10 @@ def test_rows_are_messages_of_their_axes() -> None:
     (status, first, second) = link.got
     assert status == ("pmfid/hall-3/status", b"online", 1, True)
     assert (first[0], first[2:]) == ("pmfid/hall-3/estimates/x0", (0, False))
-    told = json.loads(first[1])
-    assert told["theta"] == {"mass": 5.0, "friction": 5.25}
-    assert told["std"] == {"mass": 0.05, "friction": None}
-    assert (told["number"], told["state"]) == (5, "watching")
+    reported = json.loads(first[1])
+    assert reported["theta"] == {"mass": 5.0, "friction": 5.25}
+    assert reported["std"] == {"mass": 0.05, "friction": None}
+    assert (reported["number"], reported["state"]) == (5, "watching")
     assert second[0] == "pmfid/hall-3/estimates/x1"
 
 
@@ -251,12 +251,12 @@ def test_a_connection_that_breaks_is_the_last_will_and_comes_again_by_itself(
         outlet._sink._link._client.socket().shutdown(2)  # type: ignore[attr-defined]
         assert until(lambda: len(listener.got) >= seen + 2)
         assert [payload for topic, payload, _ in listener.got[seen:] if topic == STATUS] == [b"offline", b"online"]
-    assert until(lambda: len(host.told) == 2)
-    assert [told["works"] for told in host.told] == [False, True]
+    assert until(lambda: len(host.reported) == 2)
+    assert [reported["works"] for reported in host.reported] == [False, True]
 
 
 @needs_broker
-def test_a_broker_that_lost_everything_is_told_the_alarms_again(
+def test_a_broker_that_lost_everything_is_reported_the_alarms_again(
     tmp_path: Path, broker: Broker, started: Callable[..., Queued]
 ) -> None:
     host = Host(tmp_path)
@@ -266,7 +266,7 @@ def test_a_broker_that_lost_everything_is_told_the_alarms_again(
     broker.kill()
     for path in broker.folder.glob("mosquitto.db*"):
         path.unlink()
-    assert until(lambda: host.told)
+    assert until(lambda: host.reported)
     outlet.notice(alarm(8, axis="x0"))
     broker.start()
     with Listener(broker) as listener:
@@ -285,9 +285,9 @@ def test_a_broker_that_refuses_says_why_and_no_secret(
     monkeypatch.setenv("M_PASSWORD", "hidden-hidden")
     host = Host(tmp_path)
     started(host, user="me", password_env="M_PASSWORD")
-    assert until(lambda: host.told)
-    assert "refuses the connection: " in host.told[0]["problem"]
-    assert "hidden" not in repr(host.told)
+    assert until(lambda: host.reported)
+    assert "refuses the connection: " in host.reported[0]["problem"]
+    assert "hidden" not in repr(host.reported)
 
 
 @needs_broker

@@ -83,10 +83,10 @@ def test_every_order_within_the_window_gives_the_same(seed: int) -> None:
     assert steps(first)[:n] == steps(second)[:n]
 
 
-def test_a_hole_is_a_gap_once_more_than_the_window_waits_behind_it_and_then_late() -> None:
+def test_a_hole_is_a_gap_once_more_than_the_window_waits_after_it_and_then_late() -> None:
     pieces, verdict = put_in_order([block(0, 50), block(50, 51), block(120, 70), block(190, 40)])
     assert [(p.lead, p.u.size) for p in pieces] == [(0, 50), (0, 51), (19, 70), (0, 40)]
-    assert [told["event"] for told in verdict.events] == ["gap"]
+    assert [reported["event"] for reported in verdict.events] == ["gap"]
     _, verdict = put_in_order([block(0, 101), block(120, 110), block(101, 19), block(0, 10)])
     assert (verdict.late, verdict.duplicate) == (19, 10)
 
@@ -109,31 +109,31 @@ def test_a_new_epoch_is_a_gap_of_known_length_where_the_clock_tells_and_else_unk
     for blocks, lead in ((later, 50), (back, UNKNOWN_GAP)):
         pieces, verdict = put_in_order(blocks, window=0)
         assert [(p.lead, p.apart) for p in pieces] == [(0, True), (lead, True)]
-        assert [told["event"] for told in verdict.events] == ["epoch"]
+        assert [reported["event"] for reported in verdict.events] == ["epoch"]
     _, verdict = put_in_order([*later, block(10, 5, time=5.1)], window=0)
     assert verdict.late == 5
 
 
-def test_another_period_is_refused_and_told_once() -> None:
+def test_another_period_is_refused_and_reported_once() -> None:
     pieces, verdict = put_in_order([block(0, 200), block(200, 10, dt=1.01 * DT), block(210, 10, dt=1.01 * DT)])
     assert len(pieces) == 1
     assert verdict.refused == 20
-    assert [told["event"] for told in verdict.events] == ["period"]
+    assert [reported["event"] for reported in verdict.events] == ["period"]
 
 
 @pytest.mark.parametrize("jump", [-3600.0, 3600.0])
-def test_a_clock_that_is_set_is_told_and_the_numbers_rule(jump: float) -> None:
+def test_a_clock_that_is_set_is_reported_and_the_numbers_rule(jump: float) -> None:
     blocks = [block(10 * k, 10, time=100 + 10 * k * DT + (jump if k > 3 else 0.0)) for k in range(8)]
     pieces, verdict = put_in_order(blocks, window=0)
     assert [p.lead for p in pieces] == [0] * 8
-    (told,) = verdict.events
-    assert told["event"] == "clock"
-    assert told["jump"] == pytest.approx(jump)
+    (reported,) = verdict.events
+    assert reported["event"] == "clock"
+    assert reported["jump"] == pytest.approx(jump)
 
 
-def test_a_clock_at_another_rate_is_told_once() -> None:
+def test_a_clock_at_another_rate_is_reported_once() -> None:
     slow, right = ([block(50 * k, 50, time=rate * 50 * k * DT) for k in range(400)] for rate in (1.03, 1 + 1e-4))
-    assert [told["event"] for told in put_in_order(slow, window=0)[1].events] == ["clock"]
+    assert [reported["event"] for reported in put_in_order(slow, window=0)[1].events] == ["clock"]
     assert put_in_order(right, window=0)[1].events == []
 
 
@@ -190,7 +190,7 @@ def test_lines_of_a_clock_that_was_set_back_go_on() -> None:
     lines = [Line(100 + k * DT, 1.0, k) for k in range(100)]
     lines += [Line(100 + k * DT - 3600, 1.0, k) for k in range(100, 300)]
     found, verdict = lines_in_order(lines, 10 * DT)
-    assert [told["event"] for told in verdict.events if told["event"] == "clock"] == ["clock"]
+    assert [reported["event"] for reported in verdict.events if reported["event"] == "clock"] == ["clock"]
     assert len(found) > 280
 
 
@@ -198,7 +198,7 @@ def test_lines_with_another_period_are_refused_until_it_fits_again() -> None:
     lines = [Line(k * DT, 1.0, k) for k in range(200)]
     lines += [Line(2.0 + 2 * k * DT, 1.0, k) for k in range(400)]
     wrong, verdict = lines_in_order(lines, 0.0)
-    assert [told["event"] for told in verdict.events].count("period") == 1
+    assert [reported["event"] for reported in verdict.events].count("period") == 1
     assert len(wrong) < 330
     lines += [Line(10.0 + k * DT, 1.0, k) for k in range(300)]
     found, _ = lines_in_order(lines, 0.0)

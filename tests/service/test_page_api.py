@@ -1,4 +1,4 @@
-"""What the page is told and what it may do, by requests to a page that is really served."""
+"""What the page is reported and what it may do, by requests to a page that is really served."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_what_is_no_acknowledgement(page: Served, number: str, body: bytes, kind
     assert found == status
 
 
-def test_an_engine_that_has_no_room_is_told(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_has_no_room_is_reported(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page.plant, "acknowledge", lambda number, note: False)
     monkeypatch.setattr(page.plant, "refer", lambda axis: False)
     assert page.post("/api/alarms/1/acknowledge", {}) == 503
@@ -226,7 +226,7 @@ def test_an_input_that_is_lost_stays_so_in_the_reference() -> None:
     assert csv_of(record) == b"t,u,counts\n0,1,3\n0.5,nan,-4\n"
 
 
-def test_who_reads_slowly_misses_rows_and_is_told_how_many() -> None:
+def test_who_reads_slowly_misses_rows_and_is_reported_how_many() -> None:
     plant = FakePlant(2)
     feed = Feed(plant.board.follow("gantry-x1"))
     for _ in range(100):

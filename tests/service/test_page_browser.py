@@ -70,9 +70,9 @@ def test_what_does_not_work_stands_on_the_overview_until_it_works(browser: Any) 
         at_overview(page, there)
         for name, value in (("pmfid_source_working", 0), ("pmfid_sink_working", 1), ("pmfid_checkpoint_working", 0)):
             plant.counters.put(name, value, **({"source": "hall"} if "source" in name else {}))
-        told = "document.querySelector('.overview > .problem')"
+        reported = "document.querySelector('.overview > .problem')"
         plant.run(1.0)
-        assert until(page, f"{told}.textContent.startsWith('Not working: ')")
+        assert until(page, f"{reported}.textContent.startsWith('Not working: ')")
         said = page.inner_text(".overview > .problem")
         assert "source hall" in said
         assert "checkpoint" in said
@@ -81,7 +81,7 @@ def test_what_does_not_work_stands_on_the_overview_until_it_works(browser: Any) 
         plant.counters.put("pmfid_source_working", 1, source="hall")
         plant.counters.put("pmfid_checkpoint_working", 1)
         plant.run(1.0)
-        assert until(page, f"{told}.hidden")
+        assert until(page, f"{reported}.hidden")
 
 
 @pytest.mark.long
@@ -238,8 +238,8 @@ def test_what_a_chart_shows_of_many_rows(browser: Any, page: Served) -> None:
     assert found["status"] == 7, "no bit is lost between points"
     assert found["band"] == [-3, 3, None]
     assert found["rms"] == pytest.approx(3.0)
-    assert found["back"] == [2, 4], "a clock that was set back begins anew"
-    assert found["anew"] == 8, "so does an axis that was started anew"
+    assert found["back"] == [2, 4], "a clock that was set back restarts"
+    assert found["anew"] == 8, "so does an axis that was restarted"
     assert 80_000 < found["most"] <= 120_000
 
 

@@ -55,7 +55,7 @@ while True:
 
 @contextmanager
 def crowd(page: Served, many: int = CROWD, says: str = "", again: int = 0) -> Iterator[None]:
-    """So many connections from another process, which has the files for them."""
+    """N connections from another process, which has the files for them."""
     words = [*map(str, page.address), str(many), says, str(again)]
     command = [sys.executable, "-c", CLIENT, *words]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
@@ -67,7 +67,7 @@ def crowd(page: Served, many: int = CROWD, says: str = "", again: int = 0) -> It
 
 
 def slowest(page: Served, times: int, pause: float = 0.02) -> float:
-    """Of so many health checks, each a connection of its own [s]."""
+    """Of N health checks, each a connection of its own [s]."""
     found = 0.0
     for _ in range(times):
         begun = time.monotonic()

@@ -371,7 +371,7 @@ def test_a_token_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
     assert not content or content not in str(caught.value)
 
 
-def test_a_missing_token_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_token_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_TOKEN", raising=False)
     with pytest.raises(UsageError, match="token_env = 'NO_TOKEN'"):
         load_tokens(PageConfig(token_env="NO_TOKEN"), tmp_path)
@@ -386,12 +386,12 @@ def test_one_token_for_both_scopes_is_refused(tmp_path: Path) -> None:
         load_tokens(PageConfig(token_file="t", read_token_file="t"), tmp_path)
 
 
-def test_a_port_that_is_taken_is_told(page: Served, tmp_path: Path) -> None:
+def test_a_port_that_is_taken_is_reported(page: Served, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="choose another port"):
         start(PageConfig(port=page.address[1]), tmp_path)
 
 
-def test_a_certificate_that_is_none_is_told(tmp_path: Path) -> None:
+def test_a_certificate_that_is_none_is_reported(tmp_path: Path) -> None:
     (tmp_path / "page.pem").write_text("no certificate")
     with pytest.raises(UsageError, match="PEM"):
         start(PageConfig(port=0, certificate="page.pem", key="page.pem"), tmp_path)

@@ -29,13 +29,13 @@ def test_a_process_that_was_stopped_says_for_how_long(folder: Path) -> None:  # 
     plant.write_text(PLANT)
     with subprocess.Popen([sys.executable, "-c", PROGRAM, plant], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        told = (json.loads(line) for line in process.stdout)
-        assert any(one["event"] == "alarm" for one in told), "it works"
+        reported = (json.loads(line) for line in process.stdout)
+        assert any(one["event"] == "alarm" for one in reported), "it works"
         os.kill(process.pid, signal.SIGSTOP)
         time.sleep(1.0)
         os.kill(process.pid, signal.SIGCONT)
-        paused = next(one for one in told if one["event"] == "paused")
+        paused = next(one for one in reported if one["event"] == "paused")
         os.kill(process.pid, signal.SIGTERM)
-        assert [one["event"] for one in told][-1] == "ended"
+        assert [one["event"] for one in reported][-1] == "ended"
     assert 0.9 < paused["seconds"] < 60
     assert "stopped" in paused["problem"]

@@ -110,7 +110,7 @@ def test_a_port_that_goes_away_is_opened_again(tmp_path: Path) -> None:
     engine, name = FakeEngine(), tmp_path / "port"
     port = serial_source(engine, tmp_path, port=str(name), axis="x1", header="t,u,x")
     thread = engine.running(port)
-    assert wait_for(lambda: engine.told)
+    assert wait_for(lambda: engine.reported)
     for time in (1, 2):
         controller, slave = os.openpty()
         tty.setraw(controller)
@@ -207,5 +207,5 @@ def test_nobody_may_read_what_is_passed_on_and_the_axes_go_on(tmp_path: Path) ->
     stop(source, thread)
     for one in (read, telegraf, write):
         os.close(one)
-    assert len(engine.told) == 1
+    assert len(engine.reported) == 1
     assert "cannot be passed on" in engine.problems()[0]

@@ -118,7 +118,7 @@ def test_a_sink_that_hangs_costs_the_engine_nothing(host: Host) -> None:
     assert host.count("pmfid_sink_rows_total", sink="s") == 1010
 
 
-def test_a_slow_sink_is_told_once_and_what_is_dropped_is_counted(host: Host) -> None:
+def test_a_slow_sink_is_reported_once_and_what_is_dropped_is_counted(host: Host) -> None:
     @dataclass
     class Slow(Faulty):
         """1 MB/s."""
@@ -138,7 +138,7 @@ def test_a_slow_sink_is_told_once_and_what_is_dropped_is_counted(host: Host) -> 
     written = host.count("pmfid_sink_rows_total", sink="s")
     assert written == sum(one.axis.size for one in sink.got)
     assert written + host.count("pmfid_dropped_rows_total", sink="s") == 100 * offered
-    assert [told["event"] for told in host.told] == ["dropped"]
+    assert [reported["event"] for reported in host.reported] == ["dropped"]
 
 
 def test_offers_from_the_engine_go_on_in_order(host: Host) -> None:
@@ -166,7 +166,7 @@ def test_only_what_is_wanted_waits(host: Host) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_an_error_is_told_once_and_the_end_of_it_too(host: Host) -> None:
+def test_an_error_is_reported_once_and_the_end_of_it_too(host: Host) -> None:
     sink = Faulty(error=OSError(28, "No space left on device", "out.jsonl"))
     outlet = started(sink, host, QueueLimits(rows=50))
     for number in range(1, 11):
@@ -175,17 +175,17 @@ def test_an_error_is_told_once_and_the_end_of_it_too(host: Host) -> None:
     assert until(lambda: host.count("pmfid_sink_errors_total", sink="s") >= 4)
     assert host.count("pmfid_sink_working", sink="s") == 0
     sink.error = None
-    assert until(lambda: len(host.told) == 2)
+    assert until(lambda: len(host.reported) == 2)
     assert outlet.close(20)
-    assert host.told[0] == {
+    assert host.reported[0] == {
         "event": "sink",
         "sink": "s",
         "works": False,
         "problem": "No space left on device: out.jsonl",
     }
-    assert host.told[1] == {"event": "sink", "sink": "s", "works": True, "lost_rows": 50, "lost_notices": 0}
+    assert host.reported[1] == {"event": "sink", "sink": "s", "works": True, "lost_rows": 50, "lost_notices": 0}
     assert host.count("pmfid_sink_working", sink="s") == 1
-    assert sink.opened >= 5, "it is opened anew before each attempt"
+    assert sink.opened >= 5, "it is opened again before each attempt"
     assert [n for n in numbers(sink.got) if n > 100] == list(range(101, 111)), "no alarm is lost"
     assert [n for n in numbers(sink.got) if n < 100] == [6, 7, 8, 9, 10]
 
@@ -202,7 +202,7 @@ def test_a_sink_that_cannot_be_opened_is_tried_again(host: Host) -> None:
     assert numbers(sink.got) == [1]
 
 
-def test_pauses_grow_to_a_limit_and_begin_anew_after_a_steady_time(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pauses_grow_to_a_limit_and_restart_after_a_steady_time(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
     pauses: list[float] = []
     clock = itertools.count(1000.0, 0.001)
     now = [0.0]
@@ -235,7 +235,7 @@ def test_what_a_sink_can_never_take_is_dropped_alone(host: Host) -> None:
     assert outlet.close(20)
     assert numbers(sink.got) == [1, 2, 3, 5, 6, 7, 8]
     assert host.count("pmfid_refused_total", sink="s") == 1
-    assert [told["problem"] for told in host.told] == ["refused: ValueError: number 4 is poison"]
+    assert [reported["problem"] for reported in host.reported] == ["refused: ValueError: number 4 is poison"]
     assert host.count("pmfid_sink_errors_total", sink="s") == 0
 
 
@@ -259,7 +259,7 @@ def test_closing_does_not_wait_for_a_pause(host: Host) -> None:
     sink = Faulty(error=OSError(28, "No space left on device"))
     outlet = started(sink, host)
     outlet.rows(block(GROUP))
-    assert until(lambda: host.told)
+    assert until(lambda: host.reported)
     assert outlet.close(20)
     assert sink.puts in (1, 2), "one more attempt"
     assert sink.closed == 1
@@ -273,11 +273,11 @@ def test_a_sink_is_looked_after_while_nothing_comes(host: Host, monkeypatch: pyt
     outlet = started(sink, host)
     assert until(lambda: sink.opened), "at the start"
     sink.error = OSError(104, "Connection reset by peer")
-    assert until(lambda: host.told)
+    assert until(lambda: host.reported)
     sink.error = None
-    assert until(lambda: len(host.told) == 2)
+    assert until(lambda: len(host.reported) == 2)
     assert outlet.close(20)
-    assert [told["works"] for told in host.told] == [False, True]
+    assert [reported["works"] for reported in host.reported] == [False, True]
     assert sink.got == []
 
 
@@ -286,7 +286,7 @@ def test_what_is_kept_for_a_sink_is_what_it_may_still_get(host: Host) -> None:
     outlet = started(sink, host, QueueLimits(notices=5))
     for number in range(1, 21):
         outlet.notice(alarm(number))
-    assert until(lambda: host.told)
+    assert until(lambda: host.reported)
     assert outlet.close(20)
     assert sorted(one.number for one in outlet.unwritten()) == [16, 17, 18, 19, 20], "also after its end"
     assert host.count("pmfid_dropped_notices_total", sink="s") == 20

@@ -30,9 +30,9 @@ class Failing:
 
 
 def test_a_source_that_begins_again_is_said_to_work_once_something_comes() -> None:
-    told = list[dict[str, Any]]()
-    running = Running(Failing(), Inbox(), told.append, {})
+    reported = list[dict[str, Any]]()
+    running = Running(Failing(), Inbox(), reported.append, {})
     running.start()
     while not running.ended:
         time.sleep(0.01)
-    assert [event["problem"].partition(":")[0] for event in told] == ["RuntimeError", ""]
+    assert [event["problem"].partition(":")[0] for event in reported] == ["RuntimeError", ""]

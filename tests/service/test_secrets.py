@@ -293,7 +293,7 @@ def _were_used(running: Running, seen: dict[str, bytes], messages: bytes) -> Non
     names = [Path(name).name for name in seen]
     assert {"checkpoint-0", "db.sqlite", "lines.jsonl"} <= set(names)
     for what in ("refused", "down", "angry", "wrong"):
-        assert what.encode() in seen["log"], "its failure is told"
+        assert what.encode() in seen["log"], "its failure is reported"
 
 
 def _spoil(place: Path, name: str, how: str, patch: pytest.MonkeyPatch) -> None:
@@ -319,10 +319,10 @@ def test_no_secret_comes_out_of_a_start_that_is_refused(running: Running, monkey
                 _spoil(running.place, name, how, patch)
                 late = threading.Timer(30, os.kill, (os.getpid(), signal.SIGTERM))  # it would serve for ever
                 late.start()
-                told = called("serve", str(running.place / "plant.toml"), "--json", "--until-end", code=2)
+                reported = called("serve", str(running.place / "plant.toml"), "--json", "--until-end", code=2)
                 late.cancel()
-                assert found_in(told.encode()) == []
-                assert "Traceback" not in told
+                assert found_in(reported.encode()) == []
+                assert "Traceback" not in reported
                 refused += 1
                 if content is not None:
                     (running.place / name).write_text(content)

@@ -57,7 +57,7 @@ FOUND = ("alarm", "state", "settled")
 
 
 @pytest.mark.parametrize("piped", [False, True])
-def test_one_axis_is_told_as_by_the_monitor(folder: Path, piped: bool) -> None:
+def test_one_axis_is_reported_as_by_the_monitor(folder: Path, piped: bool) -> None:
     axis, run = str(folder / "axis.toml"), str(folder / "run.csv")
     stdin = Path(run).read_bytes() if piped else None
     source = "-" if piped else run
@@ -119,21 +119,21 @@ def test_a_restart_goes_on_where_the_last_one_ended(folder: Path, tmp_path: Path
     first, second = called("serve", *options), called("serve", *options)
     assert len(events(first, "alarm")) == 1
     assert events(second, *FOUND) == []
-    (told,) = events(second, "checkpoint")
-    assert (told["restored"], told["fresh"]) == (1, 0)
+    (reported,) = events(second, "checkpoint")
+    assert (reported["restored"], reported["fresh"]) == (1, 0)
     plant.write_text(PLANT.replace("axis.toml", "other.toml"))
-    (told,) = events(called("serve", *options), "checkpoint")
-    assert (told["restored"], told["fresh"], told["changed"]) == (0, 1, ["x1"])
+    (reported,) = events(called("serve", *options), "checkpoint")
+    assert (reported["restored"], reported["fresh"], reported["changed"]) == (0, 1, ["x1"])
 
 
 def test_a_configuration_that_fails_costs_its_own_axes_only(folder: Path) -> None:
     plant = folder / "plant.toml"
     (folder / "lonely.toml").write_text((folder / "axis.toml").read_text().replace("normal.csv", "nowhere.csv"))
     plant.write_text(PLANT + '[axes.x2]\nconfig = "lonely.toml"\n')
-    told = called("serve", str(plant), "--until-end", "--json")
-    assert events(told, "serving")[0]["axes"] == 1
-    assert len(events(told, "alarm")) == 1
-    (problem,) = [event["problem"] for event in events(told, "configuration") if "problem" in event]
+    reported = called("serve", str(plant), "--until-end", "--json")
+    assert events(reported, "serving")[0]["axes"] == 1
+    assert len(events(reported, "alarm")) == 1
+    (problem,) = [event["problem"] for event in events(reported, "configuration") if "problem" in event]
     assert "nowhere.csv" in problem
     plant.write_text(PLANT.replace("axis.toml", "lonely.toml") + '[axes.x2]\nconfig = "none.toml"\n')
     assert "no axis can be watched" in called("serve", str(plant), "--until-end", code=2)
@@ -225,7 +225,7 @@ class Acting:
     text: StringIO
 
     def run(self, *steps: Callable[[], None]) -> Events:
-        """What was told, of a service whose log is JSON."""
+        """What was reported, of a service whose log is JSON."""
         self.act(*steps)
         return events(self.text.getvalue(), "alarm", "state", "settled", "reload", "ended", "gap", "unusable")
 
@@ -291,10 +291,10 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
         acting.until("reload", times=2)
 
     found = acting.run(write(rows[:900], 900), reload, write(rows[900:], 1600))
-    told = [event for event in found if event["event"] == "reload"]
-    assert (told[0]["added"], told[0]["changed"], told[0]["removed"]) == (1, 0, 1)
-    assert told[0]["problem"].startswith("[service] as before"), "those that differ are named, and no others"
-    assert "goes on as before" in told[1]["problem"]
+    reported = [event for event in found if event["event"] == "reload"]
+    assert (reported[0]["added"], reported[0]["changed"], reported[0]["removed"]) == (1, 0, 1)
+    assert reported[0]["problem"].startswith("[service] as before"), "those that differ are named, and no others"
+    assert "goes on as before" in reported[1]["problem"]
     expected = events(
         called(
             "monitor", "-", "--config", str(folder / "axis.toml"), "--json", stdin=(folder / "run.csv").read_bytes()
@@ -306,7 +306,7 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
     assert found[-1]["event"] == "ended"
 
 
-def test_systemd_is_told(folder: Path, acting: Acting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_systemd_is_reported(folder: Path, acting: Acting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "plant.toml").write_text(PLANT)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
         channel.bind(str(tmp_path / "notify"))
@@ -327,7 +327,7 @@ def test_systemd_is_told(folder: Path, acting: Acting, tmp_path: Path, monkeypat
 
 
 def wrapped(folder: Path, place: Path, bits: int, start: int) -> Events:
-    """What is told of run.csv when its counter has so many bits and stands at `start` at first."""
+    """What is reported run.csv when its counter has N bits and stands at `start` at first."""
     text = (folder / "axis.toml").read_text().replace("[model]", f"bits = {bits}\n\n[model]")
     (place / "axis.toml").write_text(text)
     (place / "normal.csv").write_text((folder / "normal.csv").read_text())
@@ -371,5 +371,5 @@ def test_what_costs_nothing_is_looked_at_before_the_calibration(
 def test_a_plant_to_which_nothing_can_come_says_so(folder: Path) -> None:
     plant = folder / "silent.toml"
     plant.write_text(PLANT[: PLANT.index("[sources.a]")])
-    told = called("serve", str(plant), "--until-end", "--json")
-    assert ["add [sources.NAME]" in event["problem"] for event in events(told, "source")] == [True]
+    reported = called("serve", str(plant), "--until-end", "--json")
+    assert ["add [sources.NAME]" in event["problem"] for event in events(reported, "source")] == [True]

@@ -62,14 +62,14 @@ class Sink:
 
 @dataclass
 class Outlet:
-    """Keeps what is told."""
+    """Keeps what is reported."""
 
-    told: list[Notice] = field(default_factory=list)
+    reported: list[Notice] = field(default_factory=list)
 
     def rows(self, rows: object) -> None: ...
 
     def notice(self, notice: Notice) -> None:
-        self.told.append(notice)
+        self.reported.append(notice)
 
 
 @dataclass
@@ -92,7 +92,7 @@ class Watched:
         return engine
 
     def run(self, seconds: float, *axes: str, source: str = "hall", other: str = "lab") -> None:
-        """So many seconds, in which these axes send by one source; the other one sends what nobody knows."""
+        """N seconds, in which these axes send by one source; the other one sends what nobody knows."""
         for _ in range(round(seconds)):
             self.at += 1.0
             self.engine.silence.tick(self.at)
@@ -118,9 +118,9 @@ class Watched:
 
     def taken(self) -> list[tuple[str, str, str]]:
         """(event, what is silent, its name) since the last time."""
-        told, self.outlet.told = self.outlet.told, []
+        reported, self.outlet.reported = self.outlet.reported, []
         kinds = ("alarm", "cleared")
-        return [(n.what["event"], n.what["silent"], n.what["name"]) for n in told if n.what["event"] in kinds]
+        return [(n.what["event"], n.what["silent"], n.what["name"]) for n in reported if n.what["event"] in kinds]
 
     def level(self, name: str, **labels: str) -> float:
         return self.engine.counters.values()[name, tuple(labels.items())]
@@ -239,7 +239,7 @@ def test_a_process_that_stood_still_does_not_take_its_own_pause_for_silence(watc
     assert watched.taken() == []
 
 
-def test_an_axis_that_begins_anew_stays_silent_until_it_sends(watched: Watched) -> None:
+def test_an_axis_that_restarts_stays_silent_until_it_sends(watched: Watched) -> None:
     watched.run(LIMIT + 2, "x1", "x3")
     seat = watched.engine.seat("x2")
     assert seat is not None
@@ -268,10 +268,10 @@ def test_nothing_is_silent_with_a_limit_of_0(prepared: Prepared) -> None:
 
 def test_an_acknowledged_silence_is_no_other_alarm(watched: Watched) -> None:
     watched.run(LIMIT + 2, "x1", "x3")
-    (alarm,) = [one for one in watched.outlet.told if one.what["event"] == "alarm"]
+    (alarm,) = [one for one in watched.outlet.reported if one.what["event"] == "alarm"]
     watched.engine.commands.acknowledge(alarm.number, "night")
     watched.engine.tick(0.0)
-    (known,) = [one for one in watched.outlet.told if one.what["event"] == "acknowledged"]
+    (known,) = [one for one in watched.outlet.reported if one.what["event"] == "acknowledged"]
     link = Link()
     sink = sink_of(link)
     sink.put([notice(1, "alarm", axis="x2"), alarm, known])
@@ -283,31 +283,31 @@ def test_an_acknowledged_silence_is_no_other_alarm(watched: Watched) -> None:
 
 
 @pytest.fixture
-def told(watched: Watched) -> list[Notice]:
+def reported(watched: Watched) -> list[Notice]:
     """Alarms of an axis, a source and a sink, then that they are over."""
     watched.run(1, *watched.axes)
     watched.sink.state = False
     watched.run(LIMIT + 2, "x1", "x3", other="")
     watched.sink.state = True
     watched.run(2, *watched.axes)
-    return [one for one in watched.outlet.told if "silent" in one.what]
+    return [one for one in watched.outlet.reported if "silent" in one.what]
 
 
-def test_the_broker_retains_it_until_it_is_over(told: list[Notice]) -> None:
+def test_the_broker_retains_it_until_it_is_over(reported: list[Notice]) -> None:
     link = Link()
     sink = sink_of(link, clear="never", events=False)
-    sink.put(told[:3])
+    sink.put(reported[:3])
     topics = [f"pmfid/hall-3/alarms/{one}/silent" for one in ("x2", "_sink/db", "_source/lab")]
     assert [bool(link.retained()[topic]) for topic in topics] == [True] * 3
-    sink.put(told[3:])
+    sink.put(reported[3:])
     assert [link.retained()[topic] for topic in topics] == [b""] * 3
 
 
-def test_by_default_the_webhook_posts_both(told: list[Notice], tmp_path: Path) -> None:
+def test_by_default_the_webhook_posts_both(reported: list[Notice], tmp_path: Path) -> None:
     with web_server() as server:
         outlet = SINKS["webhook"]().model_validate({"kind": "webhook", "url": server.url}).outlet("w", Host(tmp_path))
         outlet.start()
-        for one in told:
+        for one in reported:
             outlet.notice(one)
         assert outlet.close(20)
     events = [json.loads(body)["event"] for _, _, body in server.got]
@@ -315,10 +315,10 @@ def test_by_default_the_webhook_posts_both(told: list[Notice], tmp_path: Path) -
 
 
 @pytest.mark.parametrize("kind", ["file", "sqlite"])
-def test_files_have_both(told: list[Notice], tmp_path: Path, kind: str) -> None:
+def test_files_have_both(reported: list[Notice], tmp_path: Path, kind: str) -> None:
     outlet = SINKS[kind]().model_validate({"kind": kind, "path": f"a.{kind}"}).outlet("a", Host(tmp_path))
     outlet.start()
-    for one in told:
+    for one in reported:
         outlet.notice(one)
     assert outlet.close(20)
     assert events_of(tmp_path, kind) == ["alarm"] * 3 + ["cleared"] * 3
@@ -339,8 +339,8 @@ def events_in(file: Path) -> list[str]:
     return found
 
 
-def test_the_log_says_it_for_people(told: list[Notice]) -> None:
-    lines = sorted(line(one) for one in told)
+def test_the_log_says_it_for_people(reported: list[Notice]) -> None:
+    lines = sorted(line(one) for one in reported)
     assert lines[0].startswith("ALARM  nothing came from the source lab for 60 s; look")
     assert lines[1].startswith("ALARM  the sink db took nothing for 60 s; look")
     assert lines[2].startswith("the alarm is over: sink db, silent for 6")
@@ -357,13 +357,13 @@ def test_the_metrics_have_it_in_words(watched: Watched) -> None:
     assert 'pmfid_sink_silent{sink="db"} 0.0\n' in text
 
 
-# --- a sink behind its queue ------------------------------------------------------------------------------------------
+# --- a sink after its queue ------------------------------------------------------------------------------------------
 
 
 def test_a_queue_knows_whether_its_sink_takes_what_it_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     sink, begun = Faulty(), time.monotonic()
-    outlet = Queued(sink, Counters(), lambda told: None)
+    outlet = Queued(sink, Counters(), lambda reported: None)
     outlet.start()
     assert outlet.works(begun) is None, "nothing was given to it yet"
     sink.error = OSError("full")
@@ -377,7 +377,7 @@ def test_a_queue_knows_whether_its_sink_takes_what_it_is_given(monkeypatch: pyte
 
 def test_a_sink_that_hangs_does_not_work() -> None:
     sink = Faulty(hold=threading.Event())
-    outlet = Queued(sink, Counters(), lambda told: None)
+    outlet = Queued(sink, Counters(), lambda reported: None)
     outlet.start()
     outlet.rows(rows_of(kindred()))
     assert until(lambda: outlet.works(time.monotonic()) is False)
@@ -389,7 +389,7 @@ def test_a_sink_that_hangs_does_not_work() -> None:
 
 def test_a_sink_that_refuses_all_it_is_given_does_not_work() -> None:
     sink = Faulty(error=ValueError("no"))
-    outlet = Queued(sink, Counters(), lambda told: None)
+    outlet = Queued(sink, Counters(), lambda reported: None)
     outlet.start()
     outlet.rows(rows_of(kindred()))
     assert until(lambda: outlet.works(time.monotonic()) is False)
@@ -424,9 +424,9 @@ def acting(place: Path) -> Acting:
     return Acting(Service(lambda: load_plant(place / "plant.toml"), NoticeLog(text)), text)
 
 
-def told_in_order(one: Acting) -> list[tuple[str, str]]:
+def reported_in_order(one: Acting) -> list[tuple[str, str]]:
     """(what is silent, event)"""
-    return [(told["silent"], told["event"]) for told in events(one.text.getvalue(), "alarm", "cleared")]
+    return [(reported["silent"], reported["event"]) for reported in events(one.text.getvalue(), "alarm", "cleared")]
 
 
 def test_a_service_tells_silence_once_over_a_restart_and_its_end(folder: Path) -> None:  # noqa: F811
@@ -436,21 +436,21 @@ def test_a_service_tells_silence_once_over_a_restart_and_its_end(folder: Path) -
     (folder / "folder").write_text("in the way")
     first = acting(folder)
     first.run(lambda: first.until("alarm", times=3))
-    assert sorted(told_in_order(first)) == [("axis", "alarm"), ("sink", "alarm"), ("source", "alarm")]
+    assert sorted(reported_in_order(first)) == [("axis", "alarm"), ("sink", "alarm"), ("source", "alarm")]
 
     second = acting(folder)
 
     def back() -> None:
         time.sleep(3.0)
-        assert told_in_order(second) == []
+        assert reported_in_order(second) == []
         assert second.service.counters.values()["pmfid_sink_silent", (("sink", "lines"),)] == 1
         (folder / "folder").unlink()
         with (folder / "log.csv").open("a") as file:
             file.write("".join(rows[200:400]))
 
     second.run(back, lambda: second.until("cleared", times=3))
-    first_told = dict(reversed(told_in_order(second)))
-    assert first_told == dict.fromkeys(("axis", "sink", "source"), "cleared")
+    first_reported = dict(reversed(reported_in_order(second)))
+    assert first_reported == dict.fromkeys(("axis", "sink", "source"), "cleared")
     written = (folder / "folder/that/is/a/file/a.jsonl").read_text()
     assert re.findall(r'"event":"(\w+)",.*"silent":"sink"', written) == ["alarm", "cleared"], (
         "once it works, it has it, too"
@@ -481,7 +481,7 @@ def test_the_plant_of_the_examples_is_silent_killed_and_back(
             time.sleep(15.0)
             assert served.total("pmfid_axes_silent") == 12
             assert served.total("pmfid_source_silent") == 1
-            assert len(server.got) == 13, "nothing is told twice"
+            assert len(server.got) == 13, "nothing is reported twice"
             sent(broker, 12.0)
             assert until(lambda: len(server.got) == 26, 30)
             assert served.total("pmfid_axes_silent") == served.total("pmfid_source_silent") == 0
@@ -505,7 +505,7 @@ def test_the_plant_of_the_examples_is_silent_killed_and_back(
 
 
 def sent(broker: Broker, seconds: float) -> float:
-    """The twelve carts send for so many seconds; when they ended."""
+    """The twelve carts send for N seconds; when they ended."""
     words = [EXAMPLES / "plant_machines.py", "--port", broker.port, "--seconds", seconds, "--step", 1000]
     subprocess.run([sys.executable, *map(str, words)], check=True, capture_output=True)
     return time.time()

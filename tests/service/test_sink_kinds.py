@@ -59,7 +59,7 @@ def test_no_sink_brings_a_heavy_library_before_it_is_used() -> None:
     ("kind", "keys"),
     [("file", {"path": "/proc/a"}), ("sqlite", {"path": "/proc/a"})],
 )
-def test_a_folder_that_nothing_can_be_written_to_is_told_once_and_costs_only_what_is_dropped(
+def test_a_folder_that_nothing_can_be_written_to_is_reported_once_and_costs_only_what_is_dropped(
     kind: str, keys: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.001)
@@ -73,8 +73,8 @@ def test_a_folder_that_nothing_can_be_written_to_is_told_once_and_costs_only_wha
         outlet.notice(alarm(number))
     assert until(lambda: host.count("pmfid_sink_errors_total", sink="a") > 2)
     assert outlet.close(20)
-    assert host.told[0]["works"] is False
-    assert len(host.told) <= 2, "and once more at the end"
+    assert host.reported[0]["works"] is False
+    assert len(host.reported) <= 2, "and once more at the end"
     assert host.count("pmfid_sink_working", sink="a") == 0
     rows, notices = (host.count(f"pmfid_dropped_{what}_total", sink="a") for what in ("rows", "notices"))
     assert (rows, notices) == (0 if kind == "sqlite" else 300, 100)

@@ -37,7 +37,7 @@ def written(path: Path, *outcomes: EstimateRows | Notice) -> None:
 
 @contextmanager
 def full_at(size: int) -> Iterator[None]:
-    """No file grows beyond so many bytes, as on a full disk."""
+    """No file grows beyond N bytes, as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
@@ -140,12 +140,12 @@ def test_a_sink_that_cannot_write_tells_and_goes_on_by_itself(tmp_path: Path, mo
     outlet.start()
     outlet.notice(alarm(1))
     outlet.rows(block(kindred()))
-    assert until(lambda: host.told)
+    assert until(lambda: host.reported)
     blocked.unlink()
-    assert until(lambda: len(host.told) == 2)
+    assert until(lambda: len(host.reported) == 2)
     assert outlet.close(20)
-    assert "folder" in host.told[0]["problem"]
-    assert host.told[1]["works"]
+    assert "folder" in host.reported[0]["problem"]
+    assert host.reported[1]["works"]
     assert of(tmp_path / "folder" / "a.sqlite", "SELECT number FROM alarms") == [(1,)]
 
 

@@ -83,7 +83,7 @@ def deliveries(random: Random) -> list[Delivery]:
     return found
 
 
-def told(engine: StreamEngine, outlet: Collected) -> tuple[object, ...]:
+def reported(engine: StreamEngine, outlet: Collected) -> tuple[object, ...]:
     counts = {key: value for key, value in engine.counters.values().items() if "seconds" not in key[0]}
     return outlet.rows_of, repr(sorted(outlet.notices.items())), counts, snapshot(engine)[2:]
 
@@ -104,7 +104,7 @@ def test_a_table_is_its_blocks_one_by_one(prepared: Prepared, seed: int, monkeyp
             own = [Delivery(d.source, split_tables(d.items), received=d.received) for d in batch] if single else batch
             engine.process(own)
         engines.append(engine)
-    tables, blocks = (told(engine, outlet) for engine, outlet in zip(engines, outlets, strict=True))
+    tables, blocks = (reported(engine, outlet) for engine, outlet in zip(engines, outlets, strict=True))
     assert tables == blocks
     kinds = {what["event"] for _, what in outlets[0].notices.values()}
     assert {"gap", "clock", "epoch", "period"} <= kinds
@@ -132,11 +132,11 @@ def test_what_an_order_knows_goes_with_its_axis_when_others_go_and_over_a_restar
     assert snapshot(engine)[2:] == snapshot(restored)[2:]
 
 
-def test_a_clock_whose_rate_comes_right_and_goes_wrong_again_is_told_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_whose_rate_comes_right_and_goes_wrong_again_is_reported_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     set_tuning(monkeypatch, clock, rate_time=0.3)
     set_tuning(monkeypatch, clock, rate_samples=20)
     both, alone = Order(CART_DT, 0), Order(CART_DT, 0)
-    told, at_once, time = list[dict[str, object]](), 0, 0.0
+    reported, at_once, time = list[dict[str, object]](), 0, 0.0
     for k in range(3 * TURNS):
         u = np.zeros(SIZE)
         block = Block("x", 0, k * SIZE, time, CART_DT, u, u.astype(int))
@@ -145,8 +145,8 @@ def test_a_clock_whose_rate_comes_right_and_goes_wrong_again_is_told_twice(monke
         if take_expected(both.place.positions, CART_DT, np.array([0]), table([block])).all():
             at_once += 1
         elif (verdict := both.take(block, 0.0, k, [])) is not None:
-            told += verdict.events
+            reported += verdict.events
         for name, column in vars(both.place.positions).items():
             assert np.array_equal(column, getattr(alone.place.positions, name), equal_nan=True), name
-    assert [what["event"] for what in told] == ["clock", "clock"]
+    assert [what["event"] for what in reported] == ["clock", "clock"]
     assert at_once > TURNS

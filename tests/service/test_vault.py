@@ -29,7 +29,7 @@ from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.vault import Vault
 from tests.tuned import set_tuning
 
-Told = list[dict[str, Any]]
+Report = list[dict[str, Any]]
 
 
 def as_text(body: bytes) -> str:
@@ -41,18 +41,18 @@ def as_text(body: bytes) -> str:
 
 def written(folder: Path, *bodies: bytes) -> None:
     vault = Vault(folder)
-    vault.load(as_text, lambda told: None)
+    vault.load(as_text, lambda reported: None)
     for body in bodies:
         vault.write([body[:3], body[3:]])
     vault.close()
 
 
-def loaded(folder: Path) -> tuple[str | None, Told]:
-    told: Told = []
+def loaded(folder: Path) -> tuple[str | None, Report]:
+    reported: Report = []
     vault = Vault(folder)
-    found = vault.load(as_text, told.append)
+    found = vault.load(as_text, reported.append)
     vault.close()
-    return found, told
+    return found, reported
 
 
 def flip(data: bytes, place: int) -> bytes:
@@ -89,20 +89,20 @@ def test_a_damaged_one_is_set_aside_and_the_older_one_is_taken(
     written(tmp_path, b"state 1", b"state 2")
     newest = tmp_path / "checkpoint-0"
     newest.write_bytes(damage(newest.read_bytes()))
-    found, told = loaded(tmp_path)
+    found, reported = loaded(tmp_path)
     assert found == "state 1"
-    assert [(what["event"], what["damaged"]) for what in told] == [("checkpoint", "checkpoint-0.damaged-1")]
+    assert [(what["event"], what["damaged"]) for what in reported] == [("checkpoint", "checkpoint-0.damaged-1")]
     assert (tmp_path / "checkpoint-0.damaged-1").exists()
     written(tmp_path, b"state 5")
     assert loaded(tmp_path) == ("state 5", [])
 
 
-def test_with_neither_the_service_starts_anew(tmp_path: Path) -> None:
+def test_with_neither_the_service_starts_again(tmp_path: Path) -> None:
     written(tmp_path, b"state 1", b"other 2")
     (tmp_path / "checkpoint-1").write_bytes(b"PMFIDCKP and nothing else")
-    found, told = loaded(tmp_path)
+    found, reported = loaded(tmp_path)
     assert found is None
-    assert len(told) == 2
+    assert len(reported) == 2
 
 
 def test_a_folder_has_one_service(tmp_path: Path) -> None:
@@ -169,8 +169,8 @@ class Broken:
 
 
 def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> None:
-    engine, sink, told = engine_of(prepared), Broken(), Told()
-    queued = Queued(sink, engine.counters, told.append)
+    engine, sink, reported = engine_of(prepared), Broken(), Report()
+    queued = Queued(sink, engine.counters, reported.append)
     engine.unwritten = lambda: {queued.name: queued.unwritten()}
     queued.start()
     alarm = Notice("x1", 7, 1.5, {"event": "alarm", "parameter": "mass"})
@@ -185,8 +185,8 @@ def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> Non
 def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
     prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counters, told, done = Counters(), Told(), list[int]()
-    keeper = Checkpoints(Vault(tmp_path), 0.0, counters, told.append)
+    counters, reported, done = Counters(), Report(), list[int]()
+    keeper = Checkpoints(Vault(tmp_path), 0.0, counters, reported.append)
     engine = engine_of(prepared)
     engine.keeper = keeper
 
@@ -208,7 +208,7 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
     checkpoint(3)
     keeper.offer(engine, last=True)
     assert done == [0, 1, 2, 3]
-    assert [("works" in what, what.get("problem", "").split(";")[0]) for what in told] == [
+    assert [("works" in what, what.get("problem", "").split(";")[0]) for what in reported] == [
         (False, "no checkpoint can be written: No space left on device"),
         (True, ""),
     ]
@@ -216,7 +216,7 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
     assert values["pmfid_checkpoint_errors_total"] == 2
     assert values["pmfid_checkpoint_working"] == 1
     vault = Vault(tmp_path)
-    found = vault.load(read_snapshot, told.append)
+    found = vault.load(read_snapshot, reported.append)
     vault.close()
     assert found is not None
     assert found.groups[0].restore_group(prepared, Pace()).numbers.tolist() == [40, 0]
@@ -235,7 +235,7 @@ def test_a_large_state_is_not_written_all_the_time(
         now[0] += 2.0
 
     monkeypatch.setattr(vault, "write", slow)
-    keeper = Checkpoints(vault, 1.0, Counters(), Told().append)
+    keeper = Checkpoints(vault, 1.0, Counters(), Report().append)
     engine = engine_of(prepared)
     for k in range(60):
         now[0] += 0.5
@@ -251,8 +251,8 @@ def test_a_large_state_is_not_written_all_the_time(
 
 
 def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_path: Path) -> None:
-    done, told = list[int](), Told()
-    keeper = Checkpoints(Vault(tmp_path), 3600.0, Counters(), told.append)
+    done, reported = list[int](), Report()
+    keeper = Checkpoints(Vault(tmp_path), 3600.0, Counters(), reported.append)
     engine = engine_of(prepared)
     engine.keeper = keeper
     for k in range(3):
@@ -261,14 +261,14 @@ def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_
     assert done == []
     keeper.offer(engine, last=True)
     assert done == [0, 1, 2]
-    assert told == []
+    assert reported == []
 
 
 def test_an_alarm_that_a_sink_got_is_in_no_checkpoint_for_long_though_nothing_else_comes(
     prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_tuning(monkeypatch, keeping, keeping_rest=0.0)
-    keeper, engine = Checkpoints(Vault(tmp_path), 0.0, Counters(), Told().append), engine_of(prepared)
+    keeper, engine = Checkpoints(Vault(tmp_path), 0.0, Counters(), Report().append), engine_of(prepared)
     waiting = [Notice("x1", 7, 0.0, {"event": "alarm"})]
     engine.unwritten = lambda: {"hook": list(waiting)}
     engine.urgent = True
@@ -285,7 +285,7 @@ def test_the_engine_does_not_wait_for_new_memory(
     prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_tuning(monkeypatch, keeping, keeping_large=0)
-    keeper, makers = Checkpoints(Vault(tmp_path), 0.0, Counters(), Told().append), list[str]()
+    keeper, makers = Checkpoints(Vault(tmp_path), 0.0, Counters(), Report().append), list[str]()
     grow = StateBuffer.grow
 
     def noted(room: StateBuffer, size: int) -> None:
@@ -306,7 +306,7 @@ def test_the_engine_does_not_wait_for_new_memory(
     assert makers == ["checkpoints"]
     (saved,) = read_snapshot(b"".join(snapshot(engine))).groups
     vault = Vault(tmp_path)
-    found = vault.load(read_snapshot, Told().append)
+    found = vault.load(read_snapshot, Report().append)
     vault.close()
     assert found is not None
     assert bytes(found.groups[0].state) == bytes(saved.state)

@@ -1,4 +1,4 @@
-"""Alarms by POST: each once, bounded in time, to that address alone, and no secret in what is told."""
+"""Alarms by POST: each once, bounded in time, to that address alone, and no secret in what is reported."""
 
 from __future__ import annotations
 
@@ -40,14 +40,19 @@ def test_an_alarm_is_posted_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert headers["X-Token"] == TOKEN
     assert headers["Content-Type"] == "application/json"
     assert headers["Idempotency-Key"] != others["Idempotency-Key"]
-    told = json.loads(body)
-    assert told["service"] == "hall-3"
-    assert (told["axis"], told["number"], told["event"], told["parameter"]) == ("x1", 7, "alarm", "mass")
-    assert (told["relative"], told["std"]) == (0.2, None)
+    reported = json.loads(body)
+    assert reported["service"] == "hall-3"
+    assert (reported["axis"], reported["number"], reported["event"], reported["parameter"]) == (
+        "x1",
+        7,
+        "alarm",
+        "mass",
+    )
+    assert (reported["relative"], reported["std"]) == (0.2, None)
     assert (json.loads(other)["alarm"], json.loads(other)["note"]) == (7, '"<é>')
 
 
-def test_behind_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) -> None:
+def test_after_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) -> None:
     with web_server() as server:
         outlet = WebhookSection(url=server.url, events=("alarm", "settled")).outlet("hook", Host(tmp_path))
         outlet.start()
@@ -73,7 +78,7 @@ def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeyp
     numbers = [json.loads(body)["number"] for _, _, body in server.got]
     assert numbers == [1, 2, 2, 2, 3, 3, 4, 5]
     assert host.count("pmfid_refused_total", sink="hook") == 1
-    assert [told.get("problem") for told in host.told] == [
+    assert [reported.get("problem") for reported in host.reported] == [
         "the server answers 500",
         None,
         "refused: the server answers 422",
@@ -140,9 +145,9 @@ def test_nobody_listens_is_an_error_that_may_pass_and_tells_no_secret(tmp_path: 
     outlet = WebhookSection(url_file="url").outlet("hook", host)
     outlet.start()
     outlet.notice(alarm(1))
-    assert until(lambda: host.told)
+    assert until(lambda: host.reported)
     outlet.close(20)
-    assert host.told[0]["problem"] == "Connection refused"
+    assert host.reported[0]["problem"] == "Connection refused"
 
 
 @pytest.mark.skipif(which("openssl") is None, reason="there is no openssl on this machine to make a certificate")
@@ -176,7 +181,7 @@ def test_certificates_are_verified(tmp_path: Path) -> None:
         ("https://example.org", "", "empty"),
     ],
 )
-def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_told(
+def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str, secret: str | None, problem: str
 ) -> None:
     keys = {}
@@ -201,7 +206,7 @@ def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_told(
         ({"url": "https://a.b", "events": ["alarms"]}, "no event 'alarms'; there are alarm, .*; did you mean 'alarm'"),
     ],
 )
-def test_a_section_that_cannot_be_is_told(keys: dict[str, object], problem: str) -> None:
+def test_a_section_that_cannot_be_is_reported(keys: dict[str, object], problem: str) -> None:
     class Whole(FileSection):
         hook: WebhookSection
 
@@ -213,6 +218,6 @@ def test_all_events_of_the_service_are_known() -> None:
     source = Path(pmfid.service.__file__).parent
     texts = [path.read_text(encoding="utf-8") for path in source.rglob("*.py")]
     texts.append((source.parent / "pipeline" / "monitored" / "run.py").read_text(encoding="utf-8"))
-    told = {event for text in texts for event in re.findall(r'"event": "([a-z ]+)"', text)}
-    assert len(told) > 10
-    assert told - set(EVENTS) == set()
+    reported = {event for text in texts for event in re.findall(r'"event": "([a-z ]+)"', text)}
+    assert len(reported) > 10
+    assert reported - set(EVENTS) == set()

@@ -27,18 +27,18 @@ class Server:
 @contextmanager
 def web_server(*answers: int, context: object = None) -> Iterator[Server]:
     """A server on a port of this machine; context: an SSLContext for https."""
-    told = Server(list(answers) or [200])
+    reported = Server(list(answers) or [200])
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
-            told.got.append((self.path, dict(self.headers), body))
-            status = told.answers.pop(0) if len(told.answers) > 1 else told.answers[0]
+            reported.got.append((self.path, dict(self.headers), body))
+            status = reported.answers.pop(0) if len(reported.answers) > 1 else reported.answers[0]
             self.send_response(status)
             if 300 <= status < 400:
-                self.send_header("Location", f"http://127.0.0.1:{told.port}/elsewhere")
+                self.send_header("Location", f"http://127.0.0.1:{reported.port}/elsewhere")
             self.send_header("Content-Length", "0")
             self.end_headers()
 
@@ -49,11 +49,11 @@ def web_server(*answers: int, context: object = None) -> Iterator[Server]:
     server.daemon_threads = True
     if context is not None:
         server.socket = context.wrap_socket(server.socket, server_side=True)  # type: ignore[attr-defined]
-    told.port = server.server_address[1]
+    reported.port = server.server_address[1]
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
     thread.start()
     try:
-        yield told
+        yield reported
     finally:
         server.shutdown()
         server.server_close()

@@ -1,7 +1,7 @@
 """A stream on Spark killed again and again, the driver with all of its process group, at named points and at random:
 `python -m tests.spark.kill_campaign --kills 20`.
 
-Behind the last restart the states of all axes must be those of one process without Spark, bit by bit, and the files of
+After the last restart the states of all axes must be those of one process without Spark, bit by bit, and the files of
 the results must hold each of its estimates once and no others.
 """
 
@@ -43,7 +43,7 @@ LONGEST = 900.0
 
 @dataclass
 class Campaign:
-    """kills: so many; at: what it was that killed."""
+    """kills: N; at: what it was that killed."""
 
     kills: int = 0
     at: Counter[str] = field(default_factory=Counter)
@@ -80,7 +80,7 @@ def kill_once(folder: Path, rng: random.Random) -> str | None:
 
 
 def _noted(folder: Path, kind: str) -> int:
-    """So many batches, those of which Spark has cleared its notes among them."""
+    """N batches, those of which Spark has cleared its notes among them."""
     place = folder / "checkpoint" / SPARK / kind
     numbers = [int(path.name) for path in place.iterdir() if path.name.isdigit()] if place.is_dir() else []
     return 1 + max(numbers, default=-1)
@@ -126,7 +126,7 @@ def assert_same(folder: Path, plan: StreamPlan, rows: Sequence[Row]) -> tuple[in
 
 
 def campaign(folder: Path, kills: int, axes: int, seconds: float, files: int, seed: int = 0) -> Campaign:
-    """So many kills while files come; raises AssertionError where one of them left a trace."""
+    """N kills while files come; raises AssertionError where one of them left a trace."""
     write_axis(folder, 60.0)
     plan, rows, done, rng = plan_of(folder, SHARDS), rows_of(axes, seconds), Campaign(), random.Random(seed)
     write_parts(folder / "in", parts_of(rows, files))

@@ -48,7 +48,7 @@ def block_of(name: str, seconds: float = 1.0, seed: int = 0) -> Block:
 
 
 def parts_of(rows: Sequence[Row], files: int) -> list[list[Row]]:
-    """The rows in so many files."""
+    """The rows in N files."""
     size = math.ceil(len(rows) / files)
     return [list(rows[k : k + size]) for k in range(0, len(rows), size)]
 
@@ -64,7 +64,7 @@ def write_parts(folder: Path, parts: Sequence[Sequence[Row]]) -> None:
 
 
 def in_one_process(plan: StreamPlan, batches: Sequence[Sequence[Row]]) -> tuple[dict[int, bytes], pl.DataFrame]:
-    """The bodies of all shards behind these batches, and all that was given out, without a restart."""
+    """The bodies of all shards after these batches, and all that was given out, without a restart."""
     shards, tables = dict[int, StreamShard](), list[pl.DataFrame]()
     for batch in batches:
         by_shard: dict[int, list[bytes]] = {}
@@ -87,7 +87,7 @@ def estimates_of(table: pl.DataFrame) -> pl.DataFrame:
 
 def essence(saved: Saved) -> dict[str, object]:
     """What of the state of each axis decides what comes, in a fixed order of the axes; not what counts how often
-    something came too late or was told, which depends on where batches end."""
+    something came too late or was reported, which depends on where batches end."""
     order = sorted(range(len(saved.axes)), key=saved.axes.__getitem__)
     names = [name for name in saved.seats.dtype.names or () if name != "seat"]
     gaps = {saved.axes[int(k)]: own.get("gaps") for k, own in saved.rare.items()}
