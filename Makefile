@@ -7,7 +7,7 @@ BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
-.PHONY: demo test test-long spark kills broker-kills service-faults soak check format bench study hostile firmware \
+.PHONY: demo test test-long spark kills broker-kills service-faults soak check format bench bench-compare study hostile firmware \
     firmware-tools service-tools spark-tools golden images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. An edit of Python
@@ -135,6 +135,12 @@ bench: .venv/peers
 	mkdir -p results
 	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json .benchmarks/reading.json \
 		results/benchmarks.md
+
+# The time of a sample in this version over that in the commit REF, in turn on this machine.
+REF ?= HEAD~1
+bench-compare: .venv/installed
+	mkdir -p .benchmarks
+	.venv/bin/python -m benchmarks.compare $(REF)
 
 firmware: .venv/tools
 	mkdir -p results/images

@@ -125,6 +125,16 @@ static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, cons
     many->status[row] = (uint32_t)state->status[lane];
 }
 
+/* The next tile is fetched while this one is computed: rows of many axes are too many for the processor to foresee. */
+static void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint64_t samples)
+{
+    uint64_t bytes = rows->sample == (int64_t)rows->size ? (samples - sample) * rows->size : 1U, at;
+    const unsigned char *start = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
+    for (at = 0; at < bytes && at < TILE * rows->size; at += 64U) {
+        __builtin_prefetch(start + at);
+    }
+}
+
 /* How many axes the next group has; 0 where so few are left that they had better be computed one by one. */
 static uint32_t group_of(uint64_t left)
 {
@@ -144,6 +154,10 @@ static void run_group(const pmf_config_t *config, const pmf_layout_t *layout, co
             uint64_t axis = first + axis_of(lane, axes);
             take_inputs(&many->input, axis, sample, samples, (lane_real_t *)tile.input + lane);
             take_counts(&many->counts, axis, sample, samples, (lane_word_t *)tile.count + lane);
+            if (sample + TILE < many->samples) {
+                fetch(&many->input, axis, sample + TILE, many->samples);
+                fetch(&many->counts, axis, sample + TILE, many->samples);
+            }
         }
         for (k = 0; k < samples; ++k) {
             (void)pmf_step(config, state, tile.input[k], tile.count[k]);

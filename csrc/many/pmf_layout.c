@@ -7,7 +7,7 @@
 
 #include <stddef.h>
 
-#define MAX_RANGES 96U
+#define MAX_RANGES 192U
 #define IN_STATE(member) (uint32_t)offsetof(pmf_state_t, member)
 #define END_IN_STATE(member) (IN_STATE(member) + (uint32_t)sizeof(((pmf_state_t *)0)->member))
 #define IN_RECURSION(member) (uint32_t)offsetof(pmf_recursion_state_t, member)
@@ -36,6 +36,16 @@ static void leave_tail(unused_t *unused, uint32_t at, uint32_t p, size_t size)
     leave_out(unused, at + p * (uint32_t)size, at + PMF_MAX_PARAMETERS * (uint32_t)size);
 }
 
+/* A matrix of p rows and columns; lower: nothing above the diagonal is used, and the diagonal only where it is 1. */
+static void leave_matrix(unused_t *unused, uint32_t at, uint32_t p, uint32_t lower, uint32_t diagonal)
+{
+    uint32_t row = PMF_MAX_PARAMETERS * (uint32_t)sizeof(scalar_t), i;
+    for (i = 0; i < p; ++i) {
+        leave_tail(unused, at + i * row, lower != 0U ? i + diagonal : p, sizeof(scalar_t));
+    }
+    leave_tail(unused, at, p, row);
+}
+
 static void leave_estimate(unused_t *unused, uint32_t at, uint32_t p)
 {
     leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, theta), p, sizeof(scalar_t));
@@ -46,12 +56,11 @@ static void leave_estimate(unused_t *unused, uint32_t at, uint32_t p)
 static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
 {
     uint32_t p = config->n_parameters;
-    size_t row = PMF_MAX_PARAMETERS * sizeof(scalar_t);
-    leave_tail(unused, at + IN_RECURSION(sums.cross), p, row);
-    leave_tail(unused, at + IN_RECURSION(sums.square), config->instrumental != 0U ? p : 0U, row);
+    leave_matrix(unused, at + IN_RECURSION(sums.cross), p, config->instrumental == 0U, 1U);
+    leave_matrix(unused, at + IN_RECURSION(sums.square), config->instrumental != 0U ? p : 0U, 1U, 1U);
     leave_tail(unused, at + IN_RECURSION(sums.right), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(peak), p, sizeof(scalar_t));
-    leave_tail(unused, at + IN_RECURSION(factor), p, row);
+    leave_matrix(unused, at + IN_RECURSION(factor), p, 1U, 0U);
     leave_tail(unused, at + IN_RECURSION(inverse_pivot), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(score), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(reference), p, sizeof(scalar_t));

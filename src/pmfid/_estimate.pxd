@@ -14,3 +14,4 @@ cdef class Estimate:
     cdef readonly double innovation
     cdef readonly double innovation_variance
     cdef readonly unsigned int status
+    cdef double _scale(self, Py_ssize_t i) noexcept

@@ -2,7 +2,7 @@
 """The estimate after a sample: one class, whatever the precision of the kernel that made it."""
 
 cimport numpy as cnp
-import numpy as np
+from libc.math cimport INFINITY, sqrt
 
 from pmfid.errors import place_of
 from pmfid.presentation import Parameters, figure_of, frame_of, plain, remarks_of
@@ -62,21 +62,31 @@ cdef class Estimate:
 
     @property
     def theta_cov(self):
-        if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
-            return np.diag(np.full(self._n, np.inf))
-        scale = np.sqrt(self._scale())
-        factor = _vector(self._factor, self._n * self._n).reshape(self._n, self._n)
-        return self.innovation_variance * factor * np.multiply.outer(scale, scale)
+        cdef cnp.npy_intp[2] shape = [self._n, self._n]
+        cdef object array = cnp.PyArray_SimpleNew(2, shape, cnp.NPY_DOUBLE)
+        cdef double *target = <double *> cnp.PyArray_DATA(<cnp.ndarray> array)
+        cdef Py_ssize_t n = self._n, i, j
+        for i in range(n):
+            for j in range(n):
+                if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
+                    target[i * n + j] = INFINITY if i == j else 0.0
+                else:
+                    target[i * n + j] = self.innovation_variance * self._factor[i * n + j] * \
+                        (sqrt(self._scale(i)) * sqrt(self._scale(j)))
+        return array
 
-    def _scale(self):
-        inflation = _vector(self._inflation, self._n)
-        return np.where(inflation > 0.0, inflation, 1.0)
+    cdef inline double _scale(self, Py_ssize_t i) noexcept:
+        return self._inflation[i] if self._inflation[i] > 0.0 else 1.0
 
     @property
     def theta_std(self):
-        if self.innovation_variance == 0.0:
-            return np.full(self._n, np.inf)
-        return np.sqrt(_vector(self._diagonal, self._n) * self.innovation_variance * self._scale())
+        cdef double std[PMF_MAX_PARAMETERS]
+        cdef Py_ssize_t i
+        for i in range(self._n):
+            std[i] = sqrt(self._diagonal[i] * self.innovation_variance * self._scale(i))
+            if self.innovation_variance == 0.0:
+                std[i] = INFINITY
+        return _vector(std, self._n)
 
     def __getitem__(self, name):
         """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""

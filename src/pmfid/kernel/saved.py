@@ -159,7 +159,7 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
 
 #: What stands before the states of a fleet; checksum: CRC-32 of the words before it and the states.
 FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
-FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 1  # "PMFF"
+FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 2  # "PMFF"
 
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:

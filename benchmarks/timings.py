@@ -1,0 +1,67 @@
+"""Nanoseconds for each sample of what every version of pmfid can do; `python timings.py` prints them as JSON.
+
+The script needs nothing of the repository, so that the same lines measure an older version.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+import pmfid
+
+DT, RESOLUTION, SAMPLES, STEPS, AXES, AXIS_SAMPLES, ROUNDS = 0.01, 22.75e-6, 100_000, 10_000, 5_000, 200, 3
+METHODS = {"rls": pmfid.RLS, "bcrls": pmfid.BCRLS, "riv": pmfid.RIV}
+
+
+def simulate_cart(samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Input [V] and counts (samples,) of a cart of 1.07 kg, ten short steps of Euler's rule in each interval."""
+    u = 3 * np.sign(np.random.default_rng(7).standard_normal(samples // 10 + 1)).repeat(10)[:samples]
+    position, velocity, counts = 0.0, 0.0, np.empty(samples, np.int64)
+    for k, voltage in enumerate(u):
+        counts[k] = int(position // RESOLUTION)
+        for _ in range(10):
+            force = 2 * voltage - 12.8 * velocity - 0.8 * np.sign(velocity)
+            velocity += force / 1.07 * DT / 10
+            position += velocity * DT / 10
+    return u, counts
+
+
+def measure_best(run: Callable[[], Any], samples: int, reset: Callable[[], Any]) -> float:
+    """CPU time of the fastest round [ns per sample]: all others show the neighbours, too."""
+    times = []
+    for _ in range(ROUNDS):
+        reset()
+        start = process_time()
+        run()
+        times.append(process_time() - start)
+    return min(times) / samples * 1e9
+
+
+def measure_all() -> dict[str, float]:
+    u, counts = simulate_cart(SAMPLES)
+    found: dict[str, float] = {}
+    for name, method in METHODS.items():
+        for precision in ("float64", "float32"):
+            drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(RESOLUTION)
+            estimator = method(drive, encoder, DT, 50.0, forgetting=0.995, precision=precision)
+            label = f"{name} {precision}"
+            found[f"run {label}"] = measure_best(lambda e=estimator: e.run(u, counts), SAMPLES, estimator.reset)
+            pairs = list(zip(u[:STEPS].tolist(), counts[:STEPS].tolist(), strict=True))
+            loop = lambda e=estimator, pairs=pairs: [e.step(voltage, count).theta for voltage, count in pairs]  # noqa: E731
+            found[f"step {label}"] = measure_best(loop, STEPS, estimator.reset)
+            starts = np.random.default_rng(1).integers(0, SAMPLES - AXIS_SAMPLES, AXES)
+            rows = [np.stack([x[k : k + AXIS_SAMPLES] for k in starts]) for x in (u.astype("f4"), counts.astype("i4"))]
+            estimator.reset()
+            fleet = pmfid.Fleet(estimator, AXES, workers=1)
+            run = lambda fleet=fleet, rows=rows: fleet.run(*rows)  # noqa: E731
+            found[f"fleet {label}"] = measure_best(run, rows[0].size, fleet.reset)
+    return found
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure_all()))
