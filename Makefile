@@ -76,9 +76,11 @@ spark: .venv/spark
 # forbids it, each process rewrites every assertion again, and each command that a test starts compiles all of pmfid.
 WORKERS ?= auto
 KEPT = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# The whole run is bounded as well, against what no test's own limit reaches.
+BOUND ?= 840
 test: .venv/tools firmware-tools service-tools
-	$(KEPT) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
-	-m "not long"
+	$(KEPT) timeout --kill-after=20 $(BOUND) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile \
+	--max-worker-restart 2 -p no:benchmark -m "not long"
 
 # The rest, of seconds each.
 test-long: .venv/tools firmware-tools service-tools

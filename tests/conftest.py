@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -25,6 +26,12 @@ EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
 
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A parallel run that exceeds its bound (`make test`) ends with the summary of its failures."""
+    if getattr(config.option, "numprocesses", None):
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 @dataclass(frozen=True)

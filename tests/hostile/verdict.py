@@ -20,6 +20,7 @@ from unittest import mock
 from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
+from pmfid.monitor.tuning import TUNING
 from tests.hostile.commands import Case
 from tests.hostile.draw import draw
 
@@ -91,7 +92,7 @@ def _limited() -> Iterator[None]:
 def _cheap_calibration(folder: Path) -> Iterator[None]:
     with (
         mock.patch("pmfid.pipeline.monitored.setup.simulated_hours", return_value=HOURS),
-        mock.patch("pmfid.monitor.calibration.RUN_TIME", RUN_TIME),
+        mock.patch.dict(vars(TUNING), run_time=RUN_TIME),
         mock.patch.dict(os.environ, {"PMFID_CACHE": str(folder / "cache")}),
     ):
         yield

@@ -10,14 +10,17 @@ import sys
 import time
 from pathlib import Path
 
+from tests.processes import run_process
+from tests.service.kills import REPOSITORY
 from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
 
 #: `pmfid serve` that calls a pause of half a second one.
 PROGRAM = """
 import sys
-from pmfid.service import process
+import pytest
+from tests.tuned import set_tuning
 from pmfid.pipeline.monitored import setup
-process.STOOD = 0.5
+set_tuning(pytest.MonkeyPatch(), "pmfid.service.tuning", process_stood=0.5)
 setup.simulated_hours = lambda hours: 0.5
 from pmfid.cli.main import main
 main(["serve", sys.argv[1], "--json"])
@@ -27,7 +30,8 @@ main(["serve", sys.argv[1], "--json"])
 def test_a_process_that_was_stopped_says_for_how_long(folder: Path) -> None:  # noqa: F811
     plant = folder / "paused.toml"
     plant.write_text(PLANT)
-    with subprocess.Popen([sys.executable, "-c", PROGRAM, plant], stdout=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-c", PROGRAM, plant]
+    with run_process(command, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         reported = (json.loads(line) for line in process.stdout)
         assert any(one["event"] == "alarm" for one in reported), "it works"
