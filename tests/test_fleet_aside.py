@@ -9,8 +9,8 @@ import pytest
 
 from pmfid import fleet
 from pmfid.errors import UsageError
-from pmfid.fleet.aside import Aside
 from pmfid.fleet.history import History
+from pmfid.fleet.rows import Aside
 from pmfid.fleet.source import Part
 from studies.fleet_data import AXIS_TOML, machines, rows
 from tests.tuned import set_tuning
@@ -40,7 +40,7 @@ def plain(log: pl.DataFrame, config: Path) -> History:
 def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two files, of a minute each, with rows of all axes in turns; shards of one axis each."""
     set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 2000)
-    set_tuning(monkeypatch, "pmfid.fleet.aside", aside_batch=5000)
+    set_tuning(monkeypatch, "pmfid.fleet.rows", aside_batch=5000)
     (tmp_path / "data").mkdir()
     turns = log.sort("t", "machine")
     half = turns.height // 2
@@ -122,7 +122,7 @@ def test_a_damaged_mixed_file_is_named_and_the_other_is_used(mixed: Path, config
 
 def test_a_disk_without_room_is_said(mixed: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "pmfid.fleet.aside.Aside._pack_rows", lambda *rest: (_ for _ in ()).throw(OSError(28, "No space"))
+        "pmfid.fleet.rows.Aside._pack_rows", lambda *rest: (_ for _ in ()).throw(OSError(28, "No space"))
     )
     with pytest.raises(UsageError, match="make room"):
         fleet.estimate(mixed, axis=config, by="machine")

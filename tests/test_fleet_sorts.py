@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmfid.fleet.changes import sorts_of
-from pmfid.fleet.outcome import _sorts
+from pmfid.fleet.history import _sorts
 from pmfid.fleet.verdicts import DIFFERS, Follow, follow_axis, judge_axes
 from pmfid.types import Floats
 from tests.test_fleet_changes import NAMES, series

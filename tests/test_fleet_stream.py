@@ -13,9 +13,8 @@ import polars as pl
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.fleet.spark.log import SparkLog
-from pmfid.fleet.stream.folder import Folder, States, StreamSettings, open_folder
-from pmfid.fleet.stream.shard import StreamPlan, StreamShard, shard_of, table_of
+from pmfid.fleet.shards import Folder, States, StreamPlan, StreamSettings, StreamShard, open_folder, shard_of, table_of
+from pmfid.fleet.spark.stream import SparkLog
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.stream.blocks import encode
 from pmfid.stream.checkpoint import read_snapshot

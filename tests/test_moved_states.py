@@ -12,8 +12,7 @@ import pmfid
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
-from pmfid.fleet.stream.folder import States
-from pmfid.fleet.stream.shard import StreamPlan, StreamShard
+from pmfid.fleet.shards import States, StreamPlan, StreamShard
 from pmfid.monitor import Monitor
 from pmfid.simulation import CART_DT
 from pmfid.stream.blocks import encode

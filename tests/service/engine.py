@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from threading import Thread
 from typing import Any
 
-from pmfid.service.sources import Source
+from pmfid.service.context import Source
 from pmfid.stream.delivery import Block, Delivery, Lines, Unusable, split_tables
 
 

@@ -15,12 +15,11 @@ import numpy as np
 
 from pmfid.monitor.events import STATES
 from pmfid.records.record import Record
-from pmfid.service.board import Board
+from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import serve
 from pmfid.status import Status
-from pmfid.stream.commands import Counters
-from pmfid.stream.outcome import EstimateRows, Kindred, Notice
+from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
 
 DT = 0.01
 WATCHING, CANNOT_TELL, SUSPICIOUS, STARTING = (

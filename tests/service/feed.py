@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pmfid.stream.commands import Counters
-from pmfid.stream.outcome import EstimateRows, Kindred, Notice
+from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
 
 ALARM = {
     "event": "alarm",

@@ -27,27 +27,30 @@ from typing import IO, Literal
 
 import numpy as np
 
+from pmfid.durable import arm
 from pmfid.pipeline.monitored import setup
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.records.record import Record, read_record
 from pmfid.service import arrangement
-from pmfid.service.context import Context, SourceSection
-from pmfid.service.log import NoticeLog
+from pmfid.service.context import Context, Source, SourceSection, Take
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
-from pmfid.service.sources import Source, Take
+from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sources.file import FileSource, Player
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.stream import vault as crash
-from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
+from pmfid.stream.checkpoint import Saved, Snapshot, Vault, read_snapshot
 from pmfid.stream.delivery import Delivery, Item, Lines, Mark
 from pmfid.stream.groups import prepare
 from pmfid.stream.outcome import EstimateRows, Notice
-from pmfid.stream.vault import Vault
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
 from tests.service.orders import made
 
+#: All crash points, in the order in which a block passes them.
+POINTS = (
+    *("inbox.taken", "engine.ordered", "engine.stepped", "engine.reported", "checkpoint.made", "checkpoint.half"),
+    *("checkpoint.written", "checkpoint.synced", "checkpoint.renamed", "checkpoint.durable", "ack", "acked"),
+)
 WINDOW = 60
 #: Of simulated normal work: enough for thresholds that nobody relies on.
 HOURS = 0.5
@@ -197,7 +200,7 @@ def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:
         return number
     code = 1
     try:
-        crash.arm(setting)
+        arm(setting)
         _Service(lambda: plant, NoticeLog(log), until_end=True).run()
         code = 0
     finally:
@@ -228,7 +231,7 @@ def kill_round(plant: Plant, wanted: int, rng: random.Random, log: IO[str], long
     """Kills until N are done or the work is; raises AssertionError where an incarnation refuses to start."""
     done = Round()
     while done.kills < wanted:
-        point = rng.choice([*crash.POINTS, "random", "random", "random"])
+        point = rng.choice([*POINTS, "random", "random", "random"])
         setting = "" if point == "random" else f"{point}:{rng.randint(1, 4)}"
         number = incarnation(plant, setting, log)
         code = died(number, rng.uniform(0.02, longest) if point == "random" else longest)

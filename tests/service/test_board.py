@@ -8,11 +8,9 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from pmfid.service.board import Board
-from pmfid.service.board.panel import Panel, row_bytes
 from pmfid.service.tuning import TUNING
-from pmfid.stream.commands import Counters
-from pmfid.stream.outcome import EstimateRows, Kindred, Notice
+from pmfid.service.web.board import Board, Panel, row_bytes
+from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
 from tests.service.fake_engine import FakePlant
 
 

@@ -13,11 +13,11 @@ from pmfid.pipeline.monitored.timeline import Line, Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Unusable
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.order import UNKNOWN_GAP
+from pmfid.stream.outcome import Counters
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Collected, monitored
 from tests.service.orders import Sending, made

@@ -28,9 +28,9 @@ def test_sections_and_sources_are_imported_without_their_libraries() -> None:
 
 def made(library: str) -> MqttSource | SerialSource:
     if library == "paho":
-        return MqttSource("a", MqttSourceSection(kind="mqtt", topics=("a",)), {}, lambda what: None)
+        return MqttSource("a", MqttSourceSection(kind="mqtt", topics=("a",)), {}.get, lambda what: None)
     section = SerialSection(kind="serial", port="nowhere", format="block")
-    return SerialSource("a", section, {}, lambda what: None)
+    return SerialSource("a", section, {}.get, lambda what: None)
 
 
 @pytest.mark.parametrize("library", ["paho", "serial"])

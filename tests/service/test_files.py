@@ -15,11 +15,10 @@ import pytest
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.timeline import Line
-from pmfid.service.context import Context
-from pmfid.service.sources import Source
+from pmfid.service.context import Context, Source
 from pmfid.service.sources.file import Follower, Piped, Player
-from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
+from pmfid.stream.outcome import Counters
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,7 @@ from hypothesis import strategies as st
 from pmfid.config.axis import Axis, load_axis
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Line
-from pmfid.service.wire.line_protocol import parse_line
-from pmfid.service.wire.messages import Messages
-from pmfid.service.wire.points import MOST_POINTS, Readers
+from pmfid.service.wire.messages import MOST_POINTS, Messages, Readers, parse_line
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Item, Lines, Unusable
 
@@ -44,7 +42,7 @@ def axis(folder: Path, record: str = "") -> Axis:
 
 @pytest.fixture
 def messages(tmp_path: Path) -> Messages:
-    return Messages(Readers({"x1": axis(tmp_path), "x 2": axis(tmp_path)}))
+    return Messages(Readers({"x1": axis(tmp_path), "x 2": axis(tmp_path)}.get))
 
 
 def lines_of(items: list[Item], name: str = "x1") -> list[Line]:
@@ -99,7 +97,7 @@ ROWS = [
 )
 def test_fields_are_scaled_as_columns_of_a_pipe(tmp_path: Path, record: str, names: tuple[str, ...]) -> None:
     config = axis(tmp_path, record)
-    parser, form = LineParser(",".join(names).encode(), config), Messages(Readers({"x1": config}))
+    parser, form = LineParser(",".join(names).encode(), config), Messages(Readers({"x1": config}.get))
     expected = [parser(",".join(map(repr, row)).encode()) for row in ROWS]
     rows = [dict(zip(names, row, strict=True)) for row in ROWS]
     texts = [format_line("x1", {}, row, 0) for row in rows]
@@ -134,7 +132,7 @@ def test_a_time_next_to_the_fields_serves_where_none_of_them_is_one(messages: Me
     ("precision", "stamp"), [("ns", 2 * 10**18), ("us", 2 * 10**15), ("ms", 2 * 10**12), ("s", 2 * 10**9)]
 )
 def test_timestamps_have_a_precision(tmp_path: Path, precision: str, stamp: int) -> None:
-    form = Messages(Readers({"x1": axis(tmp_path)}), precision=precision)
+    form = Messages(Readers({"x1": axis(tmp_path)}.get), precision=precision)
     (line,) = lines_of(list(form.items(f"x1 u=1,x=2 {stamp}".encode())))
     assert line.time == 2e9
 
@@ -142,7 +140,7 @@ def test_timestamps_have_a_precision(tmp_path: Path, precision: str, stamp: int)
 def test_an_axis_without_a_time_takes_none(tmp_path: Path) -> None:
     config = axis(tmp_path)
     config = config.model_copy(update={"record": config.record.model_copy(update={"time": None, "dt": 0.01})})
-    form = Messages(Readers({"x1": config}))
+    form = Messages(Readers({"x1": config}.get))
     (line,) = lines_of(list(form.items(b"x1 u=1,x=2 5")))
     assert math.isnan(line.time)
     assert line.u == 1.0
@@ -227,7 +225,7 @@ def test_a_message_of_many_small_mistakes_is_cut(messages: Messages, data: bytes
 
 def test_columns_take_no_more_memory_for_the_fields_that_nobody_reads(tmp_path: Path) -> None:
     """Rows times keys of one message are far more than its bytes."""
-    form = Messages(Readers({"x1": axis(tmp_path)}))
+    form = Messages(Readers({"x1": axis(tmp_path)}.get))
     spare = {f"k{k}": 0 for k in range(20_000)}
     data = json.dumps({"axis": "x1", "t": [*range(20_000)], "u": [0] * 20_000, "x": 0, **spare}).encode()
     tracemalloc.start()
@@ -253,7 +251,7 @@ def test_a_message_that_a_reader_fails_at_is_counted(messages: Messages, monkeyp
     def fail(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("pmfid.service.wire.json_lines.decode", fail)
+    monkeypatch.setattr("pmfid.service.wire.messages.decode_json", fail)
     (item,) = messages.items(b"{}")
     assert isinstance(item, Unusable)
     assert item.reason == "error"

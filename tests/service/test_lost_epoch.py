@@ -59,7 +59,7 @@ def test_a_sender_that_lost_its_epoch_is_reported_what_helps(
     assert "POST /api/axis/NAME/anew" in reported[-1]["problem"]
     assert len(reported) < 20
     if remedy == "restart":
-        assert engine.commands.restart_numbers("x1")
+        assert engine.restart_numbers("x1")
         engine.tick(0.0)
     again = epoch if remedy == "restart" else 10
     engine.process(blocks(motion, 700, SAMPLES, again, first=200))
@@ -74,7 +74,7 @@ def test_what_waited_is_said_where_an_axis_restarts(prepared: Prepared, motion: 
     engine.process(blocks(motion, 0, 100, epoch=0, first=0))
     (early,) = blocks(motion, 150, 200, epoch=0, first=150)
     engine.process([early])
-    engine.commands.restart_numbers("x1")
+    engine.restart_numbers("x1")
     engine.tick(0.0)
     assert [what["dropped"] for what in outlet.events("x1", "anew")] == [min(BLOCK, WINDOW)]
 

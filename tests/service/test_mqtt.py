@@ -38,7 +38,7 @@ def source(engine: FakeEngine, broker: Broker, client: str, *topics: str, **opti
     section = MqttSourceSection(
         kind="mqtt", port=broker.port, topics=topics or (f"{client}/#",), client=client, **options
     )
-    return MqttSource("hall", section, {}, engine.tell)
+    return MqttSource("hall", section, {}.get, engine.tell)
 
 
 def stop(running: MqttSource, thread: threading.Thread) -> None:
@@ -181,7 +181,7 @@ def test_a_topic_may_name_the_axis_and_messages_have_any_form(broker: Broker, tm
     from paho.mqtt.publish import single
 
     engine = FakeEngine()
-    hall = replace(source(engine, broker, "named", "named/{axis}/data", "other/+"), axes={"x1": axis(tmp_path)})
+    hall = replace(source(engine, broker, "named", "named/{axis}/data", "other/+"), axis={"x1": axis(tmp_path)}.get)
     thread = engine.running(hall)
     assert connected(hall)
     block = encode(Block("x1", 0, 0, 0.0, 0.01, np.zeros(2), np.zeros(2, int)))

@@ -13,11 +13,9 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
 from pmfid.records.record import Record
-from pmfid.service.board import Board
-from pmfid.service.web.api import csv_of
-from pmfid.service.web.hub import Feed, Hub, json_line, pack_array, pack_rows
-from pmfid.stream.commands import Counters
-from pmfid.stream.outcome import Kindred
+from pmfid.service.web.api import Feed, Hub, csv_of, json_line, pack_array, pack_rows
+from pmfid.service.web.board import Board
+from pmfid.stream.outcome import Counters, Kindred
 from tests.service.fake_engine import DT, FakePlant, troubled
 from tests.service.loopback import Served, served, until
 

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.service.board import Board
 from pmfid.service.tuning import TUNING
 from pmfid.service.web import connection, security
+from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.security import READ, WRITE, Tokens, load_tokens
 from pmfid.service.web.server import serve
-from pmfid.stream.commands import Counters
+from pmfid.stream.outcome import Counters
 from tests.service.fake_engine import FakePlant
 from tests.service.loopback import Served, received, served, until
 from tests.tuned import set_tuning

@@ -18,7 +18,7 @@ from pmfid.errors import UsageError
 from pmfid.pipeline.tuning import TUNING
 from pmfid.service.sources.execd import ExecdSection, ExecdSource
 from pmfid.service.sources.serial import SerialSection, SerialSource
-from pmfid.service.wire.splitter import LineSplitter
+from pmfid.service.wire.messages import LineSplitter
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Item, Lines, Unusable
 from tests.service.engine import FakeEngine, wait_for
@@ -47,7 +47,7 @@ def device() -> Iterator[Device]:
 
 def serial_source(engine: FakeEngine, folder: Path, **options: object) -> SerialSource:
     section = SerialSection(kind="serial", **options)
-    return SerialSource("port", section, {"x1": axis(folder)}, engine.tell)
+    return SerialSource("port", section, {"x1": axis(folder)}.get, engine.tell)
 
 
 def stop(running: SerialSource | ExecdSource, thread: threading.Thread) -> None:
@@ -177,7 +177,7 @@ SENT = (
 def test_telegraf_is_understood_and_lines_are_passed_on(tmp_path: Path, pass_on: bool) -> None:
     engine, (read, telegraf), (back, write) = FakeEngine(), os.pipe(), os.pipe()
     section = ExecdSection(kind="execd", pass_on=pass_on)
-    thread = engine.running(ExecdSource("telegraf", section, {"x1": axis(tmp_path)}, engine.tell, read, write))
+    thread = engine.running(ExecdSource("telegraf", section, {"x1": axis(tmp_path)}.get, engine.tell, read, write))
     for k in range(0, len(SENT), 37):
         os.write(telegraf, SENT[k : k + 37])
     os.close(telegraf)
@@ -199,7 +199,7 @@ def test_nobody_may_read_what_is_passed_on_and_the_axes_go_on(tmp_path: Path) ->
     engine, (read, telegraf), (back, write) = FakeEngine(), os.pipe(), os.pipe()
     os.close(back)
     section = ExecdSection(kind="execd", pass_on=True)
-    source = ExecdSource("telegraf", section, {"x1": axis(tmp_path)}, engine.tell, read, write)
+    source = ExecdSource("telegraf", section, {"x1": axis(tmp_path)}.get, engine.tell, read, write)
     thread = engine.running(source)
     for k in range(2):
         os.write(telegraf, f"x1 u=1,x=1 {k}000000000\n".encode())

@@ -5,9 +5,9 @@ from __future__ import annotations
 from io import StringIO
 from pathlib import Path
 
-from pmfid.service.log import NoticeLog
 from pmfid.service.plant import Plant, ServiceSection, load_plant
 from pmfid.service.run import Service
+from pmfid.service.sinks.plain import NoticeLog
 from tests.service.test_serve import PLANT, Acting, folder  # noqa: F401 a fixture
 
 Referred = list[dict[int, list[float]]]
@@ -22,7 +22,7 @@ def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]
     def step() -> None:
         acting.samples(1600)
         if refer:
-            assert service._engine.commands.refer("x1")
+            assert service._engine.refer("x1")
             acting.until("reference")
 
     def look() -> None:

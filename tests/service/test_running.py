@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from pmfid.service.context import Take
 from pmfid.service.run import Running
-from pmfid.service.sources import Take
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.engine import Inbox
 

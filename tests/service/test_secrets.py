@@ -20,9 +20,9 @@ from urllib.parse import quote, urlsplit
 import pytest
 
 from pmfid.cli.serve_lines import line
-from pmfid.service.log import NoticeLog, json_line
 from pmfid.service.plant import SINKS, SOURCES, load_plant
 from pmfid.service.run import Service
+from pmfid.service.sinks.plain import NoticeLog, json_line
 from pmfid.service.web.config import PageConfig
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.loopback import until
@@ -110,7 +110,7 @@ path = "lines.jsonl"
 
 
 def test_the_plant_has_every_key_that_names_a_secret() -> None:
-    sections = {"page": PageConfig} | {kind: made() for kinds in (SOURCES, SINKS) for kind, made in kinds.items()}
+    sections = {"page": PageConfig, **SOURCES, **SINKS}
     keys = {key for made in sections.values() for key in made.model_fields if key.endswith(("_env", "_file"))}
     stems = {key.rpartition("_")[0] for key in keys}
     assert stems == {"token", "read_token", "password", "url", "secret"}

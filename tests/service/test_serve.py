@@ -21,9 +21,9 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.service.arrangement import Configurations
-from pmfid.service.log import NoticeLog
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
+from pmfid.service.sinks.plain import NoticeLog
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 

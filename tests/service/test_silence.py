@@ -21,19 +21,18 @@ import pytest
 
 from pmfid.cli.serve_lines import line
 from pmfid.service.arrangement import arrange_groups
-from pmfid.service.board import Board
-from pmfid.service.log import NoticeLog
 from pmfid.service.metrics import exposition
 from pmfid.service.plant import SINKS, load_plant
 from pmfid.service.run import Service
+from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
+from pmfid.service.web.board import Board
 from pmfid.simulation import CART_DT
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
-from pmfid.stream.outcome import Notice
+from pmfid.stream.outcome import Counters, Notice
 from pmfid.stream.tuning import TUNING
 from studies.service.processes import service
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
@@ -269,7 +268,7 @@ def test_nothing_is_silent_with_a_limit_of_0(prepared: Prepared) -> None:
 def test_an_acknowledged_silence_is_no_other_alarm(watched: Watched) -> None:
     watched.run(LIMIT + 2, "x1", "x3")
     (alarm,) = [one for one in watched.outlet.reported if one.what["event"] == "alarm"]
-    watched.engine.commands.acknowledge(alarm.number, "night")
+    watched.engine.acknowledge(alarm.number, "night")
     watched.engine.tick(0.0)
     (known,) = [one for one in watched.outlet.reported if one.what["event"] == "acknowledged"]
     link = Link()
@@ -305,7 +304,7 @@ def test_the_broker_retains_it_until_it_is_over(reported: list[Notice]) -> None:
 
 def test_by_default_the_webhook_posts_both(reported: list[Notice], tmp_path: Path) -> None:
     with web_server() as server:
-        outlet = SINKS["webhook"]().model_validate({"kind": "webhook", "url": server.url}).outlet("w", Host(tmp_path))
+        outlet = SINKS["webhook"].model_validate({"kind": "webhook", "url": server.url}).outlet("w", Host(tmp_path))
         outlet.start()
         for one in reported:
             outlet.notice(one)
@@ -316,7 +315,7 @@ def test_by_default_the_webhook_posts_both(reported: list[Notice], tmp_path: Pat
 
 @pytest.mark.parametrize("kind", ["file", "sqlite"])
 def test_files_have_both(reported: list[Notice], tmp_path: Path, kind: str) -> None:
-    outlet = SINKS[kind]().model_validate({"kind": kind, "path": f"a.{kind}"}).outlet("a", Host(tmp_path))
+    outlet = SINKS[kind].model_validate({"kind": kind, "path": f"a.{kind}"}).outlet("a", Host(tmp_path))
     outlet.start()
     for one in reported:
         outlet.notice(one)

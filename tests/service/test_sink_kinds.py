@@ -24,7 +24,7 @@ NEEDED: dict[str, dict[str, object]] = {
 
 @pytest.mark.parametrize("kind", SINKS)
 def test_a_section_makes_a_sink_and_names_what_is_wrong(kind: str, tmp_path: Path) -> None:
-    section = SINKS[kind]()
+    section = SINKS[kind]
     keys = NEEDED.get(kind, {})
 
     class Whole(FileSection):
@@ -43,11 +43,7 @@ def test_a_section_makes_a_sink_and_names_what_is_wrong(kind: str, tmp_path: Pat
 
 
 def test_no_sink_brings_a_heavy_library_before_it_is_used() -> None:
-    program = (
-        "from pmfid.service.plant import SINKS\n"
-        "for section in SINKS.values(): section()\n"
-        "import json, sys; print(json.dumps(sorted(sys.modules)))"
-    )
+    program = "from pmfid.service.plant import SINKS\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in json.loads(run.stdout)}
     assert "pydantic" in loaded
@@ -64,9 +60,7 @@ def test_a_folder_that_nothing_can_be_written_to_is_reported_once_and_costs_only
 ) -> None:
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.001)
     host = Host(tmp_path)
-    outlet = (
-        SINKS[kind]().model_validate({"kind": kind, **keys, "queue_rows": 30, "queue_notices": 5}).outlet("a", host)
-    )
+    outlet = SINKS[kind].model_validate({"kind": kind, **keys, "queue_rows": 30, "queue_notices": 5}).outlet("a", host)
     outlet.start()
     for number in range(1, 101):
         outlet.rows(block(kindred(3), number))

@@ -13,12 +13,12 @@ from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART_DT
 from pmfid.stream import order as clock
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.intake import take_expected
 from pmfid.stream.order import Order
+from pmfid.stream.outcome import Counters
 from tests.service.collected import Collected
 from tests.tuned import set_tuning
 

@@ -20,13 +20,11 @@ from pmfid.service.arrangement import arrange_groups
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
-from pmfid.stream.checkpoint import StateBuffer, read_snapshot, snapshot
-from pmfid.stream.commands import Counters
+from pmfid.stream.checkpoint import StateBuffer, Vault, read_snapshot, snapshot
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
-from pmfid.stream.outcome import EstimateRows, Notice
-from pmfid.stream.vault import Vault
+from pmfid.stream.outcome import Counters, EstimateRows, Notice
 from tests.tuned import set_tuning
 
 Report = list[dict[str, Any]]

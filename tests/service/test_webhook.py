@@ -15,7 +15,7 @@ import pytest
 import pmfid.service
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
-from pmfid.service.sinks import RefusedError
+from pmfid.service.context import RefusedError
 from pmfid.service.sinks.webhook import EVENTS, WebhookSection, WebhookSink
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.web_servers import bad_server, web_server

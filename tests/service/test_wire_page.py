@@ -16,8 +16,7 @@ from pmfid.service.sources.execd import ExecdSection
 from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.sources.serial import SerialSection
 from pmfid.service.web.config import PORT
-from pmfid.service.wire.messages import LARGEST, Messages
-from pmfid.service.wire.points import MOST_POINTS, Readers
+from pmfid.service.wire.messages import LARGEST, MOST_POINTS, Messages, Readers
 from pmfid.stream.blocks import MOST_SAMPLES
 from pmfid.stream.delivery import Lines
 from tests.service.test_lines import axis
@@ -48,7 +47,7 @@ def test_the_samples_are_read(tmp_path: Path, form: str) -> None:
         "line protocol": re.findall(r"```\n(drive,axis.*?)```", PAGE, re.DOTALL),
     }
     (text,) = found[form]
-    (lines,) = Messages(Readers({"x1": axis(tmp_path)})).items(text.encode())
+    (lines,) = Messages(Readers({"x1": axis(tmp_path)}.get)).items(text.encode())
     assert isinstance(lines, Lines)
     assert len(lines.lines) == (2 if form == "columns" else 1)
     assert all(line.u == 1.5 and not line.problem for line in lines.lines)

@@ -9,7 +9,7 @@ import os
 import sys
 from pathlib import Path
 
-from pmfid.fleet.stream.shard import StreamPlan
+from pmfid.fleet.shards import StreamPlan
 from pmfid.pipeline.monitored import setup
 from pmfid.stream.groups import Pace, prepare
 

@@ -23,10 +23,9 @@ from pathlib import Path
 
 import polars as pl
 
+from pmfid.durable import CRASH_AT
+from pmfid.fleet.shards import States, StreamPlan
 from pmfid.fleet.spark.stream import SPARK, states_of
-from pmfid.fleet.stream.folder import States
-from pmfid.fleet.stream.shard import StreamPlan
-from pmfid.stream.vault import CRASH_AT
 from studies.monitoring.pipe import write_axis
 from tests.spark.incarnation import PACE, plan_of
 from tests.spark.streams import Row, essence, estimates_of, in_one_process, parts_of, rows_of, write_parts

@@ -11,7 +11,7 @@ from random import Random
 
 import polars as pl
 
-from pmfid.fleet.stream.shard import StreamPlan, StreamShard, shard_of, table_of
+from pmfid.fleet.shards import StreamPlan, StreamShard, shard_of, table_of
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.blocks import encode
 from pmfid.stream.checkpoint import Saved

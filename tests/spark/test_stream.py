@@ -12,8 +12,7 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.fleet.stream.folder import States
-from pmfid.fleet.stream.shard import StreamPlan
+from pmfid.fleet.shards import States, StreamPlan
 from pmfid.pipeline.monitored import setup
 from pmfid.simulation import CART_DT
 from pmfid.stream.blocks import encode

@@ -63,9 +63,8 @@ def stream(
 
     Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
     """
+    from pmfid.fleet.shards import States, StreamPlan
     from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
-    from pmfid.fleet.stream.folder import States
-    from pmfid.fleet.stream.shard import StreamPlan
     from pmfid.stream.groups import Pace
 
     kind_of(source)  # before anything takes long

@@ -54,8 +54,8 @@ def serve(
     """
     from pmfid.config.axis import load_axis
     from pmfid.records.record import read_record
-    from pmfid.service.log import NoticeLog, json_line
     from pmfid.service.run import Service
+    from pmfid.service.sinks.plain import NoticeLog, json_line
 
     page: dict[str, object] | None = {"enabled": False} if no_page else None if port is None else {"port": port}
     record: Record | None = None

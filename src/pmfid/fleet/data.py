@@ -15,9 +15,8 @@ from threading import Condition
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.fleet.aside import Aside, find_mixed_parts
 from pmfid.fleet.plan import Places, RowShard, Survey, content, join_surveys, survey_part
-from pmfid.fleet.rows import RecordPiece, pieces_of, read_rows, rows_of
+from pmfid.fleet.rows import Aside, RecordPiece, find_mixed_parts, pieces_of, read_rows, rows_of
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Columns, Part

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.fleet.aside import Aside
-from pmfid.fleet.plan import RowProblem, RowShard
+from pmfid.fleet.plan import EXTENT, PART, ROWS, RowProblem, RowShard
 from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
+from pmfid.fleet.store import ASIDE
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 from pmfid.io.tables import Table
@@ -20,6 +25,179 @@ from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]:
+    """Names of the parts that are put aside. rows: of the `Survey`.
+
+    An axis whose rows reach over a part of the file makes its shard read that much; no shard reads more than all of it.
+    """
+    import polars as pl
+
+    readers = Counter(name for shard in shards for name in shard.parts)
+    many = rows.group_by(PART).agg(pl.col(EXTENT).sum() / pl.col(ROWS).sum().alias("times"))
+    return {name for name, times in many.iter_rows() if min(times, readers[name]) > TUNING.aside_times}
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """Where the rows of a part lie. axes: of their numbers; places: shard -> first row and number of rows of each of
+    its stretches; error: why there are none."""
+
+    path: Path
+    axes: tuple[str, ...]
+    places: Mapping[RowShard, Sequence[tuple[int, int]]]
+    error: UsageError | None = None
+
+
+class Aside:
+    """Rows of files in which many axes are mixed row by row: each file is read once, and its rows are put aside on the
+    disk by shard. Otherwise every shard would read every such file as a whole.
+
+    The rows are raw, and removed after the last shard that needs them. folder: holds their own folder, None: the one
+    for temporary files; to be closed. length: of a slice [s]."""
+
+    def __init__(
+        self,
+        parts: Mapping[str, Part],
+        shards: Sequence[RowShard],
+        columns: Columns,
+        length: float,
+        folder: Path | None,
+    ) -> None:
+        self._parts, self._columns, self._length = parts, columns, length
+        self._kind = _kind(columns)
+        self._lock = Lock()
+        self._laid: dict[str, _Laid] = {}
+        self._waiting: dict[str, list[RowShard]] = defaultdict(list)
+        for shard in shards:
+            for name in set(shard.parts) & parts.keys():
+                self._waiting[name].append(shard)
+        self._readers = {name: len(waiting) for name, waiting in self._waiting.items()}
+        self._folder = Path(tempfile.mkdtemp(prefix=ASIDE, dir=folder))
+
+    def close(self) -> None:
+        """Removes all that lies aside."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._waiting
+
+    def prepare(self, shard: RowShard) -> None:
+        """Puts aside what the shard needs. Raises UsageError where the disk is full; a part that cannot be read says so
+        when its rows are asked for."""
+        for name in shard.parts:
+            if name in self:
+                with self._lock:  # one part at a time, so that memory knows no number of threads
+                    if name not in self._laid:
+                        self._laid[name] = self._lay(name)
+
+    def only(self, shards: Sequence[RowShard]) -> None:
+        """The rows of no other shard will be asked for."""
+        wanted = set(shards)
+        for one in {shard for waiting in self._waiting.values() for shard in waiting} - wanted:
+            self.release(one)
+
+    def release(self, shard: RowShard) -> None:
+        """Removes what this shard was the last to need."""
+        for name in shard.parts:
+            if name in self:
+                with self._lock:
+                    self._readers[name] -= 1
+                    if not self._readers[name] and name in self._laid:
+                        self._laid[name].path.unlink(missing_ok=True)
+
+    def read(self, name: str, shard: RowShard) -> dict[str, NDArray[np.generic]]:
+        """The rows of a shard from one part that is put aside: the number of the axis in the shard's, and the columns
+        of `source`. Raises UsageError where the part could not be read."""
+        laid = self._laid[name]
+        if laid.error is not None:
+            raise UsageError(str(laid.error))
+        places = laid.places.get(shard, ())
+        rows = np.empty(sum(many for _, many in places), self._kind)
+        filled = 0
+        with laid.path.open("rb") as file:
+            for first, many in places:
+                file.seek(first * self._kind.itemsize)
+                rows[filled : filled + many] = np.fromfile(file, self._kind, many)
+                filled += many
+        numbers = np.zeros(len(laid.axes), np.uint32)
+        own = {axis: k for k, axis in enumerate(shard.axes)}
+        numbers[:] = [own.get(axis, 0) for axis in laid.axes]
+        found: dict[str, NDArray[np.generic]] = {field: rows[field].copy() for field in self._kind.names or ()}
+        return found | {AXIS: numbers[rows[AXIS]]}
+
+    def _lay(self, name: str) -> _Laid:
+        part, waiting = self._parts[name], self._waiting[name]
+        axes = tuple(sorted({axis for shard in waiting for axis in shard.axes}))
+        path = self._folder / f"{len(self._laid)}.rows"
+        target = _Target(axes, waiting, self._length)
+        places: dict[RowShard, list[tuple[int, int]]] = defaultdict(list)
+        written = 0
+        try:
+            with path.open("wb") as file:
+                for batch in _batches(part, axes, self._columns):
+                    numbers = target.numbers(batch[AXIS], batch[TIME])
+                    order = np.argsort(numbers, kind="stable")
+                    order = order[np.searchsorted(numbers[order], 0) :]
+                    for shard, many in zip(waiting, np.bincount(numbers[order], minlength=len(waiting)), strict=True):
+                        if many:
+                            places[shard].append((written, int(many)))
+                            written += int(many)
+                    file.write(self._pack_rows(batch, order).data)
+        except UsageError as error:
+            path.unlink(missing_ok=True)
+            return _Laid(path, axes, {}, error)
+        except OSError as error:
+            raise UsageError(
+                f"{self._folder.parent}: {error.strerror or error}; {name} mixes its axes row by row, so its rows are "
+                f"put aside there, {self._kind.itemsize} bytes each: make room, or choose another folder"
+            ) from None
+        return _Laid(path, axes, places)
+
+    def _pack_rows(self, batch: Mapping[str, NDArray[np.generic]], order: NDArray[np.intp]) -> NDArray[np.void]:
+        rows = np.empty(order.size, self._kind)
+        for field in self._kind.names or ():
+            rows[field] = batch[field][order]
+        return rows
+
+
+def _kind(columns: Columns) -> np.dtype[np.void]:
+    names = [TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
+    return np.dtype([(AXIS, np.uint32), *((name, np.float64) for name in names)])
+
+
+def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[dict[str, NDArray[np.generic]]]:
+    """The rows of a part, of known axes, some at a time. Raises UsageError for a damaged part."""
+    import polars as pl
+
+    number = pl.col(AXIS).cast(pl.Enum(list(axes)), strict=False).to_physical().cast(pl.UInt32).alias(AXIS)
+    names = list(_kind(columns).names or ())
+    with readable("data"):
+        for window in part.windows():
+            frame = window.rows(columns).select(number, *names[1:]).drop_nulls([AXIS, TIME])
+            for batch in frame.collect_batches(chunk_size=TUNING.aside_batch, engine="streaming"):
+                yield {name: batch[name].to_numpy() for name in names}
+
+
+class _Target:
+    """Which shard a row belongs to: axes in the order of their numbers; shards; length: of a slice [s]."""
+
+    def __init__(self, axes: Sequence[str], shards: Sequence[RowShard], length: float) -> None:
+        edges = np.unique([edge for shard in shards for edge in (shard.first, shard.last)])
+        number = {axis: k for k, axis in enumerate(axes)}
+        # a column before and after all edges belongs to nobody
+        self._table = np.full((len(axes), edges.size + 1), -1, np.int32)
+        for k, shard in enumerate(shards):
+            first, last = np.searchsorted(edges, [shard.first, shard.last])
+            self._table[[number[axis] for axis in shard.axes], first + 1 : last + 1] = k
+        self._times = edges * length
+
+    def numbers(self, axis: NDArray[np.generic], time: Floats | NDArray[np.generic]) -> NDArray[np.int32]:
+        """(n,) number of the shard of each row, -1: of none; axis: (n,) its number; time: (n,) [s]."""
+        found: NDArray[np.int32] = self._table[axis, np.searchsorted(self._times, time, "right")]
+        return found
+
 
 #: Problem of a file that changed while it was read; the next call reads the file again, because its stamp has changed.
 REWRITTEN = "was written to while it was read: call again when it is whole"

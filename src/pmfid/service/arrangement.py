@@ -16,9 +16,6 @@ from pmfid.service.tuning import TUNING
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
-__all__ = ["Configurations", "arrange_groups", "remember", "tell_configurations"]
-
-
 Tell = Callable[[dict[str, Any]], None]
 
 

@@ -18,8 +18,6 @@ from pmfid.errors import UsageError
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
-__all__ = ["is_here", "read_secret", "secret"]
-
 
 def is_here(host: str) -> bool:
     """Whether what is sent to a host stays on this machine."""

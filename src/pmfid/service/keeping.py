@@ -8,14 +8,11 @@ from threading import Condition, Thread
 from time import monotonic
 from typing import Any
 
+from pmfid.durable import crash_point
 from pmfid.service.tuning import TUNING
-from pmfid.stream.checkpoint import Draft, StateBuffer, draft, state_size
-from pmfid.stream.commands import Counters
+from pmfid.stream.checkpoint import Draft, StateBuffer, Vault, draft, state_size
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.vault import Vault, crash_point
-
-__all__ = ["Checkpoints"]
-
+from pmfid.stream.outcome import Counters
 
 Done = Callable[[], None]
 

@@ -11,9 +11,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector, generate_late
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from pmfid.stream.commands import Counters
-
-__all__ = ["HELP", "exposition"]
+from pmfid.stream.outcome import Counters
 
 #: Meanings of the service's counters; other counters get their name in words.
 HELP: dict[str, str] = {

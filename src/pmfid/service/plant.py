@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -16,79 +16,30 @@ from pmfid.config.model import Name
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
+from pmfid.service.sinks.file import FileSinkSection
+from pmfid.service.sinks.mqtt import MqttSinkSection
 from pmfid.service.sinks.queued import SinkSection
+from pmfid.service.sinks.sqlite import SqliteSection
+from pmfid.service.sinks.webhook import WebhookSection
+from pmfid.service.sources.execd import ExecdSection
+from pmfid.service.sources.file import FileSource, StdinSource
+from pmfid.service.sources.mqtt import MqttSourceSection
+from pmfid.service.sources.serial import SerialSection
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.config import HERE, PORT, PageConfig
 
-__all__ = ["REMOVED", "SINKS", "SOURCES"]
-
-
-def _file() -> type[SourceSection]:
-    from pmfid.service.sources.file import FileSource
-
-    return FileSource
-
-
-def _stdin() -> type[SourceSection]:
-    from pmfid.service.sources.file import StdinSource
-
-    return StdinSource
-
-
-def _mqtt() -> type[SourceSection]:
-    from pmfid.service.sources.mqtt import MqttSourceSection
-
-    return MqttSourceSection
-
-
-def _execd() -> type[SourceSection]:
-    from pmfid.service.sources.execd import ExecdSection
-
-    return ExecdSection
-
-
-def _serial() -> type[SourceSection]:
-    from pmfid.service.sources.serial import SerialSection
-
-    return SerialSection
-
-
-def _file_sink() -> type[SinkSection]:
-    from pmfid.service.sinks.file import FileSinkSection
-
-    return FileSinkSection
-
-
-def _mqtt_sink() -> type[SinkSection]:
-    from pmfid.service.sinks.mqtt import MqttSinkSection
-
-    return MqttSinkSection
-
-
-def _sqlite() -> type[SinkSection]:
-    from pmfid.service.sinks.sqlite import SqliteSection
-
-    return SqliteSection
-
-
-def _webhook() -> type[SinkSection]:
-    from pmfid.service.sinks.webhook import WebhookSection
-
-    return WebhookSection
-
-
-SOURCES: dict[str, Callable[[], type[SourceSection]]] = {
-    "execd": _execd,
-    "file": _file,
-    "mqtt": _mqtt,
-    "serial": _serial,
-    "stdin": _stdin,
+SOURCES: dict[str, type[SourceSection]] = {
+    "execd": ExecdSection,
+    "file": FileSource,
+    "mqtt": MqttSourceSection,
+    "serial": SerialSection,
+    "stdin": StdinSource,
 }
-SINKS: dict[str, Callable[[], type[SinkSection]]] = {
-    "file": _file_sink,
-    "mqtt": _mqtt_sink,
-    "sqlite": _sqlite,
-    "webhook": _webhook,
+SINKS: dict[str, type[SinkSection]] = {
+    "file": FileSinkSection,
+    "mqtt": MqttSinkSection,
+    "sqlite": SqliteSection,
+    "webhook": WebhookSection,
 }
 _BY_TELEGRAF = "use the kind mqtt or file, which Telegraf reads for any database"
 #: Removed kinds, and the programs or kinds that replace them.
@@ -100,7 +51,8 @@ REMOVED: dict[str, str] = {
 }
 
 #: Names of the service, of axes, sources and sinks: they stand in topics and in names of files.
-Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
+Word = Annotated[str, Field(pattern=f"^{_PATTERN}$")]
 _WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
 
 
@@ -138,13 +90,14 @@ class FleetSection(FileSection):
     names: Name = Field(description='a pattern with one number, as "cell-{:05d}"')
     count: int = Field(ge=1, le=TUNING.most_axes, description="how many there are; the first has number 0")
 
-    def expand(self) -> Iterator[str]:
-        """Names of the axes. Raises UsageError for a pattern that does not give different words."""
+    def expand(self, key: str) -> list[str]:
+        """Names of the axes; key: of the section. Raises UsageError if the pattern does not give different words."""
         number = _NUMBER.fullmatch(self.names)
         if number is None:
-            raise UsageError(f'names = {self.names!r} is no pattern with one number; give one as "cell-{{:05d}}"')
+            where = f"[fleets.{key}] names = {self.names!r}"
+            raise UsageError(f'{where} is no pattern with one number; give one as "cell-{{:05d}}"')
         before, digits, after = number.groups()
-        return (f"{before}{k:0{int(digits or 0)}d}{after}" for k in range(self.count))
+        return [f"{before}{k:0{int(digits or 0)}d}{after}" for k in range(self.count)]
 
 
 @dataclass(frozen=True)
@@ -266,14 +219,8 @@ def _check_tables(raw: Mapping[str, Any]) -> None:
 
 
 def _check_name(where: str, name: str) -> None:
-    try:
-        _Named(name=name)
-    except ValidationError:
-        raise UsageError(f"[{where}] {name!r} is no name; use {_WORD}") from None
-
-
-class _Named(FileSection):
-    name: Word
+    if not re.fullmatch(_PATTERN, name):
+        raise UsageError(f"[{where}] {name!r} is no name; use {_WORD}")
 
 
 def _section(label: str, cls: type[Section], table: Mapping[str, Any]) -> Section:
@@ -298,10 +245,7 @@ def _axes(raw: Mapping[str, Any], folder: Path) -> dict[str, Path]:
 
 
 def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Path) -> None:
-    try:
-        names = list(fleet.expand())
-    except UsageError as error:
-        raise UsageError(f"[fleets.{key}] {error}") from None
+    names = fleet.expand(key)
     _check_name(f"fleets.{key}", max(names, key=len))
     doubled = next((name for name in names if name in axes), None)
     if doubled is not None:
@@ -309,9 +253,7 @@ def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Pat
     axes.update(dict.fromkeys(names, folder / fleet.config))
 
 
-def _read_kind(
-    where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, Callable[[], type[Section]]]
-) -> Section:
+def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, type[Section]]) -> Section:
     """A source or a sink: `kind` says which section it is."""
     if "kind" not in table:
         raise UsageError(f"[{where}.{name}] kind is missing; give one of {', '.join(kinds)}")
@@ -320,7 +262,7 @@ def _read_kind(
         raise UsageError(f"[{where}.{name}] kind = {kind!r} was removed; {REMOVED[kind]} (docs/guide/service.md)")
     if kind not in kinds:
         raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
-    return _section(f"{where}.{name}", kinds[kind](), table)
+    return _section(f"{where}.{name}", kinds[kind], table)
 
 
 _KEY = "key of PLANT.toml"
@@ -343,17 +285,11 @@ begun: [guide/service.md](guide/service.md); the axes themselves: [axis_toml.md]
 
 def plant_entries() -> tuple[ReferenceEntry, ...]:
     """Entries of all keys; keys of sources and sinks stand under their kind."""
-    return tuple(_entries())
-
-
-def _entries() -> Iterator[ReferenceEntry]:
-    for section, model in (("service", ServiceSection), ("page", PageConfig)):
-        yield from keys_in(section, model, _KEY)
-    for section, one in (("axes", AxisSection), ("fleets", FleetSection)):
-        yield from keys_in(section, one, _KEY)
-    for section, kinds in (("sources", SOURCES), ("sinks", SINKS)):
-        for kind, made in kinds.items():
-            yield from keys_in(f"{section}.{kind}", made(), _KEY)
+    models: dict[str, type[FileSection]] = {"service": ServiceSection, "page": PageConfig}
+    models |= {"axes": AxisSection, "fleets": FleetSection}
+    models |= {f"sources.{kind}": model for kind, model in SOURCES.items()}
+    models |= {f"sinks.{kind}": model for kind, model in SINKS.items()}
+    return tuple(entry for section, model in models.items() for entry in keys_in(section, model, _KEY))
 
 
 def strip_names(word: str) -> list[str]:
@@ -369,9 +305,9 @@ def strip_names(word: str) -> list[str]:
 
 def plant_page() -> str:
     """The page of all keys, in Markdown."""
-    return "\n".join([_HEAD, *tables(plant_entries(), _describe_section)])
 
+    def describe(section: str) -> str:
+        table, _, kind = section.partition(".")
+        return f"{_ABOUT[table].format(kind=kind)}\n\n"
 
-def _describe_section(section: str) -> str:
-    table, _, kind = section.partition(".")
-    return f"{_ABOUT[table].format(kind=kind)}\n\n"
+    return "\n".join([_HEAD, *tables(plant_entries(), describe)])

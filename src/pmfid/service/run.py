@@ -1,38 +1,87 @@
-"""The running service."""
+"""The running service, and its process: signals, systemd, pauses."""
 
 from __future__ import annotations
 
 import gc
+import os
+import signal
+import socket
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from threading import Event, Thread
+from time import monotonic
+from types import FrameType
 from typing import Any
 
 from pmfid.config.axis import Axis
 from pmfid.errors import PmfidError, UsageError
+from pmfid.pipeline.monitored.stream import catch_signals
 from pmfid.records.record import Record, read_record
 from pmfid.service.arrangement import Configurations, arrange_groups, remember, tell_configurations
-from pmfid.service.board import Board
-from pmfid.service.context import Context
+from pmfid.service.context import Context, Source
 from pmfid.service.keeping import Checkpoints
-from pmfid.service.log import NoticeLog
 from pmfid.service.plant import Plant, page_config
-from pmfid.service.process import PauseWatch, SignalRequests, notify
+from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
-from pmfid.service.sources import Source
 from pmfid.service.tuning import TUNING
+from pmfid.service.web.board import Board
 from pmfid.service.web.server import Page
-from pmfid.stream.checkpoint import Snapshot, read_snapshot
-from pmfid.stream.commands import Counters
+from pmfid.stream.checkpoint import Snapshot, Vault, read_snapshot
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.engine import Inbox, StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
-from pmfid.stream.outcome import Notice, Outlet
-from pmfid.stream.vault import Vault
+from pmfid.stream.outcome import Counters, Notice, Outlet
 
-__all__ = ["Running", "Sources"]
+
+@dataclass
+class SignalRequests:
+    """Requests by signals."""
+
+    stop: bool = False
+    reload: bool = False
+
+    @contextmanager
+    def catch(self) -> Iterator[SignalRequests]:
+        """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
+        with catch_signals(self._handle):
+            yield self
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if number in (signal.SIGINT, signal.SIGTERM):
+            self.stop = True
+        else:
+            self.reload = True
+
+
+@dataclass
+class PauseWatch:
+    """Reports pauses of the whole process, the only explanation for late estimates. `look` is called regularly."""
+
+    tell: Callable[[dict[str, Any]], None]
+    counters: Counters
+    _looked: float = field(default_factory=monotonic, init=False)
+
+    def look(self) -> None:
+        """Tests the time since the last call."""
+        now = monotonic()
+        stood, self._looked = now - self._looked, now
+        if stood > TUNING.process_stood:
+            problem = f"the service stood still for {stood:.0f} s: it was stopped, or its machine had no time for it"
+            self.tell({"event": "paused", "seconds": round(stood, 1), "problem": problem})
+            self.counters.add("pmfid_paused_seconds_total", stood)
+
+
+def notify(state: str) -> None:
+    """Sends a state as sd_notify(3) does, as "READY=1"; does nothing without a listener."""
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address:
+        return
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.connect("\0" + address[1:] if address.startswith("@") else address)
+        channel.send(state.encode())
 
 
 Tell = Callable[[dict[str, Any]], None]
@@ -301,7 +350,7 @@ class Service:
             plant.service.name,
             self._board,
             self.counters,
-            self._engine.commands,
+            self._engine,
             folder=plant.folder,
             reference=self._reference,
             metrics=self._metrics,

@@ -15,23 +15,6 @@ from pmfid.pipeline.monitored.lines import MAX_COUNT, MOST_TIME
 from pmfid.stream.delivery import Block, Table, Unusable
 from pmfid.types import Counts, Flags, Floats
 
-__all__ = [
-    "COUNTS",
-    "CRC",
-    "HEADER",
-    "LONGEST_NAME",
-    "MAGIC",
-    "MOST_BYTES",
-    "MOST_EPOCH",
-    "MOST_NUMBER",
-    "MOST_SAMPLES",
-    "VERSION",
-    "WIDE_COUNTS",
-    "WIDE_U",
-    "U",
-    "block_type",
-]
-
 MAGIC, VERSION = b"PMFB", 1
 MOST_SAMPLES, LONGEST_NAME = 1024, 64
 #: Epochs have 32 bits; from this number of samples on neighbours are no longer separate doubles, as JSON has them.

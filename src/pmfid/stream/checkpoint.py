@@ -7,22 +7,20 @@ import struct
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.durable import CheckpointFolder
 from pmfid.errors import UsageError
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.saved import seal_parts
-from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Mark
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, Seat
-from pmfid.stream.outcome import AlarmRecord, Notice
-
-__all__ = ["Draft", "Snapshot", "StateBuffer", "draft", "read_snapshot", "snapshot", "state_size"]
+from pmfid.stream.outcome import AlarmRecord, Counters, Notice
 
 _LENGTH = struct.Struct("<Q")
 #: State of the numbers and the clock of each axis.
@@ -46,6 +44,13 @@ _COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "noti
 HELD = np.dtype(
     [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
 )
+
+
+class Vault(CheckpointFolder):
+    """The folder `[service] state`; one service at a time."""
+
+    setting: ClassVar[str] = "[service] state"
+    other: ClassVar[str] = "another service"
 
 
 class StateBuffer:

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.types import Counts, Floats
 
-__all__ = ["Block", "Delivery", "Item", "Lines", "Table", "Unusable", "join_arrays", "split_tables"]
-
 #: JSON from which a source resumes after a restart, such as the position in a file.
 Mark = dict[str, int | float | str]
 

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from threading import Condition
 from time import monotonic
 from typing import Any, Protocol
 
 import numpy as np
 
+from pmfid.durable import crash_point
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.run import event_object
-from pmfid.stream.commands import Acknowledge, Command, Commands, Counters, Refer, RestartNumbers
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.intake import Intake, Ordered
 from pmfid.stream.notices import Notices, Silence
-from pmfid.stream.outcome import Notice, Outlet
+from pmfid.stream.outcome import Counters, Notice, Outlet
 from pmfid.stream.stepping import FoundEvent, step
 from pmfid.stream.tuning import TUNING
-from pmfid.stream.vault import crash_point
-
-__all__ = ["Inbox"]
 
 
 class Inbox:
@@ -67,19 +65,15 @@ class Inbox:
             if self._waiting and self._open and not self._enough:
                 rest = self._last + TUNING.engine_tick - monotonic()
                 self._changed.wait_for(lambda: self._enough or not self._open, max(0.0, rest))
-            deliveries = list(self._pop_first())
+            deliveries, items = list[Delivery](), 0
+            while self._waiting and items < TUNING.at_once:
+                deliveries.append(self._waiting.popleft())
+                items += deliveries[-1].size
+            self._items -= items
             self._changed.notify_all()
         if deliveries:
             self._last = monotonic()
         return deliveries
-
-    def _pop_first(self) -> Iterator[Delivery]:
-        items = 0
-        while self._waiting and items < TUNING.at_once:
-            delivery = self._waiting.popleft()
-            items += delivery.size
-            self._items -= delivery.size
-            yield delivery
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -112,14 +106,10 @@ class _Forgetful:
     """A `Keeper` without checkpoints: deliveries are done when they are stepped."""
 
     def offer(self, engine: StreamEngine, last: bool = False) -> None:
-        """Nothing."""
+        pass
 
     def call_when_kept(self, done: Callable[[], None]) -> None:
         done()
-
-
-def _nobody() -> frozenset[str]:
-    return frozenset()
 
 
 @dataclass
@@ -136,9 +126,8 @@ class StreamEngine:
 
     counters: Counters
     outlets: Sequence[Outlet] = ()
-    followed: Callable[[], frozenset[str]] = _nobody
+    followed: Callable[[], frozenset[str]] = frozenset
     inbox: Inbox = field(default_factory=Inbox)
-    commands: Commands = field(default_factory=Commands)
     keeper: Keeper = field(default_factory=_Forgetful)
     unwritten: Callable[[], dict[str, list[Notice]]] = dict
     groups: list[Group] = field(default_factory=list, init=False)
@@ -154,7 +143,7 @@ class StreamEngine:
         self.silence = Silence(self.notices, self.counters)
         self._intake = Intake(self.counters, lambda what, axis: self.tell(what, axis))
         self._said: deque[tuple[str, dict[str, Any]]] = deque()
-        self._asked: deque[Callable[[], None]] = deque()
+        self._asked: deque[tuple[Callable[[], None], bool]] = deque()  # a change, and whether it is urgent
 
     # --- from any thread ----------------------------------------------------------------------------------------------
 
@@ -166,7 +155,27 @@ class StreamEngine:
 
     def ask(self, change: Callable[[], None]) -> None:
         """Has `change` called by the engine's thread, between two ticks."""
-        self._asked.append(change)
+        self._asked.append((change, False))
+
+    def acknowledge(self, number: int, note: str) -> bool:
+        """Acknowledges the alarm with this notice number. Returns False, as all commands do, if too many wait; a
+        `Notice` reports the result."""
+        return self._command(partial(self._acknowledge, number, note[: TUNING.longest_note]))
+
+    def refer(self, axis: str) -> bool:
+        """Makes the present parameters of the axis its reference."""
+        return self._command(partial(self._refer, axis))
+
+    def restart_numbers(self, axis: str) -> bool:
+        """Takes the next samples of the axis whatever their numbers, for a sender that restarted without a higher
+        epoch."""
+        return self._command(partial(self._restart_numbers, axis))
+
+    def _command(self, change: Callable[[], None]) -> bool:
+        if len(self._asked) >= TUNING.commands_most:
+            return False
+        self._asked.append((change, True))
+        return True
 
     # --- the engine's thread ------------------------------------------------------------------------------------------
 
@@ -257,23 +266,13 @@ class StreamEngine:
 
     def _obey(self) -> None:
         while self._asked:
-            self._asked.popleft()()
+            change, urgent = self._asked.popleft()
+            change()
             self.changes += 1
-        for command in self.commands.take_all():
-            self._command(command)
-            self.changes += 1
-            self.urgent = True
+            self.urgent |= urgent
 
-    def _command(self, command: Command) -> None:
-        if isinstance(command, Acknowledge):
-            self._acknowledge(command)
-        elif isinstance(command, Refer):
-            self._refer(command)
-        else:
-            self._restart_numbers(command)
-
-    def _restart_numbers(self, command: RestartNumbers) -> None:
-        seat = self.seat(command.axis)
+    def _restart_numbers(self, axis: str) -> None:
+        seat = self.seat(axis)
         if seat is None:
             return
         dropped, events = seat.restart_numbers()
@@ -281,17 +280,17 @@ class StreamEngine:
         for event in events:
             self.notices.publish_event(seat, event_object(event, seat.group.kindred.names))
 
-    def _acknowledge(self, command: Acknowledge) -> None:
-        alarm = self.notices.alarms.get(command.number)
+    def _acknowledge(self, number: int, note: str) -> None:
+        alarm = self.notices.alarms.get(number)
         if alarm is None:
-            self.tell({"event": "acknowledged", "alarm": None, "problem": f"there is no alarm {command.number}"})
+            self.tell({"event": "acknowledged", "alarm": None, "problem": f"there is no alarm {number}"})
             return
         what = {key: alarm.what[key] for key in ("silent", "name") if "silent" in alarm.what}
-        notice = {"event": "acknowledged", "alarm": command.number, "note": command.note, **what}
+        notice = {"event": "acknowledged", "alarm": number, "note": note, **what}
         self.notices.publish_own(alarm.axis, notice)
 
-    def _refer(self, command: Refer) -> None:
-        seat = self.seat(command.axis)
+    def _refer(self, axis: str) -> None:
+        seat = self.seat(axis)
         if seat is None:
             return
         group, index = seat.group, seat.index

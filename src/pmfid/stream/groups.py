@@ -26,9 +26,6 @@ from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Posi
 from pmfid.stream.outcome import Kindred
 from pmfid.stream.tuning import TUNING
 
-__all__ = ["Timed"]
-
-
 _LINE = struct.Struct("<ddq")
 
 

@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.stream.commands import Counters
 from pmfid.stream.delivery import Block, Delivery, Lines, Table, Unusable
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.order import ItemReport, Positions, SamplePiece, clock_runs, period_fits, rate_fits, rate_is_due
+from pmfid.stream.outcome import Counters
 from pmfid.stream.stepping import Batch, FoundEvent, GroupQueue
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Flags, Floats
-
-__all__ = ["Seating", "Seatings", "Tables"]
-
 
 #: The groups of the blocks of a table, and the numbers (k,) of their axes in the group, -1 for axes of other groups.
 Seating = list[tuple[Group, NDArray[np.int64]]]

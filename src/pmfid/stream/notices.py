@@ -11,12 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.stream.commands import Counters
 from pmfid.stream.groups import Group, Seat
-from pmfid.stream.outcome import AlarmRecord, Alarms, Notice, Outlet
+from pmfid.stream.outcome import AlarmRecord, Alarms, Counters, Notice, Outlet
 from pmfid.stream.tuning import TUNING
-
-__all__ = ["Notices"]
 
 
 @dataclass

@@ -15,8 +15,6 @@ from pmfid.stream.delivery import Block
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
-__all__ = ["Column", "PositionRow", "Positions"]
-
 T = TypeVar("T", int, float, bool)
 
 

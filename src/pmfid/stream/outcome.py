@@ -1,8 +1,10 @@
-"""Rows, events and alarms."""
+"""Rows, events, alarms and counters."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,8 +12,6 @@ from numpy.typing import NDArray
 
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Floats
-
-__all__ = ["EstimateRows", "Kindred", "Notice", "Outlet"]
 
 
 @dataclass(frozen=True)
@@ -102,16 +102,7 @@ class AlarmRecord:
     cleared: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            **self.what,
-            "axis": self.axis,
-            "number": self.number,
-            "wall": self.wall,
-            "note": self.note,
-            "acknowledged": self.acknowledged,
-            "settled": self.settled,
-            "cleared": self.cleared,
-        }
+        return {**self.what, **{key: value for key, value in vars(self).items() if key != "what"}}
 
 
 @dataclass
@@ -165,3 +156,32 @@ class Alarms:
 
     def get(self, number: int) -> AlarmRecord | None:
         return self._all.get(number)
+
+
+#: Sorted pairs of label and value.
+Labels = tuple[tuple[str, str], ...]
+
+
+@dataclass
+class Counters:
+    """Totals that only grow (`add`) and levels that are set (`put`). Names are Prometheus's, as
+    "pmfid_samples_total"; labels are few: sources, sinks, reasons, groups, never axes."""
+
+    _values: dict[tuple[str, Labels], float] = field(default_factory=dict, init=False)
+    _lock: Lock = field(default_factory=Lock, init=False)
+
+    def add(self, name: str, amount: float = 1, **labels: str) -> None:
+        """Adds to a total."""
+        key = name, tuple(sorted(labels.items()))
+        with self._lock:
+            self._values[key] = self._values.get(key, 0) + amount
+
+    def put(self, name: str, value: float, **labels: str) -> None:
+        """Sets a level."""
+        with self._lock:
+            self._values[name, tuple(sorted(labels.items()))] = value
+
+    def values(self) -> Mapping[tuple[str, Labels], float]:
+        """All of them now."""
+        with self._lock:
+            return dict(self._values)

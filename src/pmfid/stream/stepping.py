@@ -17,8 +17,6 @@ from pmfid.stream.order import SamplePiece
 from pmfid.stream.outcome import EstimateRows
 from pmfid.types import Counts, Flags, Floats
 
-__all__ = ["Batch", "GroupQueue"]
-
 
 @dataclass(frozen=True)
 class Batch:

@@ -3,24 +3,81 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 from pmfid.errors import UsageError
+from pmfid.fleet.shards import Folder, States, StreamPlan, StreamSettings, columns_of, open_folder
 from pmfid.fleet.spark.engine import is_own, memory, session_of
-from pmfid.fleet.spark.log import SparkLog
-from pmfid.fleet.stream.folder import Folder, States, StreamSettings, open_folder
-from pmfid.fleet.stream.shard import StreamPlan, columns_of
 from pmfid.fleet.tuning import TUNING
 
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
     from pyspark.sql.streaming.query import StreamingQuery
 
-__all__ = ["SETTINGS", "SPARK", "Pacing", "check_states", "kind_of", "states_of", "stream_files", "watch_blocks"]
+
+NAME = "spark.log"
+#: A line that names the cause of a failure, in Python or Java.
+CAUSE = re.compile(r"(Caused by: )?[\w.$]+(Error|Exception): .")
+#: What Spark says of a checkpoint that is not whole.
+DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
+REPAIR = "the checkpoint is damaged: put back a copy of it, or give new folders for --checkpoint and --out"
+AGAIN = "mend that, and start it again"
+NO_MEMORY = (
+    "the stream stopped: Java has no memory left; start it again where there is more, or with the variable "
+    "SPARK_DRIVER_MEMORY=8g for 8 GB; in a session of your own raise spark.driver.memory"
+)
+
+
+class SparkLog:
+    """Of a process that uses the checkpoint in `folder`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / NAME
+        self._begun = self.path.stat().st_size if self.path.exists() else 0
+
+    @contextmanager
+    def capture(self) -> Iterator[None]:
+        """Redirects the messages of a Java process started meanwhile to the log, for its whole life. The messages are
+        many, and help to find the cause of a failure."""
+        sys.stderr.flush()
+        kept = os.dup(2)
+        with self._open_log() as log:
+            os.dup2(log.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+    def _open_log(self) -> IO[bytes]:
+        """The log, opened to append; the null device if the checkpoint can only be read."""
+        try:
+            return open(self.path, "ab")
+        except OSError:
+            return open(os.devnull, "ab")
+
+    def problem(self, error: Exception) -> str:
+        """What Spark says of a failure, without its traces."""
+        if "java.lang.OutOfMemoryError" in self._read_messages():
+            return NO_MEMORY
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        causes = [line for line in lines if CAUSE.match(line)]
+        cause = causes[-1] if causes else next(iter(lines), "without a reason given")
+        damaged = any(sign in str(error) for sign in DAMAGED)
+        return f"the stream stopped: {cause[:400]}; {REPAIR if damaged else AGAIN} ({self.path} has more)"
+
+    def _read_messages(self) -> str:
+        with suppress(OSError), open(self.path, "rb") as file:
+            file.seek(max(self._begun, file.seek(0, os.SEEK_END) - TUNING.log_lately))
+            return file.read().decode("utf-8", "replace")
+        return ""
+
 
 _STORE = "spark.sql.streaming.stateStore"
 #: What the session of a stream needs.
@@ -49,7 +106,7 @@ def watch_blocks(blocks: DataFrame, plan: StreamPlan, begin: States | None = Non
     the bytes of docs/wire.md, as Kafka's key and value. begin: states of axes that go on here."""
     from pyspark.sql import functions as f
 
-    from pmfid.fleet.spark.processor import ShardProcessor
+    from pmfid.fleet.spark.workers import ShardProcessor
 
     spark = blocks.sparkSession
     keys = _find_keys(spark, plan.shards)
@@ -130,7 +187,7 @@ def _session(log: SparkLog, master: str | None, settings: Mapping[str, str]) -> 
 
 def _read(spark: SparkSession, source: Path, kind: str, pacing: Pacing) -> DataFrame:
     if kind == "pmfb":
-        from pmfid.fleet.spark.block_files import BlockFiles
+        from pmfid.fleet.spark.workers import BlockFiles
 
         spark.dataSource.register(BlockFiles)
         return spark.readStream.format(BlockFiles.name()).load(str(source))
@@ -171,7 +228,7 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
     """The states of all axes in the checkpoint of a stream, after its last batch. Raises UsageError if there is no
     checkpoint, or if it is of another configuration."""
     check_states(checkpoint)
-    from pmfid.fleet.spark.processor import STATE, unpack_state
+    from pmfid.fleet.spark.workers import STATE, unpack_state
 
     log = SparkLog(checkpoint)
     spark = _session(log, master, {})

@@ -10,11 +10,10 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from pmfid.config.model import Name
-from pmfid.service.sinks.plain import as_json, notice_object, row_object, single_rows
-from pmfid.service.sinks.queued import Host, SinkSection
+from pmfid.service.context import Context
+from pmfid.service.sinks.plain import as_json, notice_object, row_objects
+from pmfid.service.sinks.queued import SinkSection
 from pmfid.stream.outcome import EstimateRows, Notice
-
-__all__ = ["FileSink", "FileSinkSection"]
 
 
 class FileSinkSection(SinkSection):
@@ -39,7 +38,7 @@ class FileSinkSection(SinkSection):
         """All, or none."""
         return None if self.events else frozenset()
 
-    def make(self, name: str, context: Host) -> FileSink:
+    def make(self, name: str, context: Context) -> FileSink:
         """The sink, not yet open."""
         return FileSink(name, context.folder / self.path)
 
@@ -104,8 +103,7 @@ class FileSink:
 def _lines(outcome: EstimateRows | Notice) -> str:
     if isinstance(outcome, Notice):
         return f"{as_json(notice_object(outcome))}\n"
-    names = outcome.group.names
-    return "".join(f"{as_json({'axis': row.axis, **row_object(row, names)})}\n" for row in single_rows(outcome))
+    return "".join(f"{as_json({'axis': axis, **row})}\n" for axis, row in row_objects(outcome))
 
 
 def _write_all(file: int, data: bytes) -> None:

@@ -13,15 +13,14 @@ from pydantic import Field
 
 from pmfid.monitor.events import STATES
 from pmfid.service.broker import BrokerSection, Text, new_client
-from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_object, single_rows
-from pmfid.service.sinks.queued import URGENT, Host, SinkSection
+from pmfid.service.context import Context
+from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_objects
+from pmfid.service.sinks.queued import URGENT, SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
-
-__all__ = ["BrokerLink"]
 
 
 class BrokerLink:
@@ -144,7 +143,7 @@ class MqttSinkSection(SinkSection, BrokerSection):
         """All, or what concerns alarms."""
         return None if self.events else URGENT
 
-    def make(self, name: str, context: Host) -> MqttSink:
+    def make(self, name: str, context: Context) -> MqttSink:
         """The sink, not yet open. Raises UsageError without paho-mqtt, and for secrets that are not there."""
         base = f"{self.prefix}/{quote(context.name, safe='')}"
         new = partial(new_client, self, context.folder, self.client_id or f"pmfid-{context.name}-{name}")
@@ -193,9 +192,9 @@ class MqttSink:
 
     def _rows(self, rows: EstimateRows) -> None:
         section = self._section
-        for row in single_rows(rows):
-            payload = as_json(row_object(row, rows.group.names)).encode()
-            self._link.publish(self._topic("estimates", row.axis), payload, section.qos, section.retain)
+        for axis, row in row_objects(rows):
+            payload = as_json(row).encode()
+            self._link.publish(self._topic("estimates", axis), payload, section.qos, section.retain)
 
     def _batches(self, rows: EstimateRows) -> None:
         topic = self._topic("batches", rows.group.config)

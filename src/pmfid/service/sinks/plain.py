@@ -3,53 +3,24 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import IO, Any
 
 from pmfid.monitor.events import STATES
+from pmfid.presentation import plain
 from pmfid.stream.outcome import EstimateRows, Notice
 
-__all__ = ["Row", "alarm_of", "as_json", "notice_object", "row_object", "single_rows"]
 
-
-class Row(NamedTuple):
-    """One row of one axis; theta, std: (q,) as lists; state: its name."""
-
-    axis: str
-    number: int
-    time: float
-    u: float
-    counts: int
-    theta: list[float]
-    std: list[float]
-    innovation: float
-    status: int
-    state: str
-
-
-def single_rows(rows: EstimateRows) -> Iterator[Row]:
-    """The rows of a block one by one, in order."""
-    columns = (rows.axis, rows.number, rows.time, rows.u, rows.counts, rows.theta, rows.std, rows.innovation)
-    lists = [column.tolist() for column in (*columns, rows.status, rows.state)]
-    for axis, number, time, u, counts, theta, std, innovation, status, state in zip(*lists, strict=True):
-        name = rows.group.axes[axis]
-        yield Row(name, number, time, u, counts, theta, std, innovation, status, STATES[state])
-
-
-def row_object(row: Row, names: tuple[str, ...]) -> dict[str, Any]:
-    """For JSON. names: of the parameters."""
-    return {
-        "number": row.number,
-        "time": row.time,
-        "u": row.u,
-        "counts": row.counts,
-        "theta": dict(zip(names, row.theta, strict=True)),
-        "std": dict(zip(names, row.std, strict=True)),
-        "innovation": row.innovation,
-        "status": row.status,
-        "state": row.state,
-    }
+def row_objects(rows: EstimateRows) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The name of the axis and an object for JSON of each row of a block, in order."""
+    names = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
+    columns = [getattr(rows, name).tolist() for name in names]
+    for axis, state, *values in zip(rows.axis.tolist(), rows.state.tolist(), *columns, strict=True):
+        row = dict(zip(names, values, strict=True))
+        for name in ("theta", "std"):
+            row[name] = dict(zip(rows.group.names, row[name], strict=True))
+        yield rows.group.axes[axis], {**row, "state": STATES[state]}
 
 
 def notice_object(notice: Notice) -> dict[str, Any]:
@@ -70,22 +41,34 @@ def alarm_of(notice: Notice) -> int | None:
 def as_json(value: object) -> str:
     """On one line; a number that is not finite becomes null, which JSON has no other word for."""
     try:
-        return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
-    except ValueError:
-        return json.dumps(_finite(value), allow_nan=False, separators=(",", ":"), default=_plain)
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    except (TypeError, ValueError):
+        return json.dumps(plain(value), allow_nan=False, separators=(",", ":"))
 
 
-def _finite(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
+def json_line(notice: Notice) -> str:
+    """A notice as one line of JSON."""
+    return as_json(notice_object(notice))
 
 
-def _plain(value: object) -> object:
-    """Of NumPy's numbers and arrays the ones that JSON knows; of all else its text."""
-    listed = getattr(value, "tolist", None)
-    return str(value) if listed is None else _finite(listed())
+@dataclass
+class NoticeLog:
+    """A sink that writes lines to a stream; line: of a notice, "" to leave the notice out."""
+
+    stream: IO[str]
+    line: Callable[[Notice], str] = json_line
+    name: str = "log"
+
+    def open(self) -> None:
+        """The stream is open."""
+
+    def put(self, outcomes: list[EstimateRows | Notice]) -> None:
+        """Writes them at once."""
+        lines = [self.line(one) for one in outcomes if isinstance(one, Notice)]
+        text = "".join(f"{line}\n" for line in lines if line)
+        if text:
+            self.stream.write(text)
+            self.stream.flush()
+
+    def close(self) -> None:
+        """The stream stays open."""

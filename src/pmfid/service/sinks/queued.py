@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Condition, Event, Thread
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 from pydantic import Field
 
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import PmfidError, printable
-from pmfid.service.sinks import Sink
+from pmfid.service.context import Context, Sink, Tell
 from pmfid.service.tuning import TUNING
-from pmfid.stream.commands import Counters
-from pmfid.stream.outcome import EstimateRows, Notice
-
-__all__ = ["MOST_ENTRIES", "URGENT", "Entry", "Lost", "OutcomeQueue", "QueueLimits", "is_urgent"]
+from pmfid.stream.outcome import Counters, EstimateRows, Notice
 
 #: Events that a person waits for; all others are dropped before them.
 URGENT = frozenset({"alarm", "acknowledged", "settled", "cleared"})
@@ -156,10 +152,6 @@ class OutcomeQueue:
             if isinstance(outcome, Notice) and is_urgent(outcome):
                 urgent.append(outcome.number)
         return Lost(rows, notices, tuple(urgent))
-
-
-#: Receives an object with "event": "sink" or "dropped", from the thread of the sink.
-Tell = Callable[[dict[str, Any]], None]
 
 
 def problem_of(error: Exception) -> str:
@@ -406,27 +398,6 @@ class Queued:
             self._tell({"event": "sink", "sink": self.name, "works": False, "problem": problem_of(error)})
 
 
-class Host(Protocol):
-    """The service around a sink. name: of the service; folder: of PLANT.toml, to which names of files are relative;
-    state: folder of the checkpoints, None without checkpoints; counters: those of the service;
-    tell: receives notices of a sink, objects with "event": "sink", from any thread."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def folder(self) -> Path: ...
-
-    @property
-    def state(self) -> Path | None: ...
-
-    @property
-    def counters(self) -> Counters: ...
-
-    @property
-    def tell(self) -> Tell: ...
-
-
 class SinkSection(FileSection):
     """Keys that every [sinks.NAME] may have."""
 
@@ -434,7 +405,7 @@ class SinkSection(FileSection):
     queue_mb: float = Field(64.0, gt=0, description="the size in MB of the rows that may wait, for example 64.0")
     queue_notices: int = Field(10_000, ge=1, description="the number of notices that may wait")
 
-    def make(self, name: str, context: Host) -> Sink:
+    def make(self, name: str, context: Context) -> Sink:
         """The sink, not yet open. Raises UsageError for what can be known to be wrong before, as a library that is not
         installed or a secret that is not there."""
         raise NotImplementedError
@@ -447,7 +418,7 @@ class SinkSection(FileSection):
         """Events that are for this sink; None for all."""
         return None
 
-    def outlet(self, name: str, context: Host) -> Queued:
+    def outlet(self, name: str, context: Context) -> Queued:
         """The queue of the sink, not yet started. Raises UsageError, as `make`."""
         limits = QueueLimits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices)
         sink = self.make(name, context)

@@ -12,12 +12,11 @@ from typing import Literal
 from pydantic import Field
 
 from pmfid.config.model import Name
+from pmfid.service.context import Context
 from pmfid.service.sinks.plain import alarm_of, as_json
-from pmfid.service.sinks.queued import Host, SinkSection
+from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
-
-__all__ = ["SqliteSection", "SqliteSink"]
 
 #: Of the layout below, kept in the file; and what marks a file as one of these ("pmfd").
 VERSION, APPLICATION = 1, 0x706D6664
@@ -73,18 +72,7 @@ INSERT INTO configurations SELECT ?, ?, ?, ?, ?, ?
 WHERE (SELECT digest FROM configurations WHERE config IS ? AND axis = ? ORDER BY id DESC LIMIT 1) IS NOT ?
 """
 #: Keys of an alarm that are columns.
-ALARM = (
-    "time",
-    "changed_at",
-    "parameter",
-    "direction",
-    "change",
-    "std",
-    "unit",
-    "relative",
-    "statistic",
-    "threshold",
-)
+ALARM = ("time", "changed_at", "parameter", "direction", "change", "std", "unit", "relative", "statistic", "threshold")
 
 
 class SqliteSection(SinkSection):
@@ -99,7 +87,7 @@ class SqliteSection(SinkSection):
         """Events alone."""
         return False
 
-    def make(self, name: str, context: Host) -> SqliteSink:
+    def make(self, name: str, context: Context) -> SqliteSink:
         """The sink, not yet open."""
         kept = context.state or context.folder
         return SqliteSink(name, kept / f"{name}.sqlite" if self.path is None else context.folder / self.path)

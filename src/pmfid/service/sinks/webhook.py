@@ -16,13 +16,11 @@ from pydantic import AfterValidator, Field, model_validator
 from pmfid.config.model import Name, Positive
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.broker import is_here, secret
-from pmfid.service.sinks import RefusedError
+from pmfid.service.context import Context, RefusedError
 from pmfid.service.sinks.plain import as_json, notice_object
-from pmfid.service.sinks.queued import Host, SinkSection
+from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
-
-__all__ = ["Poster", "check_address"]
 
 #: Answers that are about what was sent, and will be the same next time.
 ABOUT_CONTENT = (400, 413, 414, 415, 422, 431)
@@ -190,7 +188,7 @@ class WebhookSection(SinkSection):
         """Those that are configured."""
         return frozenset(self.events)
 
-    def make(self, name: str, context: Host) -> WebhookSink:
+    def make(self, name: str, context: Context) -> WebhookSink:
         """The sink, not yet open. Raises UsageError for an address or a secret that is none."""
         label, folder = f"[sinks.{name}]", context.folder
         url = self.url or secret(self.url_env, self.url_file, folder)

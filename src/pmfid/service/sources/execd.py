@@ -8,24 +8,17 @@ from __future__ import annotations
 import os
 import select
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Event
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from pmfid.service.broker import Text
-from pmfid.service.context import Axes, Context, SourceSection
-from pmfid.service.sources import CHUNK, Take
+from pmfid.service.context import CHUNK, Context, FindAxis, SourceSection, Take, Tell
 from pmfid.service.tuning import TUNING
-from pmfid.service.wire.line_protocol import Precision
-from pmfid.service.wire.messages import Messages
-from pmfid.service.wire.points import Readers
-from pmfid.service.wire.splitter import LineSplitter
+from pmfid.service.wire.messages import LineSplitter, Messages, Precision, Readers
 from pmfid.stream.delivery import Delivery, Mark
-
-__all__ = ["ExecdSection", "ExecdSource"]
 
 
 class ExecdSection(SourceSection):
@@ -38,25 +31,24 @@ class ExecdSection(SourceSection):
 
     def make(self, name: str, context: Context) -> ExecdSource:
         """The source, not yet running."""
-        return ExecdSource(name, self, context.axes, context.tell)
+        return ExecdSource(name, self, context.axis, context.tell)
 
 
 @dataclass
 class ExecdSource:
-    """A `Source` of line protocol. name: in PLANT.toml; axes: by name; tell: takes what happens to the source; stdin,
-    stdout: file descriptors."""
+    """A `Source` of line protocol. stdin, stdout: file descriptors."""
 
     name: str
     section: ExecdSection
-    axes: Axes
-    tell: Callable[[dict[str, Any]], None]
+    axis: FindAxis
+    tell: Tell
     stdin: int = 0
     stdout: int = 1
     _stopped: Event = field(default_factory=Event, init=False)
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Reads until the pipe is closed or `stop` is called."""
-        form = Messages(Readers(self.axes), "line", self.section.axis_tag, self.section.precision)
+        form = Messages(Readers(self.axis), "line", self.section.axis_tag, self.section.precision)
         splitter, passing = LineSplitter(), self.section.pass_on
         while not self._stopped.is_set():
             if not select.select([self.stdin], [], [], TUNING.execd_look)[0]:

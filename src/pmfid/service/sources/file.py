@@ -23,12 +23,9 @@ from pmfid.pipeline.monitored.stream import Beginning
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 from pmfid.records.record import Record
-from pmfid.service.context import Context, SourceSection
-from pmfid.service.sources import CHUNK, Source, Take
+from pmfid.service.context import CHUNK, Context, Source, SourceSection, Take
 from pmfid.service.tuning import TUNING
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
-
-__all__ = ["FileSource", "Follower", "Piped", "Player", "StdinSource"]
 
 
 def _usable(value: float) -> float:

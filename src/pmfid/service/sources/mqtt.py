@@ -8,21 +8,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
 from pmfid.service.broker import BrokerSection, Text, new_client, pauses
-from pmfid.service.context import Axes, Context, SourceSection
-from pmfid.service.sources import Take
-from pmfid.service.wire.line_protocol import Precision
-from pmfid.service.wire.messages import LARGEST, Form, Messages
-from pmfid.service.wire.points import Readers
+from pmfid.service.context import Context, FindAxis, SourceSection, Take, Tell
+from pmfid.service.wire.messages import LARGEST, Form, Messages, Precision, Readers
 from pmfid.stream.delivery import Delivery, Mark
 
 if TYPE_CHECKING:
@@ -30,7 +26,6 @@ if TYPE_CHECKING:
     from paho.mqtt.properties import Properties
     from paho.mqtt.reasoncodes import ReasonCode
 
-__all__ = ["MqttSource", "MqttSourceSection"]
 
 #: A level of a topic that names the axis.
 AXIS_LEVEL = "{axis}"
@@ -79,19 +74,18 @@ class MqttSourceSection(BrokerSection, SourceSection):
         """The source. Raises UsageError where the client cannot be made."""
         client = self.client or f"pmfid-{context.name}-{name}"
         new_client(self, context.folder, client, acknowledges=True)  # says now what would fail later
-        return MqttSource(name, self, context.axes, context.tell, context.folder, client)
+        return MqttSource(name, self, context.axis, context.tell, context.folder, client)
 
 
 @dataclass
 class MqttSource:
-    """A `Source` of messages. name: in PLANT.toml; axes: by name; tell: takes what happens to the source; folder: that
-    files in the section are relative to; client: name of the session where the section has none; subscribed: it is,
-    now."""
+    """A `Source` of messages. folder: that files in the section are relative to; client: name of the session where the
+    section has none; subscribed: it is, now."""
 
     name: str
     section: MqttSourceSection
-    axes: Axes
-    tell: Callable[[dict[str, Any]], None]
+    axis: FindAxis
+    tell: Tell
     folder: Path = Path()
     client: str = "pmfid"
     subscribed: bool = field(default=False, init=False)
@@ -106,7 +100,7 @@ class MqttSource:
     def __post_init__(self) -> None:
         section = self.section
         self._messages = Messages(
-            Readers(self.axes), section.format, section.axis_tag, section.precision, section.largest
+            Readers(self.axis), section.format, section.axis_tag, section.precision, section.largest
         )
 
     def run(self, take: Take, mark: Mark | None) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from threading import Event
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 from pydantic import Field, model_validator
 
@@ -15,17 +15,14 @@ from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.lines import LineParser, is_comment
 from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 from pmfid.service.broker import Text, pauses
-from pmfid.service.context import Axes, Context, SourceSection
-from pmfid.service.sources import CHUNK, Take
+from pmfid.service.context import CHUNK, Context, FindAxis, SourceSection, Take, Tell
 from pmfid.service.tuning import TUNING
-from pmfid.service.wire.splitter import LineSplitter
+from pmfid.service.wire.messages import LineSplitter
 from pmfid.stream.blocks import BlockStream
 from pmfid.stream.delivery import Delivery, Item, Lines, Mark, Unusable
 
 if TYPE_CHECKING:
     from serial import Serial
-
-__all__ = ["SerialSection", "SerialSource"]
 
 
 class SerialSection(SourceSection):
@@ -50,7 +47,7 @@ class SerialSection(SourceSection):
 
     def make(self, name: str, context: Context) -> SerialSource:
         """The source, not yet running."""
-        return SerialSource(name, self, context.axes, context.tell)
+        return SerialSource(name, self, context.axis, context.tell)
 
 
 class _ItemReader(Protocol):
@@ -108,13 +105,12 @@ class _Csv:
 
 @dataclass
 class SerialSource:
-    """A `Source` of a serial port. name: in PLANT.toml; axes: by name; tell: takes what happens to the source;
-    opened: the port is, now."""
+    """A `Source` of a serial port. opened: the port is, now."""
 
     name: str
     section: SerialSection
-    axes: Axes
-    tell: Callable[[dict[str, Any]], None]
+    axis: FindAxis
+    tell: Tell
     opened: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
     _reported: str = field(default="", init=False)
@@ -143,7 +139,7 @@ class SerialSource:
         section = self.section
         if section.axis is None:
             return _Blocks()
-        axis = self.axes.get(section.axis)
+        axis = self.axis(section.axis)
         if axis is None:
             raise UsageError(f"[sources.{self.name}] axis = {section.axis!r}: there is no such axis; correct the name")
         return _Csv(section.axis, axis, section.header)

@@ -11,8 +11,6 @@ from pmfid.config.model import Name, Positive
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
 
-__all__ = ["HERE", "PORT", "PageConfig"]
-
 #: Where the page is without [page].
 HERE, PORT = "127.0.0.1", 8127
 

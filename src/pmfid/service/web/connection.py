@@ -14,9 +14,7 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pmfid.service.tuning import TUNING
-from pmfid.stream.commands import Counters
-
-__all__ = ["ConnectionLimits", "Guarded", "build_protocol"]
+from pmfid.stream.outcome import Counters
 
 #: States of a request that is whole.
 WHOLE = (h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR)

@@ -26,9 +26,7 @@ from pmfid.errors import UsageError
 from pmfid.service.broker import read_secret
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.config import PageConfig
-from pmfid.stream.commands import Counters
-
-__all__ = ["READ", "WRITE", "Tokens", "keep_token", "load_tokens"]
+from pmfid.stream.outcome import Counters
 
 READ, WRITE = "read", "write"
 

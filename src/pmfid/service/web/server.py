@@ -24,20 +24,20 @@ from starlette.types import ASGIApp
 
 from pmfid.errors import UsageError
 from pmfid.records.record import Record
-from pmfid.service.board import Board
 from pmfid.service.tuning import TUNING
-from pmfid.service.web.api import Acts, Api
+from pmfid.service.web.api import Api
+from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.security import Guard, Tokens, load_tokens
-from pmfid.stream.commands import Counters
+from pmfid.stream.engine import StreamEngine
+from pmfid.stream.outcome import Counters
 
 if TYPE_CHECKING:
     from uvicorn import Config, Server
 
+    from pmfid.service.web.api import Hub
     from pmfid.service.web.connection import Entrance, Guarded
-    from pmfid.service.web.hub import Hub
 
-__all__ = ["make_app"]
 
 KINDS = {
     ".html": "text/html; charset=utf-8",
@@ -137,7 +137,7 @@ def serve(
     name: str,
     board: Board,
     counters: Counters,
-    acts: Acts,
+    engine: StreamEngine,
     *,
     folder: Path,
     reference: Callable[[str], Record | None] = lambda axis: None,
@@ -149,9 +149,8 @@ def serve(
     (it may raise UsageError); metrics: text for Prometheus; alive: whether the engine is, for health checks. Raises
     UsageError where the address cannot be had, a token is missing, or the extra is not installed."""
     _check_extra()
-    from pmfid.service.web.api import Api
+    from pmfid.service.web.api import Api, Hub
     from pmfid.service.web.connection import Entrance, most_connections
-    from pmfid.service.web.hub import Hub
     from pmfid.service.web.security import hosts_of
 
     tokens = load_tokens(config, folder)
@@ -164,7 +163,7 @@ def serve(
         board,
         counters,
         hub,
-        acts,
+        engine,
         reference,
         metrics,
         alive,

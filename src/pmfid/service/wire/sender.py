@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from paho.mqtt.properties import Properties
     from paho.mqtt.reasoncodes import ReasonCode
 
-__all__ = ["Numbering"]
-
 
 @dataclass
 class _Axis:
