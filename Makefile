@@ -13,7 +13,7 @@ SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[c
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. An edit of Python
 # counts at once, an edit of C after `make`. What a command imports is compiled to bytecode, as some environments forbid
 # Python to do so later.
-IMPORTED = click highspy jinja2 matplotlib narwhals numpy polars pydantic rich scipy
+IMPORTED = click jinja2 matplotlib numpy polars pydantic rich scipy
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
 	$(PIP) install --no-compile -c requirements-dev.txt $(BUILD_TOOLS)

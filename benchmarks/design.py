@@ -90,7 +90,7 @@ def problem(parameters: int, intervals: int = 40) -> Problem:
 def own_starts(case: Problem, criterion: str, starts: int, seed: int, memory: bool = True) -> Tried:
     """pmfid, start by start; memory: local optima that earlier starts have met are not left again."""
     ready = setting(case, criterion)
-    oracle = Oracle(ready.shape)
+    oracle = Oracle(ready.inputs)
     oracle.feasible()
     climber = Climber(ready.maps, ready.rule, oracle)
     values, seconds = [], []

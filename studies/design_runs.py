@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.encoder_error import encoder_covariance, squares_covariance, start_free
+from pmfid.design.encoder_error import centred_sensitivities, encoder_covariance, start_free
 from pmfid.design.fisher import affine
 from pmfid.design.problem import Problem
 from pmfid.design.simulated import simulate
@@ -25,6 +25,8 @@ from studies.design_case import STARTS, case, known
 Method = Callable[[Floats, Floats, Problem, np.random.Generator], Floats]
 
 INCREMENTS = 1024
+#: Start phases on the lattice of the encoder, evenly spread.
+PHASES = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,23 @@ def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -
     resolution = problem.resolution or 1.0
     method = IntervalML(problem.drive, Encoder(resolution), run.dt, 1 / (3 * run.dt))
     return method.fit(u, np.round(run.y / resolution).astype(np.int64)).theta
+
+
+def squares_covariance(problem: Problem, u: Floats) -> Floats:
+    """Mean square error (p, p) of least squares on the counts, linearised at the nominal values.
+
+    The error of the counts along the simulated motion (paper eq. 3), from all start phases alike, sent through the
+    estimate.
+    """
+    maps = affine(problem)
+    s = centred_sensitivities(maps.weigh_sensitivities(u))
+    F = s @ s.T + maps.prior
+    x = simulate(problem, u).x / float(problem.resolution or 1.0)
+    phases = (np.arange(PHASES)[:, None] + 0.5) / PHASES
+    error = np.sqrt(12.0) * (np.floor(x + phases) - x - phases)  # over its deviation
+    score = error @ s.T
+    middle = score.T @ score / PHASES + maps.prior
+    return np.asarray(np.linalg.solve(F, np.linalg.solve(F, middle).T) * np.outer(problem.scale, problem.scale))
 
 
 METHODS: dict[str, Method] = {

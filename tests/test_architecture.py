@@ -342,18 +342,16 @@ def test_the_command_starts_without_the_heavy_libraries() -> None:
 
 
 NUMERIC = {"numpy", "scipy"}
-TABLES = NUMERIC | {"pydantic", "pydantic_core", "polars", "narwhals"}
+TABLES = NUMERIC | {"pydantic", "pydantic_core", "polars"}
 #: Room -> the libraries without which its modules are not imported; all others of OUTSIDE may be absent.
 NEEDS = {
     **dict.fromkeys(["simulation", "kernel", "models", "filters", "linear", "estimators", "diagnostics"], NUMERIC),
-    **dict.fromkeys(["monitor", "testing", "io"], NUMERIC),
-    **dict.fromkeys(["config", "records", "stream"], TABLES),
-    "pipeline": TABLES | {"highspy"},
+    **dict.fromkeys(["monitor", "testing", "io", "design"], NUMERIC),
+    **dict.fromkeys(["config", "records", "stream", "pipeline"], TABLES),
     "export": NUMERIC | {"jinja2"},
-    "design": NUMERIC | {"highspy"},
-    "report": TABLES | {"highspy", "jinja2", "matplotlib"},
+    "report": TABLES | {"jinja2", "matplotlib"},
 }
-OUTSIDE = SLOW_TO_IMPORT | {"click", "highspy", "jinja2", "narwhals", "pydantic_core", "fastexcel", "h5py", "mcap"}
+OUTSIDE = SLOW_TO_IMPORT | {"click", "highspy", "jinja2", "pydantic_core", "fastexcel", "h5py", "mcap"}
 ALONE = """
 import importlib, pkgutil, sys
 class Absent:

@@ -13,10 +13,10 @@ from pmfid.design.appraisal import USUAL, best_input, choose
 from pmfid.design.calibration import DesignedRun, calibrate
 from pmfid.design.encoder_error import encoder_covariance, expected_covariance, inside, log_of_room, start_free, walk
 from pmfid.design.fisher import Criterion, affine
-from pmfid.design.polytope import polytope
+from pmfid.design.polytope import input_set, violations
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.simulated import drive_of, simulate
-from pmfid.design.solver import evaluate, violations
+from pmfid.design.solver import evaluate
 from pmfid.design.standard import standard_inputs
 from pmfid.design.tuning import TUNING
 from pmfid.simulation.drive import Machine, drive_machine
@@ -120,7 +120,7 @@ def test_an_input_is_chosen_that_leaves_no_parameter_worse_than_the_trapezoid() 
     state = redesign(problem, [], {}, starts=4)
     assert state.choice is not None
     assert all(state.choice.std[name] <= state.choice.usual[name] for name in problem.unknown)
-    assert not violations(polytope(problem), state.choice.design.u)
+    assert not violations(input_set(problem), state.choice.design.u)
     assert state.to_json()["next"]["expected_std"] == dict(state.choice.std)
 
 

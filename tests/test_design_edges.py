@@ -10,8 +10,9 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
+from pmfid.design.polytope import input_set, violations
 from pmfid.design.problem import Limits, Problem
-from pmfid.design.solver import setting, solve, violations
+from pmfid.design.solver import solve
 from pmfid.design.standard import standard_inputs
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
@@ -52,9 +53,9 @@ def test_a_way_back_to_a_limit_of_position_is_feasible(axis: tuple, limits: tupl
     highest, rms, far = limits
     bounds = Limits(input=highest, rms=rms, position=(low, far), min_speed=0.001)
     problem = to_and_fro(*axis, bounds, size)
-    shape = setting(problem, "D").shape
+    inputs = input_set(problem)
     for found in standard_inputs(problem, names=("minimum_energy", "pulses", "chirp")).values():
-        assert not {name: much for name, much in violations(shape, found.u).items() if much > 1e-5 * highest}
+        assert not {name: much for name, much in violations(inputs, found.u).items() if much > 1e-5 * highest}
     assert solve(problem, "D", starts=1).feasible
 
 

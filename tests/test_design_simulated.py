@@ -9,7 +9,7 @@ import pytest
 
 from pmfid.design.appraisal import accumulate_value, appraise, worth_of
 from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.encoder_error import encoder_covariance, squares_covariance, start_free
+from pmfid.design.encoder_error import encoder_covariance, start_free
 from pmfid.design.fisher import affine, criterion_of, information
 from pmfid.design.problem import Design
 from pmfid.design.simulated import both_ways, simulate, simulated_information
@@ -18,6 +18,7 @@ from pmfid.design.standard import standard_inputs
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
 from studies.design_case import case, known
+from studies.design_runs import squares_covariance
 
 CASE = case("m, d, F_c")
 
@@ -140,7 +141,6 @@ def test_the_encoder_predicts_the_scatter_of_least_squares_on_counts() -> None:
         found = calibrate(squares, [DesignedRun(motion.u, y, problem.dt)]).parameters
         errors.append([found[name] - problem.nominal[name] for name in problem.names])
     covariance = squares_covariance(problem, u)
-    assert covariance is not None
     observed = np.sqrt(np.mean(np.square(errors), axis=0))
     assert observed == pytest.approx(np.sqrt(covariance.diagonal()), rel=0.15)
     white = np.sqrt(np.linalg.inv(start_free(affine(problem).weigh_sensitivities(u))).diagonal()) * problem.scale

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
-import highspy
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +15,7 @@ from pmfid.design.bounds import upper_bound
 from pmfid.design.campaigns import campaign
 from pmfid.design.fisher import information, motion
 from pmfid.design.oracle import Oracle, SolverError
+from pmfid.design.polytope import input_set, nearest
 from pmfid.design.problem import InfeasibleError, Limits, Problem
 from pmfid.design.solver import evaluate, minimum_time, price_of_robustness, relaxations, setting, solve
 
@@ -65,7 +66,7 @@ def test_vertices_keep_every_limit(m: float, d: float, F: float, end: float, tig
     wide = Limits(input=12.0, position=(0.0, 1.0), min_speed=0.001)
     problem = Problem(pmfid.Drive(2.0), nominal, NAMES, 2.0, 24, wide, resolution=1e-4, end=(end, 0.0))
     problem = replace(problem, limits=replace(wide, **{tight: 2.0 * _needed(problem, tight)}))
-    oracle = Oracle(setting(problem, "D").shape)
+    oracle = Oracle(input_set(problem))
     assert oracle.feasible()
     oracle.start()
     u = oracle.maximise(np.random.default_rng(seed).standard_normal(24))
@@ -110,9 +111,7 @@ def test_bounds_are_proved_and_hold() -> None:
 
 def _slow(intervals: int) -> np.ndarray:
     """A feasible input that is far from the best: the one of least energy."""
-    from pmfid.design.polytope import input_set, nearest
-
-    return nearest(input_set(setting(case(1, intervals), "trace").shape), np.zeros(intervals))
+    return nearest(input_set(case(1, intervals)), np.zeros(intervals))
 
 
 @pytest.mark.parametrize(("criterion", "unknown"), [("D", 2), ("A", 2), ("E", 2), ("D", 3)])
@@ -224,10 +223,16 @@ def test_starts_must_be_positive() -> None:
 
 
 def test_a_linear_solver_that_gives_up_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    oracle = Oracle(setting(case(), "trace").shape)
-    monkeypatch.setattr(Oracle, "_run", lambda self: highspy.HighsModelStatus.kUnknown)
+    oracle = Oracle(input_set(case()))
+    monkeypatch.setattr(Oracle, "_run", lambda self: "Unknown")
     with pytest.raises(SolverError, match="rescale the problem"):
         oracle.maximise(np.ones(40))
+
+
+def test_without_the_solver_an_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "highspy", None)
+    with pytest.raises(pmfid.UsageError, match=r"pip install 'pmfid\[design\]'"):
+        solve(case(), starts=1)
 
 
 def test_a_given_input_that_breaks_limits_says_which() -> None:

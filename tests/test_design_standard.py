@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmfid.design.fisher import motion
-from pmfid.design.polytope import input_set, nearest, polytope, violation
+from pmfid.design.polytope import input_set, nearest, violation
 from pmfid.design.problem import InfeasibleError, Limits, Problem
 from pmfid.design.standard import STANDARD, input_wish, standard_inputs
 from pmfid.models.drive import Drive
@@ -31,7 +31,7 @@ PROBLEMS = {
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_every_standard_input_keeps_the_limits(name: str) -> None:
     problem = PROBLEMS[name]
-    inputs = input_set(polytope(problem))
+    inputs = input_set(problem)
     found = standard_inputs(problem)
     assert tuple(found) == STANDARD
     for each in found.values():
@@ -42,14 +42,14 @@ def test_every_standard_input_keeps_the_limits(name: str) -> None:
 
 
 def test_the_checker_sees_what_leaves_the_limits() -> None:
-    inputs = input_set(polytope(CASE))
+    inputs = input_set(CASE)
     u = standard_inputs(CASE, names=("trapezoid",))["trapezoid"].u
     for k, change in ((5, 4.0), (39, 0.5)):  # beyond 3 V; the end missed
         bad = u.copy()
         bad[k] += change
         assert violation(inputs, bad) > 1e-3
     tight = replace(CASE, limits=replace(CASE.limits, rms=0.5))
-    assert violation(input_set(polytope(tight)), u) > 0.1
+    assert violation(input_set(tight), u) > 0.1
 
 
 def test_profiles_have_their_shapes() -> None:
@@ -90,7 +90,7 @@ def test_the_multisine_has_a_low_crest_factor() -> None:
 
 def test_nearest_is_nearer_than_any_other_way_to_the_limits() -> None:
     rng = np.random.default_rng(0)
-    inputs = input_set(polytope(CASE))
+    inputs = input_set(CASE)
     others = [each.u for each in standard_inputs(CASE).values()]
     for _ in range(5):
         wish = rng.uniform(-3, 3, CASE.intervals)
@@ -115,7 +115,7 @@ def test_random_drives_keep_their_limits() -> None:
         nominal = {"mass": mass, "viscous_friction": viscous, "coulomb_friction": coulomb}
         limits = Limits(input=6.0, min_speed=0.005)
         problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 30, limits, resolution=1e-5, end=(0.3, 0.0))
-        inputs = input_set(polytope(problem))
+        inputs = input_set(problem)
         for each in standard_inputs(problem).values():
             assert violation(inputs, each.u) < 1e-7
             x, v = motion(problem, each.u)

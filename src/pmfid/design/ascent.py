@@ -34,7 +34,7 @@ class Climber:
     def start(self, rng: np.random.Generator) -> tuple[float, Floats]:
         """(log value, input (K,)) of the best found from a random vertex."""
         self.oracle.start()
-        return self.climb(self.oracle.maximise(rng.standard_normal(self.oracle.shape.inputs)))
+        return self.climb(self.oracle.maximise(rng.standard_normal(self.oracle.inputs.size)))
 
     def climb(self, u: Floats) -> tuple[float, Floats]:
         """(log value, input) of the local optimum above u that no shift improves."""
@@ -102,7 +102,7 @@ class Climber:
             values = np.array([self.criterion.log_value(F) for F in informations])
             weights = np.exp(-TUNING.ascent_sharpness * _subtract_least(values)) if self.worst else np.ones(len(s))
             weights /= weights.sum()
-        slope = np.zeros(self.oracle.shape.inputs)
+        slope = np.zeros(self.oracle.inputs.size)
         for maps, here, F, weight in zip(self.maps, s, informations, weights, strict=True):
             slope += weight * (maps.matrix.T @ (2.0 * (self.criterion.gradient(F) @ here)).ravel())
         return slope
@@ -137,7 +137,7 @@ class Climber:
         return (other, u) if other > value + TUNING.ascent_same else None
 
     def _shifts(self) -> list[int]:
-        size = self.oracle.shape.inputs
+        size = self.oracle.inputs.size
         return list(dict.fromkeys(s for n in TUNING.ascent_shifts if 0 < abs(s := n * max(1, round(size / 40))) < size))
 
     def _recall(self, value: float, u: Floats) -> tuple[float, Floats] | None:

@@ -14,7 +14,7 @@ from scipy.linalg import null_space
 from pmfid.design.ascent import best_mixture, proportions, share
 from pmfid.design.fisher import Affine, Criterion, affine
 from pmfid.design.oracle import EmptyError, Oracle
-from pmfid.design.polytope import EQUAL, input_set, polytope
+from pmfid.design.polytope import EQUAL, input_set
 from pmfid.design.problem import Problem
 from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
@@ -114,10 +114,9 @@ class _BoundSearch:
         self.rule, self.u, self.until = rule, u, until
         self.target = 1.0 + gap
         self.value = rule.value(self.maps.information(u))
-        shape = polytope(problem)
-        self.oracle = Oracle(shape)
+        inputs = input_set(problem)
+        self.oracle = Oracle(inputs)
         self.oracle.feasible()
-        inputs = input_set(shape)
         equations = inputs.matrix[inputs.upper - inputs.lower <= EQUAL]
         self.directions = null_space(equations) if len(equations) else np.eye(problem.intervals)
         self.order = count()

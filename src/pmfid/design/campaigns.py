@@ -11,7 +11,7 @@ import numpy as np
 from pmfid.design.ascent import Climber, best_mixture, proportions
 from pmfid.design.fisher import Affine, Criterion, affine, check_identifiable, criterion_of, eliminate
 from pmfid.design.oracle import Oracle
-from pmfid.design.polytope import polytope
+from pmfid.design.polytope import input_set
 from pmfid.design.problem import Design, Problem
 from pmfid.design.solver import evaluate, solve
 from pmfid.errors import UsageError
@@ -105,7 +105,7 @@ def campaign(
     single = solve(problem, criterion, combination=combination, starts=starts, seed=seed)
     maps = affine(problem)
     check_identifiable(problem, maps)
-    oracle = Oracle(polytope(problem))
+    oracle = Oracle(input_set(problem))
     oracle.feasible()
     ideal, inputs = best_mixture(maps, rule, oracle, [single.u], seed)
     chosen, weights = _joint(maps, rule, oracle, _fewest(maps, rule, inputs, motions))

@@ -196,10 +196,10 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     corners of what is not known are among the machines.
     None if the noise is not that of an encoder, or if the run and the prior leave a parameter open.
     """
-    ready = _ready(problem, u)
+    ready = _informations(problem, u) if is_counted(problem) else None
     if ready is None:
         return None
-    prior, size = ready[1], len(problem.names)
+    prior, size = ready[0], len(problem.names)
     known, machines = _bound_prior(prior), _machines(problem, prior)
     errors, moves, roots = [], [], []
     for number, parameters in enumerate(machines):
@@ -272,13 +272,12 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """
     if is_counted(problem):
         return encoder_covariance(problem, u)
-    maps = affine(problem)
-    F, scale = start_free(maps.weigh_sensitivities(u)) + maps.prior, np.outer(problem.scale, problem.scale)
-    if np.linalg.cond(F) > TUNING.encoder_error_worst:
+    ready = _informations(problem, u)
+    if ready is None:
         return None
-    if problem.drive.friction == "symmetric":
-        return np.asarray(_white_covariance(problem, u, maps.prior) * scale)
-    return np.asarray(np.linalg.inv(F) * scale)
+    prior, F = ready
+    covariance = _white_covariance(problem, u, prior) if problem.drive.friction == "symmetric" else np.linalg.inv(F)
+    return np.asarray(covariance * np.outer(problem.scale, problem.scale))
 
 
 def _white_covariance(problem: Problem, u: ArrayLike, prior: Floats) -> Floats:
@@ -298,33 +297,11 @@ def log_of_room(distance: Floats, half: float) -> Floats:
     return np.asarray(np.log(room, out=np.full(room.shape, -np.inf), where=room > 0))
 
 
-def squares_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
-    """The same (p, p) for least squares on the counts, linearised at the nominal values.
-
-    The error of the counts along the simulated motion (paper eq. 3), from all start phases alike, sent through the
-    estimate.
-    """
-    ready = _ready(problem, u)
-    if ready is None:
-        return None
-    s, prior, F = ready
-    x = simulate(problem, u).x / float(problem.resolution or 1.0)
-    phases = (np.arange(TUNING.encoder_error_phases)[:, None] + 0.5) / TUNING.encoder_error_phases
-    error = np.sqrt(12.0) * (np.floor(x + phases) - x - phases)  # over its deviation
-    score = error @ s.T
-    middle = score.T @ score / TUNING.encoder_error_phases + prior
-    scale = np.outer(problem.scale, problem.scale)
-    return np.asarray(np.linalg.solve(F, np.linalg.solve(F, middle).T) * scale)
-
-
-def _ready(problem: Problem, u: ArrayLike) -> tuple[Floats, Floats, Floats] | None:
-    """Centred sensitivities (p, N + 1), prior and information (p, p), scaled; None if there is no answer."""
-    if not is_counted(problem):
-        return None
+def _informations(problem: Problem, u: ArrayLike) -> tuple[Floats, Floats] | None:
+    """Prior and information with it (p, p), scaled, the start unknown; None if they leave a parameter open."""
     maps = affine(problem)
-    s = centred_sensitivities(maps.weigh_sensitivities(u))
-    F = s @ s.T + maps.prior
-    return None if np.linalg.cond(F) > TUNING.encoder_error_worst else (s, maps.prior, F)
+    F = start_free(maps.weigh_sensitivities(u)) + maps.prior
+    return None if np.linalg.cond(F) > TUNING.encoder_error_worst else (maps.prior, F)
 
 
 def is_counted(problem: Problem) -> bool:

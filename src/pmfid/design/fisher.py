@@ -109,13 +109,10 @@ def discretise(regime: Regime, dt: float) -> StateStep:
 class Affine:
     """What is affine in the input u (K,) of a problem with p parameters, N samples and K intervals.
 
-    state_matrix (K+1, n, K), state_offset (K+1, n): state at the nodes = state_matrix u + state_offset.
     matrix (p N, K), offset (p N,): sensitivities in units of the noise's deviation, per scaled parameter; parameter by
     parameter. prior (p, p): prior information on the scaled parameters. scale (p,): what they are scaled with.
     """
 
-    state_matrix: Floats
-    state_offset: Floats
     matrix: Floats
     offset: Floats
     prior: Floats
@@ -137,7 +134,7 @@ def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> A
     n, p, K = 2, len(problem.names), problem.intervals
     X = np.zeros((n * (p + 1), K + 1))  # columns: input of each interval, then 1
     X[:n, K] = problem.start
-    nodes, samples = [X[:n].copy()], []
+    samples = []
     for k, (regime, step) in enumerate(steps):
         for i in range(1, p + 1):
             X[n * i : n * (i + 1)] = regime.entry @ X[n * i : n * (i + 1)]
@@ -146,16 +143,12 @@ def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> A
             X[:, k] += step.b
             X[:, K] += step.g
             samples.append(regime.c @ X[n:].reshape(p, n, K + 1))
-        nodes.append(X[:n].copy())
     weight = problem.scale / np.sqrt(problem.variance)
     S = (np.array(samples).swapaxes(0, 1) * weight[:, None, None]).reshape(-1, K + 1)
-    state = np.array(nodes)
-    prior = (
-        np.zeros((p, p))
-        if problem.prior is None
-        else np.asarray(problem.prior) * np.outer(problem.scale, problem.scale)
+    prior = np.zeros((p, p)) if problem.prior is None else np.asarray(problem.prior)
+    return Affine(
+        np.ascontiguousarray(S[:, :K]), S[:, K].copy(), prior * np.outer(problem.scale, problem.scale), problem.scale
     )
-    return Affine(state[:, :, :K], state[:, :, K], np.ascontiguousarray(S[:, :K]), S[:, K].copy(), prior, problem.scale)
 
 
 def _steps(
@@ -167,16 +160,31 @@ def _steps(
     return [known[d] for d in problem.sense]
 
 
+def node_states(problem: Problem, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:
+    """Matrix (2, K+1, K) and offset (2, K+1): matrix u + offset are position [m] and velocity [m/s] at the nodes.
+
+    parameters: other values than the nominal ones, {name: value}.
+    """
+    K = problem.intervals
+    X = np.zeros((2, K + 1))  # columns: input of each interval, then 1
+    X[:, K] = problem.start
+    nodes = [X]
+    for k, (_, step) in enumerate(_steps(problem, {**problem.nominal, **(parameters or {})}, (), 1)):
+        X = step.A @ X
+        X[:, k] += step.b
+        X[:, K] += step.g
+        nodes.append(X)
+    states = np.array(nodes).swapaxes(0, 1)
+    return states[..., :K], states[..., K]
+
+
 def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:
     """Position [m] and velocity [m/s] at the nodes, each (intervals + 1,), if the directions are as the problem says.
 
     parameters: other values than the nominal ones, {name: value}. Raises UsageError if u has another length.
     """
-    values = _check_input(problem, u)
-    state = [np.array(problem.start, float)]
-    for (_, step), value in zip(_steps(problem, {**problem.nominal, **(parameters or {})}, (), 1), values, strict=True):
-        state.append(step.A @ state[-1] + step.b * value + step.g)
-    x, v = np.array(state).T
+    matrix, offset = node_states(problem, parameters)
+    x, v = matrix @ _check_input(problem, u) + offset
     return x, v
 
 

@@ -3,63 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-import highspy
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import null_space
-from scipy.optimize import nnls
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import spsolve
+from scipy.optimize import lsq_linear, nnls
 
-from pmfid.design.fisher import VELOCITY, Regime, StateStep, discretise, drive_regime
+from pmfid.design.fisher import VELOCITY, drive_regime, node_states
 from pmfid.design.problem import InfeasibleError, Problem
+from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
-
-__all__ = ["least_norm", "model"]
-
-#: The primal simplex goes on from the last vertex when the objective changes.
-OPTIONS: dict[str, bool | int | str] = {
-    "output_flag": False,
-    "threads": 1,
-    "presolve": "off",
-    "simplex_strategy": 4,
-}
-
-
-def model(matrix: csc_matrix, lower: Floats, upper: Floats, low: Floats, high: Floats) -> highspy.Highs:
-    """HiGHS with lower <= matrix z <= upper, low <= z <= high and no objective yet."""
-    lp = highspy.HighsLp()
-    lp.num_row_, lp.num_col_ = matrix.shape
-    lp.col_cost_ = np.zeros(lp.num_col_)
-    lp.col_lower_, lp.col_upper_ = low, high
-    lp.row_lower_, lp.row_upper_ = lower, upper
-    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    lp.a_matrix_.start_, lp.a_matrix_.index_ = matrix.indptr, matrix.indices
-    lp.a_matrix_.value_ = matrix.data
-    highs = highspy.Highs()  # type: ignore[no-untyped-call]
-    for name, value in OPTIONS.items():
-        highs.setOptionValue(name, value)
-    highs.passModel(lp)
-    return highs
-
-
-def least_norm(G: Floats, h: Floats) -> Floats:
-    """d (n,) of least norm with G d >= h, (m, n) and (m,), by the quadratic solver of HiGHS, to 1e-6.
-
-    Raises InfeasibleError if there is none.
-    """
-    n = G.shape[1]
-    highs = model(csc_matrix(G), h, np.full(len(h), np.inf), np.full(n, -np.inf), np.full(n, np.inf))
-    hessian = highspy.HighsHessian()
-    hessian.dim_, hessian.format_ = n, highspy.HessianFormat.kTriangular
-    hessian.start_, hessian.index_, hessian.value_ = np.arange(n + 1), np.arange(n), np.ones(n)
-    highs.passHessian(hessian)
-    highs.run()
-    if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
-        raise InfeasibleError("no input meets all limits; relax one of them")
-    return np.array(highs.getSolution().col_value)
-
 
 #: Share of the Coulomb friction that the input may use while friction is to hold the axis.
 HOLD = 0.9
@@ -76,80 +31,58 @@ UNITS = {
     "end position": "m",
     "end velocity": "m/s",
 }
-
-Terms = dict[int, float]
-
 FREE = (-math.inf, math.inf)
+
+#: Limit, matrix (r, K) and offset (r,): lower <= matrix u + offset <= upper.
+Rows = tuple[str, Floats, ArrayLike, ArrayLike, ArrayLike]
 
 
 @dataclass(frozen=True, eq=False)
-class Polytope:
-    """lower <= matrix z <= upper, z = (u (K,), then node states); row i belongs to the limit names[i].
+class InputSet:
+    """lower <= matrix u <= upper (r,) and |u| <= radius: the inputs u (K,) that meet all limits.
 
-    radius: bound of the Euclidean norm of u from energy and rms, or inf.
+    names (r,): the limit of each row. radius: from energy and rms, or inf. states (2, K+1, K), offset (2, K+1): nominal
+    positions and velocities at the nodes are states u + offset.
     """
 
-    matrix: csc_matrix
+    matrix: Floats
     lower: Floats
     upper: Floats
     names: tuple[str, ...]
-    inputs: int
     radius: float
+    states: Floats
+    offset: Floats
+
+    @property
+    def size(self) -> int:
+        """Number of intervals K."""
+        return int(self.matrix.shape[1])
+
+    def excess(self, u: Floats) -> tuple[Floats, Floats]:
+        """By how much u (K,) misses each row (r,), negative inside, and the size of the terms that the row compares."""
+        values = self.matrix @ u
+        size = np.abs(self.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
+        return np.maximum(self.lower - values, values - self.upper), size
 
 
-class _Rows:
-    """Collects rows; columns of the node states of one scenario after another."""
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.terms: list[Terms] = []
-        self.bounds: list[tuple[float, float]] = []
-        self.names: list[str] = []
-
-    def add(self, name: str, terms: Terms, lower: float, upper: float) -> None:
-        if math.isfinite(lower) or math.isfinite(upper):
-            self.terms.append(terms)
-            self.bounds.append((lower, upper))
-            self.names.append(name)
-
-    def column(self, case: int, node: int, state: int) -> int:
-        """Column of a state at a node >= 1 of a scenario."""
-        K = self.problem.intervals
-        return K + case * 2 * K + 2 * (node - 1) + state
-
-    def state(self, case: int, node: int, state: int, factor: float = 1.0) -> tuple[Terms, float]:
-        """A state as (terms, constant): the start is known."""
-        if node == 0:
-            return {}, factor * self.problem.start[state]
-        return {self.column(case, node, state): factor}, 0.0
-
-    def build(self) -> Polytope:
-        size = self.problem.intervals * (1 + 2 * (1 + len(self.problem.scenarios)))
-        rows = [i for i, terms in enumerate(self.terms) for _ in terms]
-        columns = [column for terms in self.terms for column in terms]
-        values = [value for terms in self.terms for value in terms.values()]
-        matrix = csc_matrix((values, (rows, columns)), shape=(len(self.terms), size))
-        lower, upper = np.array(self.bounds).T
-        return Polytope(matrix, lower, upper, tuple(self.names), self.problem.intervals, _radius(self.problem))
-
-
-def polytope(problem: Problem) -> Polytope:
+def input_set(problem: Problem) -> InputSet:
     """All limits of a problem, in its nominal case and its scenarios."""
-    rows = _Rows(problem)
-    _input_rows(rows)
-    cases = ({}, *problem.scenarios)
-    for case, parameters in enumerate(cases):
-        values = {**problem.nominal, **parameters}
-        regimes = {d: drive_regime(problem.drive, values, (), d) for d in set(problem.sense)}
-        steps = {d: discretise(regime, problem.dt) for d, regime in regimes.items()}
-        _motion_rows(rows, case, [steps[d] for d in problem.sense])
-        _state_rows(rows, case)
-        _hold_rows(rows, values)
-        if problem.limits.acceleration is not None:
-            _acceleration_rows(rows, case, [regimes[d] for d in problem.sense])
-        if problem.limits.jerk is not None:
-            _jerk_rows(rows, case, problem.limits.jerk)
-    return rows.build()
+    rows = [*_input_rows(problem)]
+    for case in ({}, *problem.scenarios):
+        rows += _case_rows(problem, case)
+    names = [name for name, matrix, *_ in rows for _ in matrix]
+    offset, lower, upper = (
+        np.concatenate([np.broadcast_to(row[part], len(row[1])) for row in rows]) for part in (2, 3, 4)
+    )
+    kept = np.isfinite(lower) | np.isfinite(upper)
+    return InputSet(
+        np.concatenate([matrix for _, matrix, *_ in rows])[kept],
+        (lower - offset)[kept],
+        (upper - offset)[kept],
+        tuple(name for name, own in zip(names, kept, strict=True) if own),
+        _radius(problem),
+        *node_states(problem),
+    )
 
 
 def _radius(problem: Problem) -> float:
@@ -158,91 +91,81 @@ def _radius(problem: Problem) -> float:
     return math.sqrt(energy / problem.dt)
 
 
-def _input_rows(rows: _Rows) -> None:
-    problem = rows.problem
-    lower, upper = problem.limits.pair("input") or FREE
-    rate = problem.limits.input_rate or math.inf
-    for k in range(problem.intervals):
-        rows.add("input", {k: 1.0}, lower, upper)
-        change = {k: 1.0 / problem.dt} | ({k - 1: -1.0 / problem.dt} if k else {})
-        rows.add("input_rate", change, -rate, rate)
+def _input_rows(problem: Problem) -> Iterator[Rows]:
+    unit, rate = np.eye(problem.intervals), problem.limits.input_rate or math.inf
+    yield ("input", unit, 0.0, *(problem.limits.pair("input") or FREE))
+    yield "input_rate", (unit - np.eye(problem.intervals, k=-1)) / problem.dt, 0.0, -rate, rate
 
 
-def _hold_rows(rows: _Rows, values: dict[str, float]) -> None:
-    """While the axis rests, the input stays within what friction holds."""
-    gain, load = rows.problem.drive.equation.input_gain, values.get("offset", 0.0)
-    friction = [v for name, v in values.items() if name.startswith("coulomb_friction")]
-    for k, direction in enumerate(rows.problem.sense):
-        if direction == 0:
-            rows.add("hold", {k: gain}, load - HOLD * min(friction), load + HOLD * min(friction))
+def _case_rows(problem: Problem, case: Mapping[str, float]) -> Iterator[Rows]:
+    """Limits of the motion with the parameters of a scenario; {}: the nominal ones."""
+    values = {**problem.nominal, **case}
+    (x, v), (x0, v0) = node_states(problem, case)
+    yield from _position_rows(problem, x, x0, nominal=not case)
+    yield from _velocity_rows(problem, v, v0)
+    yield from _end_rows(problem, (x[-1:], v[-1:]), (x0[-1], v0[-1]), nominal=not case)
+    yield _hold_rows(problem, values)
+    if problem.limits.acceleration is not None:
+        yield from _acceleration_rows(problem, values, v, v0)
+    if problem.limits.jerk is not None:
+        yield _jerk_rows(problem, problem.limits.jerk, v, v0)
 
 
-def _motion_rows(rows: _Rows, case: int, steps: list[StateStep]) -> None:
-    for k, step in enumerate(steps):
-        for i in range(2):
-            terms: Terms = {rows.column(case, k + 1, i): 1.0}
-            constant = float(step.g[i])
-            for j in range(2):
-                if step.A[i, j]:
-                    more, known = rows.state(case, k, j, -float(step.A[i, j]))
-                    terms |= more
-                    constant -= known
-            if step.b[i]:
-                terms[k] = -float(step.b[i])
-            rows.add("motion", terms, constant, constant)
+def _position_rows(problem: Problem, x: Floats, x0: Floats, *, nominal: bool) -> Iterator[Rows]:
+    exact = problem.end[0] is not None and problem.end_tolerance[0] == 0
+    if not (nominal and exact and not {1, -1} <= set(problem.sense)):  # one way to an end within the limits
+        yield ("position", x[1:], x0[1:], *(problem.limits.pair("position") or FREE))
 
 
-def _state_rows(rows: _Rows, case: int) -> None:
-    problem, limits = rows.problem, rows.problem.limits
-    K, sense = problem.intervals, problem.sense
-    implied = case == 0 and problem.end[0] is not None and problem.end_tolerance[0] == 0 and not {1, -1} <= set(sense)
-    for k in range(1, K + 1):
-        velocity = {rows.column(case, k, 1): 1.0}
-        if not implied:
-            rows.add("position", {rows.column(case, k, 0): 1.0}, *(limits.pair("position") or FREE))
-        rows.add("velocity", velocity, *(limits.pair("velocity") or FREE))
-        around = {sense[k - 1], sense[min(k, K - 1)]}
-        if 0 in around:
-            rows.add("rest", velocity, 0.0, 0.0)
-        elif k < K or problem.end[1] is None:
-            _speed_row(rows, velocity, sense[k - 1], limits.min_speed)
-        else:
-            _speed_row(rows, velocity, sense[k - 1], 0.0)
+def _velocity_rows(problem: Problem, v: Floats, v0: Floats) -> Iterator[Rows]:
+    yield ("velocity", v[1:], v0[1:], *(problem.limits.pair("velocity") or FREE))
+    before = np.array(problem.sense)
+    rest = (before == 0) | (np.r_[before[1:], before[-1]] == 0)
+    yield "rest", v[1:][rest], v0[1:][rest], 0.0, 0.0
+    speed = np.full(before.size, problem.limits.min_speed)
+    if problem.end[1] is not None:
+        speed[-1] = 0.0
+    along = before[~rest]
+    yield "min_speed", along[:, None] * v[1:][~rest], along * v0[1:][~rest], speed[~rest], math.inf
+
+
+def _end_rows(
+    problem: Problem, last: tuple[Floats, Floats], offset: tuple[float, float], *, nominal: bool
+) -> Iterator[Rows]:
     for state, name in enumerate(("end position", "end velocity")):
         wanted, tolerance = problem.end[state], problem.end_tolerance[state]
-        if wanted is not None and (case == 0 or tolerance > 0):
-            rows.add(name, {rows.column(case, K, state): 1.0}, wanted - tolerance, wanted + tolerance)
+        if wanted is not None and (nominal or tolerance > 0):
+            yield name, last[state], offset[state], wanted - tolerance, wanted + tolerance
 
 
-def _speed_row(rows: _Rows, velocity: Terms, direction: int, speed: float) -> None:
-    rows.add("min_speed", {column: float(direction) for column in velocity}, speed, math.inf)
+def _hold_rows(problem: Problem, values: Mapping[str, float]) -> Rows:
+    """While the axis rests, the input stays within what friction holds."""
+    rests = np.array(problem.sense) == 0
+    load, force = values.get("offset", 0.0), problem.drive.equation.input_gain * np.eye(problem.intervals)[rests]
+    friction = HOLD * min(value for name, value in values.items() if name.startswith("coulomb_friction"))
+    return "hold", force, -load, -friction, friction
 
 
-def _acceleration_rows(rows: _Rows, case: int, regimes: list[Regime]) -> None:
-    lower, upper = rows.problem.limits.pair("acceleration") or FREE
-    for k, regime in enumerate(regimes):
-        if not regime.b[VELOCITY]:
-            continue  # at rest
-        for node in (k, k + 1):
-            terms, constant = rows.state(case, node, VELOCITY, float(regime.A[VELOCITY, VELOCITY]))
-            terms = {**terms, k: float(regime.b[VELOCITY])}
-            constant += float(regime.g[VELOCITY])
-            rows.add("acceleration", terms, lower - constant, upper - constant)
+def _acceleration_rows(problem: Problem, values: Mapping[str, float], v: Floats, v0: Floats) -> Iterator[Rows]:
+    """At both ends of every interval of motion."""
+    regimes = {d: drive_regime(problem.drive, values, (), d) for d in set(problem.sense)}
+    A, b, g = (
+        np.array([part[VELOCITY] for part in parts])
+        for parts in zip(*((r.A[:, VELOCITY], r.b, r.g) for r in map(regimes.__getitem__, problem.sense)), strict=True)
+    )
+    moving = b != 0
+    for node in (slice(None, -1), slice(1, None)):
+        matrix, offset = A[:, None] * v[node] + np.diag(b), A * v0[node] + g
+        yield ("acceleration", matrix[moving], offset[moving], *(problem.limits.pair("acceleration") or FREE))
 
 
-def _jerk_rows(rows: _Rows, case: int, jerk: float) -> None:
+def _jerk_rows(problem: Problem, jerk: float, v: Floats, v0: Floats) -> Rows:
     """Second differences of the velocity; before the start, and after an end at rest, the acceleration is 0."""
-    K, dt2 = rows.problem.intervals, rows.problem.dt**2
-    last = K if rows.problem.end[1] == 0.0 else K - 1
-    for k in range(last + 1):
-        terms: Terms = {}
-        constant = 0.0
-        for node, factor in ((max(k - 1, 0), 1.0), (k, -2.0), (min(k + 1, K), 1.0)):
-            more, known = rows.state(case, node, VELOCITY, factor / dt2)
-            for column, value in more.items():
-                terms[column] = terms.get(column, 0.0) + value
-            constant += known
-        rows.add("jerk", terms, -jerk - constant, jerk - constant)
+    K = problem.intervals
+    node = np.arange(K + (problem.end[1] == 0.0))
+    back, ahead = np.maximum(node - 1, 0), np.minimum(node + 1, K)
+    matrix, offset = ((part[back] - 2.0 * part[node] + part[ahead]) / problem.dt**2 for part in (v, v0))
+    return "jerk", matrix, offset, -jerk, jerk
 
 
 #: Bounds of a row that are closer than this make it an equation.
@@ -251,48 +174,21 @@ EQUAL = 1e-9
 MET = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class InputSet:
-    """lower <= matrix u <= upper (r,) and |u| <= rows.radius: the inputs u (K,) that meet all limits.
-
-    names (r,): the limit of each row. position (K, K), position_offset (K,): nominal positions at nodes 1 to K =
-    position u + position_offset; velocity likewise.
-    """
-
-    rows: Polytope
-    matrix: Floats
-    lower: Floats
-    upper: Floats
-    names: tuple[str, ...]
-    position: Floats
-    position_offset: Floats
-    velocity: Floats
-    velocity_offset: Floats
-
-
-def input_set(rows: Polytope) -> InputSet:
-    """The polytope without its states, which the rows named "motion" give from the input."""
-    K, motion = rows.inputs, np.array([name == "motion" for name in rows.names])
-    here, there = rows.matrix[:, :K], rows.matrix[:, K:].tocsr()
-    right = np.column_stack([-here[motion].toarray(), rows.lower[motion]])
-    states = np.asarray(spsolve(there[motion].tocsc(), right)).reshape(there.shape[1], K + 1)
-    offset = there[~motion] @ states[:, K]
-    return InputSet(
-        rows,
-        here[~motion].toarray() + there[~motion] @ states[:, :K],
-        rows.lower[~motion] - offset,
-        rows.upper[~motion] - offset,
-        tuple(name for name in rows.names if name != "motion"),
-        *(part for i in range(2) for part in (states[i : 2 * K : 2, :K], states[i : 2 * K : 2, K])),
-    )
-
-
 def violation(inputs: InputSet, u: Floats) -> float:
     """By how much u (K,) leaves the limits, relative to the size of each row; 0 if it meets all."""
-    value = inputs.matrix @ u
-    size = np.abs(inputs.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
-    excess = np.maximum(inputs.lower - value, value - inputs.upper) / np.maximum(size, 1e-300)
-    return max(0.0, float(excess.max(initial=0.0)), float(np.linalg.norm(u)) / inputs.rows.radius - 1.0)
+    excess, size = inputs.excess(u)
+    relative = excess / np.maximum(size, 1e-300)
+    return max(0.0, float(relative.max(initial=0.0)), float(np.linalg.norm(u)) / inputs.radius - 1.0)
+
+
+def violations(inputs: InputSet, u: Floats) -> dict[str, float]:
+    """{limit: by how much the input breaks it, in its unit}, for those that it breaks."""
+    broken: dict[str, float] = {}
+    excess, size = inputs.excess(u)
+    for i in np.flatnonzero(excess > TUNING.solver_precision * size):
+        broken[inputs.names[i]] = max(float(excess[i]), broken.get(inputs.names[i], 0.0))
+    over = float(np.linalg.norm(u)) - inputs.radius
+    return broken | ({"energy": over} if over > TUNING.solver_precision * inputs.radius else {})
 
 
 def nearest(inputs: InputSet, wish: Floats) -> Floats:
@@ -302,18 +198,24 @@ def nearest(inputs: InputSet, wish: Floats) -> Floats:
     first input that does not, on the way to the one of least energy.
     Raises InfeasibleError if no input meets the limits.
     """
-    u = _nearest(inputs, wish)
-    if np.linalg.norm(u) <= inputs.rows.radius:
+    u = nearest_of_any_energy(inputs, wish)
+    if np.linalg.norm(u) <= inputs.radius:
         return u
-    least = _nearest(inputs, np.zeros(len(wish)))
-    step = u - least
-    a, b, c = step @ step, least @ step, least @ least - inputs.rows.radius**2
-    if c > 0:
+    least = nearest_of_any_energy(inputs, np.zeros(len(wish)))
+    if np.linalg.norm(least) > inputs.radius:
         raise InfeasibleError("the energy that the limits need is more than they allow; raise energy or rms")
-    return np.asarray(least + step * (-b + np.sqrt(b * b - a * c)) / a)
+    return retreat(inputs, least, u)
 
 
-def _nearest(inputs: InputSet, wish: Floats) -> Floats:
+def retreat(inputs: InputSet, centre: Floats, u: Floats) -> Floats:
+    """The last input on the way from the centre (K,) to u (K,) with no more energy than allowed."""
+    d = u - centre
+    a, b, c = (float(v) for v in (d @ d, d @ centre, centre @ centre - inputs.radius**2))
+    part = (-b + math.sqrt(max(0.0, b * b - a * c))) / a
+    return np.asarray(centre + d * max(0.0, part))
+
+
+def nearest_of_any_energy(inputs: InputSet, wish: Floats) -> Floats:
     """The same without the limit of energy: least norm of d where u = wish + base + Z d, the equations met by base."""
     equal = inputs.upper - inputs.lower <= EQUAL
     E, f = inputs.matrix[equal], inputs.upper[equal] - inputs.matrix[equal] @ wish
@@ -342,12 +244,18 @@ def _least_distance_of_one(G: Floats, h: Floats) -> Floats:
     If limits of position and velocity coincide next to a standstill, the active set of `nnls` may become singular. Its
     result is then no minimum. So the result is checked, and computed in another way if the check fails.
     """
+    matrix, wanted = np.vstack([G.T, h]), np.r_[np.zeros(G.shape[1]), 1.0]
     try:
-        y, _ = nnls(np.vstack([G.T, h]), np.r_[np.zeros(G.shape[1]), 1.0])
+        d = _distance_of_dual(G, h, nnls(matrix, wanted)[0])
+        if np.max(h - G @ d) <= MET:
+            return d
     except RuntimeError:
-        return least_norm(G, h)
+        pass
+    return _distance_of_dual(G, h, lsq_linear(matrix, wanted, (0.0, np.inf), method="bvls", tol=1e-15).x)
+
+
+def _distance_of_dual(G: Floats, h: Floats, y: Floats) -> Floats:
     residual = np.r_[G.T @ y, h @ y - 1.0]
     if abs(residual[-1]) < EQUAL:
         raise InfeasibleError("no input meets all limits; relax one of them")
-    d = np.asarray(-residual[:-1] / residual[-1])
-    return d if (h - G @ d).max() <= MET else least_norm(G, h)
+    return np.asarray(-residual[:-1] / residual[-1])

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.design.tuning import TUNING
 from pmfid.errors import PmfidError, UsageError, did_you_mean
@@ -17,45 +17,6 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
-
-__all__ = ["check_ends", "check_grid", "check_noise", "check_pair", "check_parameters", "check_positive"]
-
-
-class Posed(Protocol):
-    """What the checks read of a problem (`problem.Problem`)."""
-
-    @property
-    def drive(self) -> Drive: ...
-    @property
-    def nominal(self) -> Mapping[str, float]: ...
-    @property
-    def unknown(self) -> tuple[str, ...]: ...
-    @property
-    def names(self) -> tuple[str, ...]: ...
-    @property
-    def scenarios(self) -> tuple[Mapping[str, float], ...]: ...
-    @property
-    def scaled(self) -> bool: ...
-    @property
-    def horizon(self) -> float: ...
-    @property
-    def intervals(self) -> int: ...
-    @property
-    def sense(self) -> tuple[int, ...]: ...
-    @property
-    def position_limit(self) -> tuple[float, float] | None: ...
-    @property
-    def start(self) -> tuple[float, float]: ...
-    @property
-    def end(self) -> tuple[float | None, float | None]: ...
-    @property
-    def end_tolerance(self) -> tuple[float, float]: ...
-    @property
-    def resolution(self) -> float | None: ...
-    @property
-    def noise_variance(self) -> float | None: ...
-    @property
-    def prior(self) -> NDArray[np.float64] | None: ...
 
 
 def check_pair(name: str, value: float | tuple[float, float] | None) -> None:
@@ -90,7 +51,7 @@ def check_drive(drive: Drive) -> None:
         raise UsageError(f"a design for {shaped} is not there yet; leave that out")
 
 
-def check_parameters(problem: Posed) -> None:
+def check_parameters(problem: Problem) -> None:
     check_drive(problem.drive)
     known = problem.drive.equation.names
     for name in (*problem.names, *problem.nominal, *(name for case in problem.scenarios for name in case)):
@@ -115,7 +76,7 @@ def check_parameters(problem: Posed) -> None:
 _SIGN = {"mass": "positive", "offset": "a number"}
 
 
-def check_grid(problem: Posed) -> None:
+def check_grid(problem: Problem) -> None:
     for name in ("intervals", "samples_per_interval"):
         if getattr(problem, name) != int(getattr(problem, name)) or getattr(problem, name) < 1:
             raise UsageError(f"{name} must be a whole number, at least 1, got {getattr(problem, name)}")
@@ -133,7 +94,7 @@ def check_grid(problem: Posed) -> None:
         raise UsageError("directions must have an interval of rest, 0, between forward and backward")
 
 
-def check_ends(problem: Posed) -> None:
+def check_ends(problem: Problem) -> None:
     ends = {"start": problem.start, "end": problem.end, "end_tolerance": problem.end_tolerance}
     for name, pair in ends.items():
         if len(pair) != 2 or any(value is not None and not math.isfinite(value) for value in pair):
@@ -151,12 +112,12 @@ def check_ends(problem: Posed) -> None:
         if velocity * direction < 0 or (velocity and not direction):
             raise UsageError(f"{name} velocity {velocity} is against the direction {direction} there; give directions")
     for name, position in (("start", problem.start[0]), ("end", problem.end[0])):
-        bounds = problem.position_limit
+        bounds = problem.limits.position
         if bounds and position is not None and not bounds[0] <= position <= bounds[1]:
             raise UsageError(f"{name} position {position} is outside the position limit {bounds}; widen one of them")
 
 
-def check_noise(problem: Posed) -> None:
+def check_noise(problem: Problem) -> None:
     if problem.resolution is None and problem.noise_variance is None:
         raise UsageError("give resolution, of the encoder in m per count, or noise_variance in m^2")
     for name in ("resolution", "noise_variance"):
@@ -385,11 +346,6 @@ class Problem:
     def names(self) -> tuple[str, ...]:
         """The parameters that the Fisher information is over: unknown, then nuisance."""
         return (*self.unknown, *self.nuisance)
-
-    @property
-    def position_limit(self) -> tuple[float, float] | None:
-        """The positions within which the axis stays [m]."""
-        return self.limits.position
 
     @property
     def dt(self) -> float:

@@ -8,22 +8,21 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
-import highspy
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csc_matrix, hstack
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from pmfid.design.ascent import Climber
 from pmfid.design.bounds import upper_bound
 from pmfid.design.fisher import Affine, Criterion, affine, check_identifiable, criterion_of, eliminate, motion
 from pmfid.design.oracle import Oracle
-from pmfid.design.polytope import UNITS, Polytope, input_set, model, nearest, polytope
+from pmfid.design.polytope import UNITS, InputSet, input_set, nearest_of_any_energy, violations
 from pmfid.design.problem import Design, InfeasibleError, Problem, Relaxation
 from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.types import Floats
 
-__all__ = ["Setting", "evaluate", "setting", "violations"]
+__all__ = ["Setting", "evaluate", "setting"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +32,7 @@ class Setting:
     problem: Problem
     maps: tuple[Affine, ...]
     rule: Criterion
-    shape: Polytope
+    inputs: InputSet
 
     def value(self, u: Floats) -> float:
         """Criterion of an input (K,): nominal, or the geometric mean or the worst of the cases."""
@@ -43,7 +42,7 @@ class Setting:
     def design(self, u: Floats) -> Design:
         """The input with its motion, information and value."""
         x, v = motion(self.problem, u)
-        broken = violations(self.shape, u)
+        broken = violations(self.inputs, u)
         warnings = [f"breaks {name} by {amount:.3g}" for name, amount in broken.items()]
         if not broken and _parks(self.problem, v):
             warnings.append("the motion parks at standstill, where the information is fiction; set min_speed above 0")
@@ -56,7 +55,7 @@ class Setting:
 def setting(problem: Problem, criterion: str, combination: Mapping[str, float] | None = None) -> Setting:
     """Raises UsageError for an unknown criterion or a wrong combination."""
     rule = criterion_of(problem, criterion, combination)
-    return Setting(problem, tuple(affine(problem, case) for case in problem.cases), rule, polytope(problem))
+    return Setting(problem, tuple(affine(problem, case) for case in problem.cases), rule, input_set(problem))
 
 
 def evaluate(
@@ -98,19 +97,6 @@ def evaluate(
     return setting(problem, criterion, combination).design(np.asarray(u, float))
 
 
-def violations(shape: Polytope, u: Floats) -> dict[str, float]:
-    """{limit: by how much the input breaks it, in its unit}, for those that it breaks."""
-    inputs = input_set(shape)
-    values = inputs.matrix @ u
-    excess = np.maximum(inputs.lower - values, values - inputs.upper)
-    size = np.abs(inputs.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
-    broken: dict[str, float] = {}
-    for i in np.flatnonzero(excess > TUNING.solver_precision * size):
-        broken[inputs.names[i]] = max(float(excess[i]), broken.get(inputs.names[i], 0.0))
-    over = float(np.linalg.norm(u)) - shape.radius
-    return broken | ({"energy": over} if over > TUNING.solver_precision * shape.radius else {})
-
-
 def _parks(problem: Problem, v: Floats) -> bool:
     """Whether the axis stands at a node between two intervals of motion."""
     sense = np.array(problem.sense)
@@ -134,10 +120,10 @@ def raise_infeasible(problem: Problem) -> NoReturn:
 
 def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
     """For each limit that alone, if relaxed, makes the problem feasible: its needed value; smallest change first."""
-    shape = polytope(problem)
-    found = list(_energy(problem, shape))
+    inputs = input_set(problem)
+    found = _energy(problem, inputs)
     for name in UNITS:
-        amounts = _least_widening(problem, shape, (name,))
+        amounts = _least_widening(problem, inputs, (name,))
         if amounts is not None and amounts[0] > TUNING.solver_least:
             found.append(_make_relaxation(problem, name, amounts[0]))
     found = [way for way in found if way.needed >= 0]
@@ -147,7 +133,7 @@ def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
 def _together(problem: Problem) -> tuple[Relaxation, ...]:
     """Limits that help if all of them are relaxed, the sum of their relative changes being the least."""
     names = tuple(UNITS)
-    amounts = _least_widening(problem, polytope(problem), names)
+    amounts = _least_widening(problem, input_set(problem), names)
     if amounts is None:
         return ()
     return tuple(
@@ -176,37 +162,27 @@ def minimum_time(problem: Problem, longest: float = 64.0) -> float | None:
 
 
 def _feasible(problem: Problem) -> bool:
-    return Oracle(polytope(problem)).feasible()
+    return Oracle(input_set(problem)).feasible()
 
 
-def _least_widening(problem: Problem, shape: Polytope, names: tuple[str, ...]) -> list[float] | None:
+def _least_widening(problem: Problem, inputs: InputSet, names: tuple[str, ...]) -> Floats | None:
     """Least amounts by which the bounds of some limits must move apart, or None if that does not help.
 
-    a' z + r >= lower, a' z - r <= upper, with one r for each limit.
+    a' u + r >= lower, a' u - r <= upper, with one r for each limit.
     """
-    which = np.array([names.index(name) if name in names else -1 for name in shape.names])
-    soft = which >= 0
-    if not soft.any():
+    slack = np.array(inputs.names)[:, None] == np.array(names)
+    if not slack.any():
         return None
-    lower, upper = soft & np.isfinite(shape.lower), soft & np.isfinite(shape.upper)
-    order = np.r_[np.flatnonzero(~soft), np.flatnonzero(lower), np.flatnonzero(upper)]
-    sign = np.r_[np.zeros((~soft).sum()), np.ones(lower.sum()), -np.ones(upper.sum())]
-    slack = sign[:, None] * (which[order][:, None] == np.arange(len(names)))
-    columns = shape.matrix.shape[1]
-    highs = model(
-        csc_matrix(hstack([shape.matrix.tocsr()[order], csc_matrix(slack)])),
-        np.where(sign < 0, -np.inf, shape.lower[order]),
-        np.where(sign > 0, np.inf, shape.upper[order]),
-        np.r_[np.full(columns, -np.inf), np.zeros(len(names))],
-        np.full(columns + len(names), np.inf),
+    cost = [1.0 / max(abs(_make_relaxation(problem, name, 0.0).value), 1e-2) for name in names]
+    found = milp(
+        np.r_[np.zeros(inputs.size), cost],
+        constraints=[
+            LinearConstraint(np.hstack([inputs.matrix, slack]), lb=inputs.lower),
+            LinearConstraint(np.hstack([inputs.matrix, -1.0 * slack]), ub=inputs.upper),
+        ],
+        bounds=Bounds(np.r_[np.full(inputs.size, -np.inf), np.zeros(len(names))]),
     )
-    for i, name in enumerate(names):
-        highs.changeColCost(columns + i, 1.0 / max(abs(_make_relaxation(problem, name, 0.0).value), 1e-2))
-    highs.setOptionValue("presolve", "on")
-    highs.run()
-    if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
-        return None
-    return [float(r) for r in highs.getSolution().col_value[columns:]]
+    return None if found.x is None else np.asarray(found.x[inputs.size :])
 
 
 def _make_relaxation(problem: Problem, name: str, amount: float) -> Relaxation:
@@ -222,12 +198,12 @@ def _make_relaxation(problem: Problem, name: str, amount: float) -> Relaxation:
     return Relaxation(name, value, value + amount, UNITS[name])
 
 
-def _energy(problem: Problem, shape: Polytope) -> list[Relaxation]:
+def _energy(problem: Problem, inputs: InputSet) -> list[Relaxation]:
     """The energy that is needed, where the other limits can be met."""
-    if not np.isfinite(shape.radius):
+    if not np.isfinite(inputs.radius):
         return []
     try:
-        u = nearest(input_set(replace(shape, radius=np.inf)), np.zeros(shape.inputs))
+        u = nearest_of_any_energy(inputs, np.zeros(inputs.size))
     except InfeasibleError:
         return []
     needed = float(u @ u) * problem.dt
@@ -387,7 +363,7 @@ def _all_starts(
 
 
 def _climber(ready: Setting) -> Climber:
-    oracle = Oracle(ready.shape)
+    oracle = Oracle(ready.inputs)
     if not oracle.feasible():
         raise_infeasible(ready.problem)
     return Climber(ready.maps, ready.rule, oracle, ready.problem.average == "worst")

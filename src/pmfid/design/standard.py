@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from pmfid.design.fisher import motion
 from pmfid.design.oracle import Oracle
-from pmfid.design.polytope import InputSet, input_set, nearest, polytope, violation
+from pmfid.design.polytope import InputSet, input_set, nearest, violation
 from pmfid.design.problem import InfeasibleError, Problem
 from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
@@ -141,7 +141,7 @@ def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()
     >>> trapezoid.u.shape, round(float(trapezoid.x[-1]), 3)
     ((10,), 0.4)
     """
-    maker = _Maker(problem, input_set(polytope(problem)), seed)
+    maker = _Maker(problem, input_set(problem), seed)
     found = {}
     for name in names or STANDARD:
         u, bent = _MAKERS[name](maker)
@@ -160,23 +160,22 @@ class _Maker:
     @cached_property
     def from_velocity(self) -> Floats:
         """Input of least norm from velocities less their offset, (K, K)."""
-        return np.asarray(np.linalg.pinv(self.inputs.velocity), float)
+        return np.asarray(np.linalg.pinv(self.inputs.states[1, 1:]), float)
 
     def input_of(self, velocities: Floats) -> Floats:
-        return np.asarray(self.from_velocity @ (velocities[1:] - self.inputs.velocity_offset))
+        return np.asarray(self.from_velocity @ (velocities[1:] - self.inputs.offset[1, 1:]))
 
     def position_at(self, node: int, velocities: Floats) -> float:
-        row = self.inputs.position[node - 1]
-        return float(row @ self.input_of(velocities) + self.inputs.position_offset[node - 1])
+        return float(self.inputs.states[0, node] @ self.input_of(velocities) + self.inputs.offset[0, node])
 
     @cached_property
     def reach(self) -> tuple[float, float]:
         """Lowest and highest position [m] that some input reaches."""
-        oracle, inputs = Oracle(self.inputs.rows), self.inputs
+        oracle, position, offset = Oracle(self.inputs), self.inputs.states[0, 1:], self.inputs.offset[0, 1:]
         far = []
         for sign in (-1, 1):
-            u = oracle.maximise(sign * inputs.position.sum(axis=0))
-            far.append(sign * float(np.max(sign * (inputs.position @ u + inputs.position_offset))))
+            u = oracle.maximise(sign * position.sum(axis=0))
+            far.append(sign * float(np.max(sign * (position @ u + offset))))
         return far[0], far[1]
 
 
@@ -246,8 +245,8 @@ def _least_energy(maker: _Maker) -> tuple[Floats, bool]:
 
 def _least_time(maker: _Maker) -> tuple[Floats, bool]:
     """As far ahead as possible at every node: largest sum of the way gone."""
-    ahead = np.array(maker.problem.sense, float) @ maker.inputs.position
-    return _check_limits(maker, Oracle(maker.inputs.rows).maximise(ahead)), False
+    ahead = np.array(maker.problem.sense, float) @ maker.inputs.states[0, 1:]
+    return _check_limits(maker, Oracle(maker.inputs).maximise(ahead)), False
 
 
 def _check_limits(maker: _Maker, u: Floats) -> Floats:

@@ -77,8 +77,6 @@ class DesignTuning:
     encoder_error_back: float = 30.0
     #: steps shorter than this part of the first end it.
     encoder_error_shortest: float = 1 / 8
-    #: Start phases on the lattice of the encoder, evenly spread, for least squares.
-    encoder_error_phases: int = 128
     #: Number of machines drawn around the nominal one, the standard deviation of their parameters as a part of the
     #: nominal values, and the deviation that bounds the parameters of a machine at rest.
     encoder_error_machines: int = 32

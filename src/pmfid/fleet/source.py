@@ -322,9 +322,8 @@ def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
 
 def is_spark(source: object) -> bool:
     """Whether it is a DataFrame of Spark, or of Spark Connect."""
-    import narwhals.stable.v2.dependencies as known
-
-    return bool(known.is_pyspark_dataframe(source) or known.is_pyspark_connect_dataframe(source))
+    kinds = type(source).__mro__
+    return any(kind.__name__ == "DataFrame" and kind.__module__.startswith("pyspark.sql") for kind in kinds)
 
 
 def parts_of(source: object, out: Path | None = None) -> list[Part]:
