@@ -117,7 +117,7 @@ check: .venv/tools
 	.venv/bin/clang-format --dry-run --Werror $(KERNEL)
 	.venv/bin/ruff check .
 	.venv/bin/mypy
-	.venv/bin/python -m pytest -q tests/test_architecture.py tests/test_names.py
+	.venv/bin/python -m pytest -q tests/test_architecture.py tests/test_names.py tests/test_prose.py
 
 format: .venv/tools
 	.venv/bin/ruff format .

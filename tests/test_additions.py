@@ -1,4 +1,4 @@
-"""What is added in the place that ARCHITECTURE.md names reaches every other place, or a test here says where it does
+"""What is added in the place that docs/extending.md names reaches every other place, or a test here says where it does
 not."""
 
 from __future__ import annotations
@@ -229,14 +229,37 @@ def test_every_format_has_a_reader_is_reported_and_is_attacked() -> None:
 # --- the recipes ------------------------------------------------------------------------------------------------------
 
 
+def recipes() -> str:
+    pages = [*(REPOSITORY / "docs/decisions").glob("*.md"), REPOSITORY / "docs/extending.md"]
+    return "".join(path.read_text(encoding="utf-8") for path in [REPOSITORY / "ARCHITECTURE.md", *pages])
+
+
+def files() -> list[str]:
+    folders = ("src", "csrc", "tests", "docs", "studies")
+    inside = [path for folder in folders for path in (REPOSITORY / folder).rglob("*")]
+    return [f"/{path}" for path in [*inside, *REPOSITORY.iterdir()]]
+
+
 def test_every_file_that_a_recipe_names_is_there() -> None:
-    recipes = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("## Adding things")[2]
-    named = set(re.findall(r"`([\w./-]*\w\.(?:py|pyi|pyx|pxd|pxi|c|h|md|toml|in))`", recipes))
-    there = [
-        f"/{path}"
-        for folder in ("src", "csrc", "tests", "docs", "studies")
-        for path in (REPOSITORY / folder).rglob("*")
-    ]
-    there += [f"/{path}" for path in REPOSITORY.iterdir()]
+    named = set(re.findall(r"`([\w./-]*\w\.(?:py|pyi|pyx|pxd|pxi|c|h|md|toml|in))`", recipes()))
+    there = files()
     assert len(named) > 30
-    assert {name for name in named if not any(path.endswith(f"/{name}") for path in there)} == set()
+    missing = {name for name in named if not any(path.endswith(f"/{name}") for path in there)}
+    assert {name for name in missing if "NAME" not in name} == set()
+
+
+def test_every_name_that_a_recipe_puts_into_a_file_is_in_it() -> None:
+    rows = re.findall(
+        r"^\| `([\w./]+)` \| (.*) \|$", (REPOSITORY / "docs/extending.md").read_text("utf-8"), re.MULTILINE
+    )
+    found = []
+    for file, change in rows:
+        if "NAME" in file:
+            continue
+        (path,) = (path for path in (REPOSITORY / "src/pmfid" / file, REPOSITORY / file) if path.exists())
+        text = path.read_text("utf-8")
+        found += [
+            (file, name, name.rpartition(".")[2] in text) for name in re.findall(r"`([A-Za-z_]+(?:\.\w+)?)`", change)
+        ]
+    assert len(found) > 30
+    assert [one for one in found if not one[2]] == []

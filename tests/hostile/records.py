@@ -181,11 +181,9 @@ WRITERS: dict[str, tuple[float, Callable[[Rng, Columns, Path], bytes]]] = {
     ".csv": (0.6, lambda rng, columns, _: as_csv(rng, columns)),
     ".parquet": (0.1, _parquet),
     ".mat": (0.12, _mat),
-    **{
-        suffix: (0.02, _as(suffix))
-        for suffix in (".npz", ".xlsx", ".arrow", ".h5", ".wpilog", ".mcap", ".db3", ".mf4", ".tdms")
-    },
 }
+REST = [suffix for suffix in formats.WRITERS if suffix not in WRITERS]
+WRITERS |= {suffix: (0.18 / len(REST), _as(suffix)) for suffix in REST}
 
 
 def damaged(rng: Rng, data: bytes) -> bytes:
