@@ -1,4 +1,4 @@
-/* Goes on from a saved state, if there is one, with a file of samples; writes theta behind each, then the saved state:
+/* Goes on from a saved state, if there is one, with a file of samples; writes theta after each, then the saved state:
  * moved SAMPLES STATE THETA SAVED, STATE "-" for none.
  */
 #include EXPORT_HEADER
