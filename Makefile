@@ -154,11 +154,8 @@ study: .venv/tools .venv/spark
 	.venv/bin/pmfid explain --page > docs/axis_toml.md
 	.venv/bin/pmfid explain --plant --page > docs/plant_toml.md
 	.venv/bin/python -m studies.accuracy --out results/accuracy.md
-	.venv/bin/python -m studies.automatic --out results/automatic.md
-	.venv/bin/python -m studies.confidence --out results/confidence.md
 	.venv/bin/python -m studies.dead_time --out results/dead_time.md
 	.venv/bin/python -m studies.no_settings --out results/no_settings.md
-	.venv/bin/python -m studies.model_spread --out results/model_spread.md
 	.venv/bin/python -m studies.verdict --out results/verdict.md
 	.venv/bin/python -m studies.known_mass --out results/known_mass.md
 	.venv/bin/python -m studies.design --out results/design.md

@@ -5,12 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from studies import coverage, open_loop, starts, stop_and_go, wrong_models
+from studies import open_loop, starts, stop_and_go, wrong_models
 from studies.sections import Page, by_name
 
-STUDIES = by_name(
-    open_loop.STUDY, stop_and_go.STUDY, starts.STUDY, coverage.STUDY, wrong_models.STUDY, wrong_models.CREEP
-)
+STUDIES = by_name(open_loop.STUDY, stop_and_go.STUDY, starts.STUDY, wrong_models.STUDY, wrong_models.CREEP)
 SEEDS = 50
 INTRODUCTION = """\
 All on the simulated cart: 1.07 kg, 12.8 N s/m, 0.8 N, 2 N/V, T = 10 ms, filters of order 2, the default pre-filter

@@ -22,8 +22,7 @@ from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_mach
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES, FRICTIONS
 from studies.machines import Axis, _control, record_of, truth
-from studies.model_spread import METHODS, write_right, write_wrong
-from studies.paper.truth import CartRecord, Task
+from studies.paper.truth import CartRecord
 from tests.conftest import long_unless
 
 #: None of the study's: an indexing table, 0.3 kg m2, and a lift of 120 kg.
@@ -273,39 +272,6 @@ def test_a_transfer_function_has_none() -> None:
     assert found.model_spread is None
     assert found.interval_95 is None
     assert parameter_header(found) == ("parameter", "value", "std", "unit")
-
-
-# --- the study's counting --------------------------------------------------------------------------------------------
-
-
-def fake(error: float, std: float, spread: float) -> dict[str, tuple[Floats, Floats, Floats]]:
-    """What the study finds of one run, the same by every method and of every parameter."""
-    found = tuple(np.full(3, value) for value in (error, std, spread))
-    return dict.fromkeys(METHODS, (found[0], found[1], found[2]))
-
-
-def test_the_study_counts_intervals_that_contain_the_truth() -> None:
-    runs = [("cart", fake(0.1, 0.01, 0.1)), ("heavy", fake(0.1, 0.01, 0.1)), ("heavy", fake(0.1, 0.01, 0.01))]
-    results: dict[Task, object] = {
-        (bench, friction, "prbs", 128, seed): found
-        for friction in FRICTIONS
-        for seed, (bench, found) in enumerate(runs)
-        if friction != "nothing"
-    }
-    rows = [line for line in write_wrong(1, results) if "Stribeck 20 % | `iv`" in line]
-    assert ["100 (0)" in rows[0], "50 (0)" in rows[1], "held back" in rows[1]] == [True] * 3
-
-
-def test_the_study_measures_length_by_the_scatter_of_the_errors() -> None:
-    """Intervals of twice the size that errors of 0.1 and -0.1 have."""
-    results: dict[Task, object] = {
-        (bench, "nothing", "prbs", 128, seed): fake(side * 0.1, 0.2, 0.0)
-        for bench in ("cart", "heavy")
-        for seed, side in enumerate((1, -1))
-    }
-    rows = [line for line in write_right(2, results) if "`iv`" in line]
-    assert all("| 100 | 2.0, 2.0, 2.0 | 2.0, 2.0, 2.0 | 100, 100, 100 |" in row for row in rows)
-    assert len(rows) == 2
 
 
 def test_an_interval_has_the_digits_of_its_width() -> None:

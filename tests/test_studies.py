@@ -9,7 +9,7 @@ import pytest
 
 from pmfid.errors import UsageError
 from pmfid.simulation import CART, CART_DT, Machine, drive_machine, make_scenario, quantize, simulate_drive
-from studies import accuracy, coverage, open_loop, starts, stop_and_go, wrong_models
+from studies import accuracy, open_loop, starts, stop_and_go, wrong_models
 from studies.paper import truth
 from studies.paper.truth import TRUTH, Outcome, cramer_rao, estimate, percent, positions, scenario_record
 from studies.wrong_plants import PLANTS, wrong_record
@@ -39,7 +39,7 @@ def test_a_wrong_number_is_one_error(option: str, value: str, capsys: pytest.Cap
 def test_every_section_has_the_tasks_of_its_seeds(name: str) -> None:
     few, more = (accuracy.STUDIES[name].tasks(seeds) for seeds in (1, 2))
     assert len(set(few)) == len(few)
-    assert set(few) < set(more) or name == "coverage"  # its tasks name the methods of each run
+    assert set(few) < set(more)
     assert len(more) == 2 * len(few)
 
 
@@ -152,15 +152,6 @@ def test_samples_astray_without_a_warning_are_counted() -> None:
     assert near["riv"]
     assert near["until"] < far["until"]
     assert 0 <= far["unsaid"] <= far["until"] - far["starting"] + 1e-9
-
-
-def test_coverage_counts_runs_flags_and_the_unflagged() -> None:
-    yes, no = np.array([True, True, True]), np.array([False, True, True])
-    outcomes = [(yes, (), ""), (no, ("biased",), ""), (yes, None, ""), (no, (), "NotIdentifiableError")]
-    cells = coverage._cells(outcomes)
-    assert cells[:4] == ["4", "50.0, 100.0, 100.0", "3", "67"]
-    assert cells[4] == "NotIdentifiableError 1/3, biased 1/3"
-    assert cells[5:] == ["1", "100.0, 100.0, 100.0"]
 
 
 def test_a_record_without_motion_is_an_outcome() -> None:
