@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -24,6 +22,7 @@ from pmfid.types import Counts, Floats
 from studies.machines import AXES
 from studies.monitoring.axis import random_stop_and_go
 from studies.paper.truth import table
+from studies.sections import write_page
 
 #: Parameter and factor of each change; a run with number k has change k, over and over.
 CHANGES = (
@@ -219,7 +218,7 @@ delay is more than ten moves, the monitor learns from the record (units of work,
 """
 
 
-def page(runs: int, first: int) -> str:
+def page(runs: int = 100, first: int = 0) -> str:
     """The whole page."""
     found, refused = sizes(runs, first)
     changes = ", ".join(f"{name.replace('_', ' ')} {100 * factor - 100:+.0f} %" for name, factor in CHANGES)
@@ -235,15 +234,5 @@ def page(runs: int, first: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    """Writes the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--runs", type=int, default=100, help="machines drawn, and runs on each bench")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first machine")
-    arguments = parser.parse_args()
-    arguments.out.write_text(page(arguments.runs, arguments.first), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    write_page(page, __doc__)

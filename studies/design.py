@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
-from pathlib import Path
 
 from studies import design_case, design_runs, design_wrong
 from studies.paper.truth import table
+from studies.sections import write_page
 
 
 def measured(runs: int) -> Iterator[str]:
@@ -96,7 +95,7 @@ the difference on the constant velocity of a trapezoid. `interval` takes the cou
 """
 
 
-def page(runs: int) -> str:
+def page(runs: int = 500) -> str:
     """The whole page."""
     lines = [
         *measured(runs),
@@ -105,14 +104,5 @@ def page(runs: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    """Writes the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--runs", type=int, default=500)
-    arguments = parser.parse_args()
-    arguments.out.write_text(page(arguments.runs), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    write_page(page, __doc__)

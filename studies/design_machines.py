@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +18,7 @@ from pmfid.models.drive import Drive
 from pmfid.simulation.drive import Machine, drive_machine
 from pmfid.types import Flags, Floats
 from studies.paper.truth import table
+from studies.sections import write_page
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 STARTS = 10
@@ -206,7 +205,7 @@ show: there the deviation is that of the model, and a longer record under severa
 HEADER = ("machine", "input", "inside [%]", "1.96 [%]", "error / claimed", "error [%]", "gain")
 
 
-def page(runs: int, few: int) -> str:
+def page(runs: int = 100, few: int = 5) -> str:
     """The whole page; few: runs of each wrong model."""
     held = "; ".join(HELD_BACK)
     lines = INTRODUCTION.format(runs=runs, wrong=WRONG, samples=SAMPLES, held=held).strip().splitlines()
@@ -218,15 +217,5 @@ def page(runs: int, few: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    """Writes the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--few", type=int, default=5)
-    arguments = parser.parse_args()
-    arguments.out.write_text(page(arguments.runs, arguments.few), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    write_page(page, __doc__)

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -29,6 +27,7 @@ from pmfid.types import Counts, Flags, Floats
 from studies.gap_information import bound, sensitivities
 from studies.machines import AXES, machine_record, truth
 from studies.paper.truth import CartRecord, table
+from studies.sections import write_page
 from studies.several_records import compared_page
 
 #: What is missing -> its part of the samples, and of how many in a row.
@@ -266,17 +265,13 @@ def _named(bench: Bench) -> str:
     return f"{bench.axis}, {bench.motion}, {1 / bench.dt:.0f} Hz{held}"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seeds", type=int, default=4)
-    given = parser.parse_args(arguments)
+def page(seeds: int = 4) -> str:
+    """The whole page."""
     lines = [
         "# Missing samples and several records",
         "",
-        "Made by `python -m studies.gaps --out results/gaps.md`"
-        + (f" --seeds {given.seeds}.\n" if given.seeds != parser.get_default("seeds") else ".\n"),
-        f"{given.seeds} runs of each axis, encoders of 4096 increments, `iv`. Errors are root mean squares of mass, "
+        f"Made by `python -m studies.gaps --out results/gaps.md --seeds {seeds}`.\n",
+        f"{seeds} runs of each axis, encoders of 4096 increments, `iv`. Errors are root mean squares of mass, "
         'viscous and Coulomb friction, in percent of the truth. "Bound over clean" is by how much less the counts and '
         "inputs that are left can tell (Cramer-Rao, `studies/gap_information.py`): a lost input that a controller made "
         'of a coarse encoder is known to nobody, and costs far more than its count. "Error over both" is the error '
@@ -285,14 +280,13 @@ def main(arguments: list[str] | None = None) -> int:
         "filled off-line, and sample by sample as the monitor runs it; where some are outside "
         f"{TRACK[0]:g} to {TRACK[1]:g}, how many, and of the samples in which it neither starts nor falls back.",
         "",
-        *losses_page(BENCHES, given.seeds),
+        *losses_page(BENCHES, seeds),
         "## Three records of a minute against one of three",
         "",
-        *compared_page(given.seeds),
+        *compared_page(seeds),
     ]
-    given.out.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
-    return 0
+    return "\n".join(lines).rstrip() + "\n"
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    write_page(page, __doc__)

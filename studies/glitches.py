@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -22,6 +20,7 @@ from pmfid.types import Counts, Floats
 from studies import glitch_sizes
 from studies.machines import AXES, Axis, machine_record
 from studies.paper.truth import CartRecord, table
+from studies.sections import write_page
 
 KINDS = ("jump", "jump at rest", "glitch", "1 % glitches", "spike")
 #: Smallest and largest size, as powers of ten [counts, times the largest input].
@@ -196,8 +195,8 @@ def sizes_part(seeds: int, seconds: float) -> list[str]:
     ]
 
 
-def page(places: int, seeds: int, seconds: float) -> str:
-    """The page, with N places of each kind on every record; seeds, seconds: of `sizes_part`."""
+def page(places: int = 50, seeds: int = 20, adversary: float = 3600.0) -> str:
+    """The page, with N places of each kind on every record; seeds, adversary [s]: of `sizes_part`."""
     rows = []
     for name in AXES:
         for kind in KINDS:
@@ -248,23 +247,10 @@ def page(places: int, seeds: int, seconds: float) -> str:
             "",
             *table(["axis", "flagged samples", "of"], flags),
             "",
-            *sizes_part(seeds, seconds),
+            *sizes_part(seeds, adversary),
         ]
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, help="the page")
-    parser.add_argument("--places", type=int, default=50, help="of each fault on every record (default: %(default)s)")
-    parser.add_argument("--seeds", type=int, default=20, help="records of each axis (default: %(default)s)")
-    parser.add_argument("--adversary", type=float, default=3600.0, help="its time [s] (default: %(default)s)")
-    options = parser.parse_args()
-    text = page(options.places, options.seeds, options.adversary)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text, "utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    write_page(page, __doc__)

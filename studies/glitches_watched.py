@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -23,6 +21,7 @@ from studies.glitches import CUTOFF, KINDS, Spoiled, sizes_of, spoil_at
 from studies.machines import AXES, Axis, truth
 from studies.monitoring.axis import random_stop_and_go
 from studies.paper.truth import table
+from studies.sections import write_page
 
 WATCHED = ("cart", "rotary", "gantry")
 INCREMENTS, MEMORY = 1024, 100  # samples
@@ -130,7 +129,7 @@ def rows(runs: int) -> Iterator[list[str]]:
             yield row
 
 
-def page(runs: int) -> str:
+def page(runs: int = 50) -> str:
     """The page, with N runs of each fault."""
     return "\n".join(
         [
@@ -162,16 +161,5 @@ def page(runs: int) -> str:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, help="the page")
-    parser.add_argument("--runs", type=int, default=50, help="of each fault (default: %(default)s)")
-    options = parser.parse_args()
-    text = page(options.runs)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text, "utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    write_page(page, __doc__)

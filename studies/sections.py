@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import multiprocessing
 import os
 import sys
@@ -73,6 +74,18 @@ class Page:
         command += "" if seeds == self.seeds else f" --seeds {seeds}"
         command += "" if len(names) == len(self.studies) else f" --only {' '.join(names)}"
         return [f"# {self.title}", "", "Written by", "", f"    {command}", "", *self.introduction.splitlines()]
+
+
+def write_page(page: Callable[..., str], description: str | None) -> None:
+    """Writes the page to the file that --out names; an option for each parameter of `page`, typed as its default."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--out", type=Path, required=True, help="Markdown page to write")
+    for name, parameter in inspect.signature(page).parameters.items():
+        default = parameter.default
+        parser.add_argument(f"--{name}", type=type(default), default=default, help="(default: %(default)s)")
+    options = vars(parser.parse_args())
+    out = options.pop("out")
+    out.write_text(page(**options), encoding="utf-8")
 
 
 def by_name(*studies: Study) -> dict[str, Study]:
