@@ -133,6 +133,9 @@ typedef struct {
     scalar_t guard_leak; /* of what it has learned, per sample in motion */
     uint32_t guard_hold; /* samples from a suspicious one on that are left out */
 #endif
+#if PMF_WITH_STEPS
+    scalar_t rate; /* samples per second where each comes with its step, else 0 */
+#endif
 } pmf_encoder_config_t;
 
 #if PMF_WITH_GUARD
@@ -173,6 +176,9 @@ typedef struct {
     real_t direction, moving; /* of the last interval */
     real_t input, input_before;
     real_t mean_velocity; /* of the last interval */
+#if PMF_WITH_STEPS
+    real_t ratio, ratio_before; /* steps of this interval and of the one before, over the sample period */
+#endif
 #if PMF_WITH_GUARD
     pmf_guard_state_t guard;
 #endif
@@ -182,7 +188,25 @@ typedef struct {
 typedef struct {
     uint32_t source;
     scalar_t a, b0, b1;
+#if PMF_WITH_STEPS
+    uint32_t rate; /* how it follows the step, from 1 on; 0: not at all */
+#endif
 } pmf_stage_t;
+
+#if PMF_WITH_STEPS
+enum {
+    PMF_LASTING = 0, /* coefficients that grow with the step */
+    PMF_CHANGING = 1, /* those of a derivative */
+    PMF_BENDING = 2 /* and of a second difference */
+};
+
+/* How stages of one pole follow a step that varies; what a stage has is for the sample period. */
+typedef struct {
+    uint32_t late; /* 1: their signals are those of the interval before */
+    uint32_t kind;
+    scalar_t half; /* pole times half the sample period */
+} pmf_rate_t;
+#endif
 
 typedef struct {
     uint32_t node;
@@ -195,6 +219,10 @@ typedef struct {
     pmf_stage_t stage[PMF_MAX_STAGES];
     uint32_t tap_end[PMF_MAX_COLUMNS];
     pmf_tap_t tap[PMF_MAX_TAPS];
+#if PMF_WITH_STEPS
+    uint32_t n_rates;
+    pmf_rate_t rate[PMF_MAX_RATES];
+#endif
 } pmf_network_config_t;
 
 typedef struct {
@@ -357,6 +385,9 @@ typedef struct {
     scalar_t noise_power; /* of the filtered measured velocity */
     scalar_t lag_memory; /* forgetting of the comparison that shows a model ahead of the plant, per sample */
     scalar_t lag_samples; /* that are worth one in it: the filters make neighbours alike */
+#if PMF_WITH_STEPS
+    uint32_t steps; /* 1: the step varies */
+#endif
 #if PMF_MAX_SHAPES > 0
     pmf_shapes_config_t shapes;
 #endif
@@ -387,6 +418,9 @@ typedef struct {
     pmf_lag_t lag;
     whole_t late; /* whether the model is ahead, the last verdict as a status bit */
     whole_t turn; /* of the samples between two steps of the copy */
+#if PMF_WITH_STEPS
+    real_t step; /* of the interval that is simulated [s] */
+#endif
 } pmf_auxiliary_state_t;
 
 #if PMF_WITH_LAG
@@ -557,6 +591,11 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples);
 /* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
+#if PMF_WITH_STEPS
+/* Before pmf_step() of a configuration with a rate: the time since the last sample [s]; without this call it is the
+ * sample period. One that is not positive, or longer than 100 periods, is flagged as an invalid input. */
+void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step);
+#endif
 /* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the
  * estimate is borrowed from another parametrisation. */
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);

@@ -12,6 +12,13 @@
 #if PMF_WITH_AUXILIARY
 
 #define NEWTON_TURNS 3
+#if PMF_STEPS
+#define OVER_STEP(force) ((force) * ratio)
+#define JUMP_GAIN gain
+#else
+#define OVER_STEP(force) (force)
+#define JUMP_GAIN config->jump_gain
+#endif
 #if PMF_WITH_DEAD_TIME
 #define NEVER_NEGATIVE(role) ((role) < PMF_OFFSET || (role) == PMF_DELAY)
 #define IS_KNOWN(role, index) ((role) == PMF_DELAY && (index) == PMF_NO_PARAMETER)
@@ -123,18 +130,22 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
     truth_t forward = before > PMF_R(0.0), was = forward | (before < PMF_R(0.0));
     truth_t stops = was & PMF_NOT(before * after > PMF_R(0.0));
     real_t viscous = PMF_IF(forward, body->viscous[0], body->viscous[1]);
-    real_t kept = body->mass / (body->mass + config->dt * viscous), left = PMF_R(1.0), lost;
+    real_t kept = body->mass / (body->mass + PMF_SPAN(config, state) * viscous), left = PMF_R(1.0), lost;
     uint32_t i;
+#if PMF_STEPS
+    real_t ratio = PMF_SPAN(config, state) / config->dt;
+    real_t gain = config->jump_gain * ratio / (PMF_R(1.0) + (ratio - PMF_R(1.0)) * config->jump_gain);
+#endif
     if (PMF_ANY(stops)) {
         left = PMF_IF(stops, left_behind_stop(body, forward), left);
     }
     lost = (left - PMF_R(1.0)) * config->jump_gain;
     for (i = 0; i < config->sensitivities; ++i) {
         pmf_jump_t *jump = &state->jump[i];
-        real_t momentum = kept * (jump->momentum - signal[config->cause[i]]);
+        real_t momentum = kept * (jump->momentum - OVER_STEP(signal[config->cause[i]]));
         jump->momentum = left * momentum;
-        jump->filtered += config->jump_gain * (jump->blow - jump->filtered);
-        jump->blow += lost * momentum - config->jump_gain * jump->blow;
+        jump->filtered += JUMP_GAIN * (jump->blow - jump->filtered);
+        jump->blow += lost * momentum - JUMP_GAIN * jump->blow;
     }
 }
 
@@ -181,7 +192,7 @@ static void advance(const pmf_auxiliary_config_t *config, const pmf_auxiliary_st
                 continue;
             }
 #endif
-            move(body, config->dt, forward & left, backward & left, phase);
+            move(body, PMF_SPAN(config, state), forward & left, backward & left, phase);
         }
     }
 }
@@ -192,7 +203,7 @@ static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t
 {
     real_t sum;
     truth_t absurd;
-    signal[PMF_ACCELERATION] = (phase->velocity - state->velocity) / config->dt;
+    signal[PMF_ACCELERATION] = (phase->velocity - state->velocity) / PMF_SPAN(config, state);
     sum = signal[PMF_ACCELERATION] + phase->distance[0] + phase->distance[1] + middle;
     absurd = PMF_NOT(sum - sum == PMF_R(0.0));
     if (PMF_ANY(absurd)) { /* parameters: it starts again from rest */
@@ -212,13 +223,13 @@ static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t
         PMF_WHERE(absurd, state, forget_sensitivity(state));
     }
     state->velocity = phase->velocity;
-    state->position += config->dt * (phase->distance[0] + phase->distance[1]) +
+    state->position += PMF_SPAN(config, state) * (phase->distance[0] + phase->distance[1]) +
                        config->position_gain * (signal[PMF_LATE_POSITION] - middle);
 }
 
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal)
 {
-    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity;
+    real_t middle = state->position + PMF_R(0.5) * PMF_SPAN(config, state) * state->velocity;
     body_t body = body_of(config, state->parameter, signal[PMF_LATE_INPUT], middle);
     phase_t phase;
     phase.velocity = state->velocity;
@@ -235,7 +246,7 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                              const pmf_late_state_t *late, real_t *signal)
 {
-    real_t middle = state->position + PMF_R(0.5) * config->dt * state->velocity, pushed, moved;
+    real_t middle = state->position + PMF_R(0.5) * PMF_SPAN(config, state) * state->velocity, pushed, moved;
     body_t body = body_of(config, state->parameter, late->older, middle);
     body_t second = body_of(config, state->parameter, late->newer, middle);
     phase_t phase, rest;
@@ -247,7 +258,7 @@ void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary
     advance(config, state, &body, &phase, signal);
     rest.velocity = phase.velocity;
     rest.left = PMF_R(1.0) - late->part;
-    moved = config->dt * (phase.distance[0] + phase.distance[1]);
+    moved = PMF_SPAN(config, state) * (phase.distance[0] + phase.distance[1]);
     state->position += moved; /* where the shapes of the second part begin */
     advance(config, state, &second, &rest, signal);
     state->position -= moved;

@@ -18,6 +18,16 @@
 #define FAST_COUNTS 2U /* counts in one sample from which on the tracker is trusted */
 #define CLOSE 3U
 
+#if PMF_STEPS
+#define TRAVELLED(speed) ((speed) * ratio) /* within the step */
+#define AS_SPEED(change) ((change) / ratio)
+#define SPEED_GAIN(gain) ((gain) * (ratio < PMF_R(1.0) ? ratio : PMF_R(1.0) / ratio)) /* a short step tells little */
+#else
+#define TRAVELLED(speed) (speed)
+#define AS_SPEED(change) (change)
+#define SPEED_GAIN(gain) (gain)
+#endif
+
 static whole_t magnitude(integer_t x)
 {
     return PMF_IF(x < 0, PMF_W(0) - (whole_t)x, (whole_t)x);
@@ -90,11 +100,12 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
     return PMF_BIT(rest, PMF_STANDSTILL);
 }
 
-static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation, real_t predicted)
+static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation, real_t predicted,
+                  scalar_t gain)
 {
     state->velocity_before = state->velocity;
     state->position = predicted + config->position_gain * innovation;
-    state->velocity += config->velocity_gain * innovation;
+    state->velocity += gain * innovation;
     state->innovation = innovation;
 }
 
@@ -168,6 +179,21 @@ static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_sta
 }
 #endif
 
+#if PMF_STEPS
+/* The step of this interval over the sample period. */
+static real_t ratio_of(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t *status)
+{
+    if (!(config->rate > PMF_R(0.0))) {
+        return PMF_R(1.0);
+    }
+    if (!(state->ratio > PMF_R(0.0))) {
+        state->ratio = PMF_R(1.0);
+        *status |= PMF_INVALID_INPUT | PMF_SETTLING;
+    }
+    return state->ratio;
+}
+#endif
+
 PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state,
                                               real_t input, whole_t count, real_t *signal)
 {
@@ -176,6 +202,9 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     integer_t change = PMF_IF(started, signed_count(mask, (count - state->count) & mask), 0), motion;
     whole_t counts = magnitude(change), status = check(config, state, &input, &change, &counts), fast;
     real_t changed, predicted, innovation;
+#if PMF_STEPS
+    real_t ratio = ratio_of(config, state, &status);
+#endif
 #if PMF_WITH_GUARD
     if (config->guard != 0U) {
         truth_t apart = (status & PMF_COUNT_JUMP) != 0U;
@@ -194,14 +223,14 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     fast = next_fast(state->fast, counts);
     /* Position of the axis within the new count, in counts; a count says "in the middle". */
     changed = PMF_TO_REAL(change);
-    predicted = PMF_IF(started, state->position + state->velocity - changed, PMF_R(0.5));
+    predicted = PMF_IF(started, state->position + TRAVELLED(state->velocity) - changed, PMF_R(0.5));
     innovation = PMF_R(0.5) - predicted;
 
     emit_interval(config, state,
                   state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
-    signal[PMF_VELOCITY] = config->velocity_per_count * changed;
+    signal[PMF_VELOCITY] = AS_SPEED(config->velocity_per_count * changed);
 
-    track(config, state, innovation, predicted);
+    track(config, state, innovation, predicted, SPEED_GAIN(config->velocity_gain));
     status |= note_motion(config, state, motion);
     state->mean_velocity = signal[PMF_VELOCITY];
 #if PMF_WITH_SPLIT

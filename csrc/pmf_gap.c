@@ -16,6 +16,9 @@ static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_
     (void)config;
 #endif
     state->count = count;
+#if PMF_STEPS
+    state->ratio = state->ratio_before = PMF_R(1.0);
+#endif
     state->started = 0U;
     state->idle = 0U;
     state->fast = 0U;

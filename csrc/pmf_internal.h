@@ -40,6 +40,17 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_LATE PMF_WITH_DEAD_TIME
 #endif
+#ifdef PMF_LANES
+#define PMF_STEPS 0 /* each axis would have coefficients of its own */
+#else
+#define PMF_STEPS PMF_WITH_STEPS
+#endif
+/* The interval that the auxiliary model simulates [s]. */
+#if PMF_STEPS
+#define PMF_SPAN(config, state) ((config)->steps != 0U ? (state)->step : (config)->dt)
+#else
+#define PMF_SPAN(config, state) ((config)->dt)
+#endif
 #define PMF_FOUND (PMF_LATE && PMF_WITH_DEAD_TIME_FOUND)
 #ifdef PMF_FLOAT32
 #define PMF_ENDLESS PMF_WITH_ENDLESS
@@ -73,6 +84,8 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 /* Limits of what a state may hold. */
 #define PMF_FAST_SAMPLES 3U /* after two counts in one sample or more */
 #define PMF_BLOCK_MEMORY 100U /* blocks of innovations */
+#define PMF_LEAST_RATIO PMF_R(1e-6) /* of a step to the sample period */
+#define PMF_MOST_RATIO PMF_R(100.0)
 #define PMF_LOOK 4U /* updates between two looks at the size of the motion: no column changes much faster */
 #define PMF_SWING_BITS 15U /* what they may show, in this half memory and in the last */
 /* From encoder to filters alone: a wrong count was replaced as well as an encoder can tell. */
@@ -150,6 +163,10 @@ uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uin
 void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
 #endif
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
+#if PMF_STEPS
+/* The same where the step varies: of the last interval and of the one before, over the sample period. */
+void pmf_network_follow(const pmf_network_config_t *config, pmf_network_state_t *state, real_t ratio, real_t before);
+#endif
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);
 #if PMF_WITH_PROCESS

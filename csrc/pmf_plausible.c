@@ -68,6 +68,10 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
            within(&state->direction, 1U, PMF_R(-1.0), PMF_R(1.0)) & within(&state->moving, 1U, PMF_R(0.0), PMF_R(1.0)) &
            within(&state->input, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) &
            within(&state->input_before, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & finite(&state->mean_velocity, 1U)
+#if PMF_WITH_STEPS
+           & within(&state->ratio, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
+           within(&state->ratio_before, 1U, PMF_R(0.0), PMF_MOST_RATIO)
+#endif
 #if PMF_WITH_GUARD
            & check_guard(config, &state->guard)
 #endif
@@ -153,6 +157,9 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
            at_most(state->in_charge, 1U) & finite((const real_t *)(const void *)state->jump, REALS(state->jump)) &
            finite(&state->cross, 1U) & not_negative(&state->innovations, 1U) & not_negative(&state->changes, 1U) &
            at_most(state->feedback, PMF_FEEDBACK) &
+#if PMF_WITH_STEPS
+           not_negative(&state->step, 1U) &
+#endif
            finite((const real_t *)(const void *)&state->lag, REALS(state->lag)) & at_most(state->late, PMF_DEAD_TIME);
 }
 #endif

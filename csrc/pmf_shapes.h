@@ -126,7 +126,7 @@ static body_t shaped_body(const pmf_shapes_config_t *config, const body_t *plain
 
 static real_t place_of(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, const phase_t *phase)
 {
-    return state->position + config->dt * (phase->distance[0] + phase->distance[1]);
+    return state->position + PMF_SPAN(config, state) * (phase->distance[0] + phase->distance[1]);
 }
 
 /* A body at rest: what holds it, and what drives it. */
@@ -169,10 +169,10 @@ static void move_shaped(const pmf_auxiliary_config_t *config, const pmf_auxiliar
     to = from;
     for (turn = 0; turn < FORESIGHTS; ++turn) {
         body = shaped_body(&config->shapes, plain, state->parameter, &from, &to, time, mean);
-        time = foresee(&body, backward, &from, left * config->dt, &to);
+        time = foresee(&body, backward, &from, left * PMF_SPAN(config, state), &to);
     }
     body = shaped_body(&config->shapes, plain, state->parameter, &from, &to, time, mean);
-    move(&body, config->dt, forward, backward, phase);
+    move(&body, PMF_SPAN(config, state), forward, backward, phase);
     left -= phase->left;
     for (i = 0; i < config->shapes.n; ++i) {
         real_t part = backward != 0 && config->shapes.shape[i].resists != 0U ? -left : left;

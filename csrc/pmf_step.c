@@ -43,7 +43,19 @@ PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
 #endif
+#if PMF_STEPS
+    state->encoder.ratio = PMF_R(1.0);
+    state->encoder.ratio_before = PMF_R(1.0);
+#endif
 }
+
+#if PMF_STEPS
+void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step)
+{
+    real_t ratio = step * config->encoder.rate;
+    state->encoder.ratio = ratio > PMF_LEAST_RATIO && ratio < PMF_MOST_RATIO ? ratio : PMF_R(0.0);
+}
+#endif
 
 #ifndef PMF_LANES
 void pmf_rebase(pmf_state_t *state, uint32_t count)
@@ -119,6 +131,9 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     pmf_shapes_measured(&config->auxiliary.shapes, state->network.node);
 #endif
     if (config->auxiliary.enabled != 0U) {
+#if PMF_STEPS
+        state->auxiliary.step = config->auxiliary.dt * state->encoder.ratio_before;
+#endif
 #if PMF_LATE
         if (config->late.room != 0U && state->auxiliary.running != 0U) {
             pmf_auxiliary_late_step(&config->auxiliary, &state->auxiliary, &state->late, state->network.node);
@@ -128,7 +143,14 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
                       pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node));
     }
 #endif
-    pmf_network_step(&config->network, &state->network);
+#if PMF_STEPS
+    if (config->encoder.rate > PMF_R(0.0)) {
+        pmf_network_follow(&config->network, &state->network, state->encoder.ratio, state->encoder.ratio_before);
+        state->encoder.ratio_before = state->encoder.ratio;
+        state->encoder.ratio = PMF_R(1.0);
+    } else
+#endif
+        pmf_network_step(&config->network, &state->network);
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, config->instrument.first_column,

@@ -11,11 +11,11 @@
 static uint32_t network_fits(const pmf_network_config_t *network)
 {
     uint32_t i, tap = 0U, fits = 1U;
-    if (network->n_stages > PMF_MAX_STAGES || network->n_columns > PMF_MAX_COLUMNS) {
+    if (network->n_stages > PMF_MAX_STAGES || network->n_columns > PMF_MAX_COLUMNS || network->n_rates > PMF_MAX_RATES) {
         return 0U;
     }
     for (i = 0; i < network->n_stages; ++i) {
-        fits &= network->stage[i].source < NODES ? 1U : 0U;
+        fits &= network->stage[i].source < NODES && network->stage[i].rate <= network->n_rates ? 1U : 0U;
     }
     for (i = 0; i < network->n_columns; ++i) {
         fits &= network->tap_end[i] >= tap && network->tap_end[i] <= PMF_MAX_TAPS ? 1U : 0U;

@@ -109,6 +109,10 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_out(unused, IN_STATE(borrowed), END_IN_STATE(borrowed));
         leave_out(unused, IN_STATE(auxiliary), END_IN_STATE(auxiliary));
     }
+    if (!(config->encoder.rate > PMF_SCALAR(0.0))) {
+        leave_out(unused, IN_STATE(encoder.ratio), END_IN_STATE(encoder.ratio_before));
+        leave_out(unused, IN_STATE(auxiliary.step), END_IN_STATE(auxiliary.step));
+    }
     if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(late), END_IN_STATE(late));
     }
@@ -180,7 +184,8 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, p
     add_words(layout, &unused, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
     if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW ||
-        config->linear.enabled != 0U || config->late.room != 0U || config->auxiliary.shapes.n != 0U) {
+        config->linear.enabled != 0U || config->late.room != 0U || config->auxiliary.shapes.n != 0U ||
+        config->encoder.rate > PMF_SCALAR(0.0)) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

@@ -42,15 +42,19 @@ cdef extern from "pmf_internal.h":
         pmf_shape_t shape[PMF_MAX_SHAPES]
     ctypedef struct pmf_auxiliary_config_t:
         real_t dt, input_gain
+        uint32_t steps
         pmf_shapes_config_t shapes
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
-        real_t velocity, position
+        real_t velocity, position, step
     ctypedef struct pmf_decay_t:
         real_t rest, mean, moment
     ctypedef struct pmf_late_state_t:
         real_t older, newer, part, lagged
+    ctypedef struct pmf_encoder_config_t:
+        real_t rate
     ctypedef struct pmf_config_t:
+        pmf_encoder_config_t encoder
         pmf_network_config_t network
     ctypedef struct pmf_state_t:
         uint32_t status
@@ -62,6 +66,7 @@ cdef extern from "pmf_internal.h":
         real_t innovation, innovation_variance
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
+    void pmf_set_step(const pmf_config_t *, pmf_state_t *, real_t) nogil
     uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_plausible(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
@@ -205,9 +210,18 @@ cdef class Kernel:
         estimate.status = self.state.status
         return estimate
 
-    def step(self, double u, counts):
-        """One sample in, one `Estimate` out; counts is an integer of any size, anything else raises TypeError."""
+    cdef _check_steps(self, given):
+        """Raises ValueError for steps of a kernel that takes the clock for even."""
+        if given is not None and not self.config.encoder.rate > 0:
+            raise ValueError("this estimator takes the clock for even; make it with steps=\"given\"")
+
+    def step(self, double u, counts, dt=None):
+        """One sample in, one `Estimate` out; counts is an integer of any size, anything else raises TypeError. dt: time
+        since the last sample [s], None: the sample period. Raises ValueError for a dt if the kernel takes none."""
         cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
+        if dt is not None:
+            self._check_steps(dt)
+            pmf_set_step(&self.config, &self.state, <real_t> <double> dt)
         pmf_step(&self.config, &self.state, <real_t> u, <uint32_t> count)
         return self._snapshot()
 
@@ -215,8 +229,12 @@ cdef class Kernel:
         """The present estimate."""
         return self._snapshot()
 
-    def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
-        """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), its inflation (n, p), innovation (n,), its variance (n,), status (n,)."""
+    def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None,
+            cnp.ndarray[double, mode="c"] steps=None):
+        """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), its inflation (n, p), innovation (n,), its variance (n,), status (n,).
+        steps: (n,) time of each sample since the one before [s], None: an even clock."""
+        self._check_steps(steps)
+        cdef const double *step = NULL if steps is None else <const double *> _numbers(steps)
         cdef Py_ssize_t n = u.shape[0], p = pmf_parameters(&self.config), k, i
         cdef cnp.ndarray[double, ndim=2, mode="c"] theta = np.empty((n, p))
         cdef cnp.ndarray[double, ndim=2, mode="c"] factor = np.empty((n, p))
@@ -227,6 +245,8 @@ cdef class Kernel:
         cdef const pmf_estimate_t *last
         with nogil:
             for k in range(n):
+                if step != NULL:
+                    pmf_set_step(&self.config, &self.state, <real_t> step[k])
                 status[k] = pmf_step(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
                 last = pmf_estimate(&self.config, &self.state)
                 for i in range(p):
@@ -237,13 +257,18 @@ cdef class Kernel:
                 variance[k] = last.innovation_variance
         return theta, factor, inflation, innovation, variance, status
 
-    def filter(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
-        """Encoder and filters alone. u, counts: (n,) -> columns (n, c) and status (n,)."""
+    def filter(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None,
+               cnp.ndarray[double, mode="c"] steps=None):
+        """Encoder and filters alone. u, counts, steps: (n,), as of `run` -> columns (n, c) and status (n,)."""
+        self._check_steps(steps)
+        cdef const double *step = NULL if steps is None else <const double *> _numbers(steps)
         cdef Py_ssize_t n = u.shape[0], c = self.config.network.n_columns, k, i
         cdef cnp.ndarray[double, ndim=2, mode="c"] columns = np.empty((n, c))
         cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
         with nogil:
             for k in range(n):
+                if step != NULL:
+                    pmf_set_step(&self.config, &self.state, <real_t> step[k])
                 status[k] = pmf_filter(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
                 for i in range(c):
                     columns[k, i] = self.state.network.column[i]
@@ -468,14 +493,14 @@ cdef class ManyKernel:
 
 
 def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0,
-             bytes shapes=b"", before=(0.0,), decay=None, on_top=None):
+             bytes shapes=b"", before=(0.0,), decay=None, on_top=None, steps=None):
     """The auxiliary model alone: a body with friction under a held input.
 
     parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), and the
     coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: inputs before the first (m,), m >= 1, the oldest of which has been there for ever;
     velocity, position: at the start; a spring is slack at position 0. shapes: the bytes of a `pmf_shapes_config_t`
     (`pmfid.kernel.configuration` makes them), whose nodes are PMF_SIGNALS and the next. decay: (2, 3) of a lag behind the dead time, as
-    `pmfid.kernel.configuration` makes them; on_top: (n,) an input that acts at once. Returns (n,) mean velocity, signed moving fraction and
+    `pmfid.kernel.configuration` makes them; on_top: (n,) an input that acts at once; steps: (n,) length of each interval [s], None: dt; then nothing acts late. Returns (n,) mean velocity, signed moving fraction and
     moving fraction of every interval, and the velocity at the end. Raises ValueError for too many parameters and impossible shapes.
     """
     cdef pmf_auxiliary_config_t config
@@ -492,7 +517,9 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     pmf_clear(&config, sizeof(config))
     pmf_clear(&state, sizeof(state))
     pmf_clear(signal, sizeof(signal))
-    config.dt, config.input_gain = dt, input_gain
+    config.dt, config.input_gain, config.steps = dt, input_gain, steps is not None
+    cdef cnp.ndarray[double, mode="c"] lengths = np.full(1, dt) if steps is None else np.ascontiguousarray(steps, np.float64)
+    cdef bint varies = steps is not None
     if len(shapes):
         if len(shapes) != sizeof(pmf_shapes_config_t):
             raise ValueError(f"shapes have {sizeof(pmf_shapes_config_t)} bytes, got {len(shapes)}")
@@ -516,12 +543,16 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     cdef cnp.ndarray[double, mode="c"] extra = np.zeros(n) if on_top is None else np.ascontiguousarray(on_top, np.float64)
     if extra.shape[0] != n:
         raise ValueError(f"on_top must have the length of u, {n}, got {extra.shape[0]}")
+    if varies and (lengths.shape[0] != n or lags or samples > 0.0):
+        raise ValueError("steps must have the length of u, and then no input acts late")
     if lags:
         for place in range(2):
             lag[place].rest, lag[place].mean, lag[place].moment = decay[place]
     late.lagged = past[0]
     with nogil:
         for k in range(-m if lags else 0, n):
+            if varies:
+                state.step = lengths[k]
             if at_once:
                 signal[PMF_LATE_INPUT] = u[k]
                 pmf_auxiliary_step(&config, &state, signal)

@@ -78,6 +78,7 @@ class Encoder:
             "spike": 0.0,
             "guard_leak": 0.0,
             "guard_hold": 0,
+            "rate": 0.0,
             **tracker_gains(TRACKING_INDEX),
         }
 

@@ -117,6 +117,7 @@ def make_auxiliary_kernel(
         "cause": causes,
         "role": [estimator.equation.roles.index(i) for i in range(len(causes))],
         "shapes": shapes_of(estimator.equation, network),
+        "steps": int(estimator.steps is not None),
     }
     kernel = new_kernel(
         estimator.precision,
@@ -129,6 +130,7 @@ def make_auxiliary_kernel(
         | {"growing": _growing(estimator) if adapt else 0},
         auxiliary=auxiliary,
         late=_late(estimator, float(values[LATE]), forgetting),
+        rates=network.rates if estimator.steps is not None else ((), ()),
     )
     return kernel, first
 

@@ -20,6 +20,7 @@ from pmfid.estimators.configuration import (
     freeze,
 )
 from pmfid.estimators.plants import PlantDefaults, plant_of
+from pmfid.estimators.sample_steps import GIVEN, SampleSteps, read_steps
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
@@ -28,6 +29,7 @@ from pmfid.kernel.configuration import late_values, new_kernel, shape_values, to
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -46,7 +48,9 @@ class Estimator:
     of the Poisson chain [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a
     drive; left at 2 it is n for a transfer function of a higher order n. discretization: "matched", "paper", or "exact"
     for `LS` and `BCLS`. prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
-    precision: "float64" or "float32". Raises UsageError with the remedy.
+    precision: "float64" or "float32". steps: of a clock that is not even, (n,) time of each sample of the record since
+    the one before [s]; "given": on-line it comes with each sample; dt is then the mean. Raises UsageError with the
+    remedy.
     """
 
     model: Model
@@ -57,12 +61,15 @@ class Estimator:
     discretization: str = field(default="matched", kw_only=True)
     prefilter_zeros: Sequence[float] | None = field(default=None, kw_only=True)
     precision: str = field(default="float64", kw_only=True)
+    steps: object = field(default=None, kw_only=True)
 
     method: ClassVar[str] = ""
     #: its kernel has columns of instruments in addition to the regressors
     instrumental: ClassVar[bool] = False
     #: it takes friction that depends on the speed from a simulated motion
     knows_shapes: ClassVar[bool] = False
+    #: it takes a step that varies
+    takes_steps: ClassVar[bool] = True
     #: filters of the held signals that it takes
     discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
 
@@ -71,6 +78,7 @@ class Estimator:
         explain_inherited(cls)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "steps", read_steps(self.steps))
         freeze(self)
         self._check_kinds()
         if self.order == 2:
@@ -86,6 +94,7 @@ class Estimator:
                 f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: the filters' pole would lie beyond "
                 f"what samples every {self.dt:g} s can show; use a cutoff of at most {2 / self.dt:g} rad/s"
             )
+        self._check_steps()
         self._check_late()
         if self.settle_samples > TUNING.max_settle_samples:
             raise UsageError(
@@ -128,6 +137,35 @@ class Estimator:
             f"{cls.method} does not simulate the process, as it must where {equation.only_simulated}; use "
             "srivc, iv or output-error"
         )
+
+    def _check_steps(self) -> None:
+        """Raises UsageError for a step that varies where it cannot."""
+        if self.steps is None:
+            return
+        why = ""
+        if not self.plant.rests:
+            why = "a transfer function takes the times of an Experiment"
+        elif not self.takes_steps or self.discretization != "matched":
+            why = f"{self.method or 'this method'} with this discretization takes even samples alone"
+        elif self.equation.dead_time or self.equation.lag:
+            why = "an input that acts late asks for even samples"
+        if why:
+            raise UsageError(f"steps: {why}; resample the record to a fixed rate, or leave steps out")
+
+    def steps_before(self, samples: int) -> Floats | None:
+        """(n,) time of each sample of a record since the one before [s]; None: the clock is even. Raises UsageError for
+        another number of samples, and where they are not known."""
+        if self.steps is None:
+            return None
+        if not isinstance(self.steps, SampleSteps) or self.steps.before.size != samples:
+            known = 0 if self.steps == GIVEN else self.steps.before.size
+            raise UsageError(f"the record has {samples} samples and steps {known}: give steps for each sample, (n,)")
+        return self.steps.before
+
+    @property
+    def intervals(self) -> float | Floats:
+        """The sample period, or (n,) the time from each sample of the record to the next [s]."""
+        return self.steps.after if isinstance(self.steps, SampleSteps) else self.dt
 
     def _check_late(self) -> None:
         if self.equation.dead_time not in (0, ESTIMATE) and not self.equation.dead_time <= MOST_LATE * self.dt:
@@ -214,7 +252,7 @@ class Estimator:
     @property
     def spec(self) -> FilterSpec:
         first = "matched" if self.discretization == EXACT else self.discretization  # where the exact one starts from
-        return FilterSpec(self.cutoff, self.order, self.dt, first, self.zeros)
+        return FilterSpec(self.cutoff, self.order, self.dt, first, self.zeros, self.steps is not None)
 
     @cached_property
     def _columns(self) -> tuple[Network, list[Taps]]:
@@ -244,6 +282,7 @@ class Estimator:
                 first_samples=self.first_samples,
                 late=self.late_config(),
                 shapes=shapes_of(self.equation, network),
+                rates=network.rates if self.steps is not None else ((), ()),
             )
         except ValueError as error:  # more than it holds
             raise UsageError(str(error)) from None
@@ -252,6 +291,8 @@ class Estimator:
     def encoder_config(self) -> dict[str, float]:
         """The encoder's part of the kernel configuration."""
         config = self.encoder.kernel_config(self.dt) | {"process": int(not self.plant.rests), "from_first": 0}
+        if self.steps is not None:
+            return config | {"rate": 1 / self.dt}  # what a motion may do in a sample says nothing of another step
         if self.encoder.guard:
             config["guard"] = TUNING.base_learning * self.settle_samples
             config["guard_leak"] = 1 / (TUNING.base_learned * self.settle_samples)

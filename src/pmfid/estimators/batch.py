@@ -94,7 +94,7 @@ class BatchEstimator(Estimator):
         """Regressors, target and instruments of the samples after the filters have settled; u, counts: (n,)."""
         u, counts = check_arrays(u, counts)
         check_size(u)
-        columns, status = self.make_kernel().filter(u, counts)
+        columns, status = self.make_kernel().filter(u, counts, self.steps_before(u.size))
         used = (status & Status.SETTLING) == 0
         columns, p = columns[used], len(self.names)
         zeta = columns[:, p + 1 :] if self.instrumental else columns[:, :p]

@@ -200,7 +200,9 @@ class Instruments(ProcessSolver, Simulating):
         rests = self._rests(u_array, counts_array, theta) if rests is None else rests
         before = 2 * self.settle_samples + 1 if rests else 0
         rest = np.full(before, counts_array[:1])
-        columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array])
+        steps = self.steps_before(u_array.size)
+        steps = None if steps is None else np.r_[np.full(before, self.dt), steps]
+        columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array], steps)
         columns, status = columns[before:], status[before:] | lost
         used = ((status & Status.SETTLING) == 0) & there
         used[: 0 if before else int(TUNING.start_part * used.size)] = False

@@ -44,6 +44,7 @@ class KnownStep(BatchEstimator):
     """
 
     method: ClassVar[str] = "known-step"
+    takes_steps: ClassVar[bool] = False
 
     noise_std: float | None = field(default=None, kw_only=True)
 
@@ -79,6 +80,7 @@ class RKnownStep(RecursiveEstimator):
     """
 
     method: ClassVar[str] = "rknown-step"
+    takes_steps: ClassVar[bool] = False
 
     noise_std: float | None = field(default=None, kw_only=True)
 

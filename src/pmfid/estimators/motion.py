@@ -19,10 +19,21 @@ from pmfid.models.equation import ESTIMATE, LATE, MASS, MOST_LATE, VISCOUS_BACKW
 from pmfid.types import Flags, Floats
 
 
+#: Sample period, or (n,) time from each sample to the next [s].
+Intervals = float | Floats
+
+
+def travelled(velocity: Floats, dt: Intervals) -> Floats:
+    """(n,) position at the samples from 0 on, of mean velocities (n,) between them."""
+    if isinstance(dt, np.ndarray):
+        return np.r_[0.0, np.cumsum(velocity[:-1] * dt[:-1])]
+    return np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * dt)
+
+
 def mean_velocity(
     equation: Equation,
     theta: Floats,
-    dt: float,
+    dt: Intervals,
     u: Floats,
     velocity: float = 0.0,
     position: float = 0.0,
@@ -40,7 +51,7 @@ def mean_velocity(
 def simulate_motion(
     equation: Equation,
     theta: Floats,
-    dt: float,
+    dt: Intervals,
     u: Floats,
     velocity: float = 0.0,
     position: float = 0.0,
@@ -54,16 +65,18 @@ def simulate_motion(
     past = np.zeros(1) if before is None else before
     known = equation.known_at(np.asarray(theta)[len(equation.names) :])
     roles, shapes = known.role_values(theta), shape_bytes(known.shapes)
+    period, steps = (float(np.mean(dt)), dt) if isinstance(dt, np.ndarray) else (dt, None)
     if not (shapes or known.lag):
-        found = _kernel64.simulate(roles, known.input_gain, dt, u, velocity, position, b"", past, None, on_top)
+        found = _kernel64.simulate(roles, known.input_gain, period, u, velocity, position, b"", past, None, on_top, steps)
         return np.asarray(found[0]), float(found[3])
     for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
-        roles[viscous] = max(roles[viscous] - (parts - 1) * TUNING.little_damping * roles[MASS] / dt, 0.0)
+        roles[viscous] = max(roles[viscous] - (parts - 1) * TUNING.little_damping * roles[MASS] / period, 0.0)
     inputs = np.repeat(u, parts)
     extra = None if on_top is None else np.repeat(on_top, parts)
-    past, lagging = np.repeat(past, parts), _decays(known, roles, dt / parts)
+    past, lagging = np.repeat(past, parts), _decays(known, roles, period / parts)
+    steps = None if steps is None else np.repeat(steps / parts, parts)
     found = _kernel64.simulate(
-        roles, known.input_gain, dt / parts, inputs, velocity, position, shapes, past, lagging, extra
+        roles, known.input_gain, period / parts, inputs, velocity, position, shapes, past, lagging, extra, steps
     )
     return np.asarray(found[0].reshape(-1, parts).mean(axis=1)), float(found[3])
 
@@ -76,7 +89,7 @@ def _decays(equation: Equation, roles: Sequence[float], dt: float) -> list[Decay
     return decays(late - math.floor(late), float(equation.lag) / dt)
 
 
-def parts_for(equation: Equation, theta: Floats, dt: float, u: Floats, allowed: float) -> int:
+def parts_for(equation: Equation, theta: Floats, dt: Intervals, u: Floats, allowed: float) -> int:
     """Parts of a sample with which the position is right to a root mean square of `allowed` [unit of y]; the error of
     such a scheme falls with their square."""
     parts = 1
@@ -84,7 +97,7 @@ def parts_for(equation: Equation, theta: Floats, dt: float, u: Floats, allowed: 
         coarse = mean_velocity(equation, theta, dt, u, parts=parts)
         while parts < TUNING.most_parts:
             fine = mean_velocity(equation, theta, dt, u, parts=2 * parts)
-            if not np.std(np.cumsum(coarse - fine)) * dt > allowed:
+            if not np.std(travelled(coarse - fine, dt)) > allowed:
                 break
             parts, coarse = 2 * parts, fine
     return parts
@@ -177,7 +190,7 @@ class Difference:
     pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated; zero:
     where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known; breaks: for
     each gap in the record its first sample and the first sample after it. Nothing is known in a gap, and the motion
-    restarts after it.
+    restarts after it. uneven: (n,) time from each sample to the next [s], None: dt.
     """
 
     equation: Equation
@@ -191,6 +204,12 @@ class Difference:
     zero: float | None = None
     past: Floats | None = None
     breaks: tuple[tuple[int, int], ...] = ()
+    uneven: Floats | None = None
+
+    @property
+    def intervals(self) -> Intervals:
+        """dt, or (n,) the time from each sample to the next [s]."""
+        return self.dt if self.uneven is None else self.uneven
 
     def __call__(self, q: Floats) -> Floats:
         return self.filter_signal(self.y - self.motion(q)[0]) / self.resolution
@@ -212,9 +231,10 @@ class Difference:
         # a spring's length counts from the first count
         start = float(v0), float(x0 - self.slack)
         parts = max(1, -(-self.parts // split))
-        past = np.repeat(self.before, split)
-        velocity = mean_velocity(self.equation, theta, self.dt / split, u, *start, parts, past, on_top)
-        return x0 + np.r_[0.0, np.cumsum(velocity[:-1])][::split] * (self.dt / split), velocity
+        past, dt = np.repeat(self.before, split), self.intervals
+        dt = np.repeat(dt / split, split) if isinstance(dt, np.ndarray) else dt / split
+        velocity = mean_velocity(self.equation, theta, dt, u, *start, parts, past, on_top)
+        return x0 + travelled(velocity, dt)[::split], velocity
 
     def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
         """`motion` of a record with gaps; in a gap the position follows the counts, and the velocity is zero."""
@@ -248,12 +268,13 @@ class Difference:
     def _piece(self, part: slice) -> Difference:
         """A part of the record between its gaps; the inputs before a gap are unknown after it."""
         past = self.before if part.start == 0 else self.u[part][:1]
-        return replace(self, u=self.u[part], y=self.y[part], zero=self.slack, past=past, breaks=())
+        uneven = None if self.uneven is None else self.uneven[part]
+        return replace(self, u=self.u[part], y=self.y[part], zero=self.slack, past=past, breaks=(), uneven=uneven)
 
     @property
     def shown_speed(self) -> float:
         """Start velocity [unit of y per s] as the counts show it."""
-        return first_speed(self.y, self.dt, float(self.scale[-1] / self.scale[-2]), self.resolution)
+        return first_speed(self.y, self.intervals, float(self.scale[-1] / self.scale[-2]), self.resolution)
 
     @property
     def before(self) -> Floats:
@@ -265,7 +286,7 @@ class Difference:
 
     def fine_at(self, theta: Floats) -> Difference:
         """With as many parts of a sample as the counts ask for at theta (p,), and no fewer than now."""
-        asked = parts_for(self.equation, theta, self.dt, self.u, TUNING.parts_error * self.resolution)
+        asked = parts_for(self.equation, theta, self.intervals, self.u, TUNING.parts_error * self.resolution)
         return replace(self, parts=max(self.parts, asked))
 
     @property
@@ -283,7 +304,8 @@ class Difference:
         past = np.r_[self.before, self.u[:first]][
             -(TUNING.motion_lagging if self.equation.lag else 1) * MOST_LATE - 2 :
         ]
-        return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past)
+        uneven = None if self.uneven is None else self.uneven[first:last]
+        return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past, uneven=uneven)
 
     def filter_signal(self, signal: Floats) -> Floats:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""
@@ -347,13 +369,14 @@ class Difference:
         return lower
 
 
-def first_speed(y: Floats | NDArray[np.int64], dt: float, cutoff: float, resolution: float) -> float:
-    """Start velocity [unit of y per s] of a position y (n,) sampled every dt [s], from its rise within a filter time
+def first_speed(y: Floats | NDArray[np.int64], dt: Intervals, cutoff: float, resolution: float) -> float:
+    """Start velocity [unit of y per s] of a position y (n,), from its rise within a filter time
     constant 1 / cutoff [s]. From rest within stiction a small one changes nothing: only a motion of more than the
     resolution gives it one."""
-    near = min(y.size - 1, math.ceil(1 / (cutoff * dt)))
-    rise = float(y[near] - y[0])
-    return rise / (near * dt) if abs(rise) > 1.5 * resolution else 0.0
+    period = float(np.mean(dt))
+    near = min(y.size - 1, math.ceil(1 / (cutoff * period)))
+    rise, time = float(y[near] - y[0]), float(np.sum(dt[:near])) if isinstance(dt, np.ndarray) else near * dt
+    return rise / time if abs(rise) > 1.5 * resolution else 0.0
 
 
 def rms(signal: Floats) -> float:

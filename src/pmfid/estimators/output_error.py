@@ -171,7 +171,7 @@ class Following(Simulating, BatchEstimator):
     def _usual_speed(self, u: Floats, counts: NDArray[np.int64]) -> float:
         """Root mean square of the motion that the model without shapes makes, or the counts where it makes none."""
         plain = like(Instruments, self, model=self.model.symmetric, initial=None)
-        velocity = mean_velocity(plain.equation, plain.start(u, counts), self.dt, hold_last_input(u))
+        velocity = mean_velocity(plain.equation, plain.start(u, counts), self.intervals, hold_last_input(u))
         moving = velocity[velocity != 0]
         return rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
 
@@ -208,9 +208,11 @@ class Following(Simulating, BatchEstimator):
         if self.equation.lag == ESTIMATE:
             size[len(self.equation.names)] = max(size[len(self.equation.names)], dt)
         scale, pole = np.r_[size, travel, travel * self.cutoff], self.drift_cutoff or self.cutoff
-        difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole)
+        steps = self.steps_before(u.size)
+        intervals = None if steps is None else np.r_[steps[1:], dt]
+        difference = Difference(self.equation, dt, u, y, self.encoder.resolution, scale, pole, uneven=intervals)
         difference = replace(difference, breaks=breaks).fine_at(theta)
-        v0 = first_speed(y, dt, self.cutoff, self.encoder.resolution)
+        v0 = first_speed(y, difference.intervals, self.cutoff, self.encoder.resolution)
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
 
     def _sizes(self, theta: Floats, force: float, y: Floats) -> list[float]:

@@ -241,13 +241,13 @@ class RecursiveEstimator(Estimator):
     def __reduce__(self) -> tuple[object, ...]:
         return _resume_estimator, (type(self), configuration_of(self), self.get_state())
 
-    def step(self, u: float, counts: int) -> Estimate:
+    def step(self, u: float, counts: int, dt: float | None = None) -> Estimate:
         """One sample in, one estimate out: `Runner.step` of `runner`."""
-        return self.runner.step(u, counts)
+        return self.runner.step(u, counts, dt)
 
-    def run(self, u: ArrayLike, counts: ArrayLike) -> Track:
+    def run(self, u: ArrayLike, counts: ArrayLike, steps: ArrayLike | None = None) -> Track:
         """Many samples at once, from the present state: `Runner.run` of `runner`."""
-        return self.runner.run(u, counts)
+        return self.runner.run(u, counts, steps)
 
     def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
         """Many axes at once, each from the present state, which does not change: `Runner.run_many` of `runner`."""

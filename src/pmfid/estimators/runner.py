@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator, integer_counts, numbers
 from pmfid.estimators.results import Track, Tracks
+from pmfid.estimators.sample_steps import check_steps
 from pmfid.estimators.tuning import TUNING
 from pmfid.kernel.structures import whole_words
 from pmfid.types import Floats, Numbers
@@ -203,21 +204,35 @@ class Runner(Generic[E]):
     def __reduce__(self) -> tuple[object, ...]:
         return _resume_runner, (self._type, self._configuration, self.get_state())
 
-    def step(self, u: float, counts: int) -> Estimate:
-        """One sample: the input applied from now on, the count read now.
+    def step(self, u: float, counts: int, dt: float | None = None) -> Estimate:
+        """One sample: the input applied from now on, the count read now; dt: time since the last sample [s], of an
+        estimator with `steps`; None: the sample period.
 
         The estimate has theta (p,), theta_cov (p, p), theta_std (p,), innovation, innovation_variance and status.
         A value that is not finite is flagged in the status and never enters. Raises TypeError for counts that are no
         integer.
         """
-        return self.kernel.step(u, counts)
+        return self.kernel.step(u, counts, dt)
 
-    def run(self, u: ArrayLike, counts: ArrayLike) -> Track:
-        """Many samples at once, from the present state; u, counts: (n,). The same bits as `step` in a loop.
+    def run(self, u: ArrayLike, counts: ArrayLike, steps: ArrayLike | None = None) -> Track:
+        """Many samples at once, from the present state; u, counts: (n,); steps: (n,) time of each sample since the one
+        before [s], of an estimator with `steps`. The same bits as `step` in a loop.
 
-        Raises UsageError where the arrays differ in length or the counts are no integers.
+        Raises UsageError where the arrays differ in length, the counts are no integers, or steps are given to an
+        estimator without or not given to one with `steps`.
         """
-        return Track(self.names, self.units, *self.kernel.run(*check_arrays(u, counts)))
+        u, counts = check_arrays(u, counts)
+        return Track(self.names, self.units, *self.kernel.run(u, counts, self._steps_of(steps, u.size)))
+
+    def _steps_of(self, steps: ArrayLike | None, samples: int) -> Floats | None:
+        asked = self._configuration["steps"] is not None
+        found = None if steps is None else check_steps(steps)
+        if asked != (found is not None) or (found is not None and found.size != samples):
+            raise UsageError(
+                "an estimator made with steps takes steps (n,) with u and counts, one for each sample; one without takes "
+                'none: make it with steps="given"'
+            )
+        return found
 
     def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
         """Many axes at once, each from the present state, which itself does not change.
@@ -231,6 +246,8 @@ class Runner(Generic[E]):
 
     def side_by_side(self, axes: int, workers: int | None = None) -> SideBySide:
         """Axes from the present state; arguments and errors of `Fleet`, which keeps them."""
+        if self._configuration["steps"] is not None:
+            raise UsageError("many axes at once take an even clock: run each by itself, or make the estimator without steps")
         return SideBySide(self.kernel, self.precision, self.names, self.units, axes, workers)
 
     @property

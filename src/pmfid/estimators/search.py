@@ -33,7 +33,7 @@ def choose_start(difference: Difference, theta: Floats, cutoff: float, speeds: S
 
     From a speed within stiction, where the axis was moving, there is no way to a better one.
     """
-    shown = [first_speed(difference.y, difference.dt, cutoff / part, difference.resolution) for part in WITHIN]
+    shown = [first_speed(difference.y, difference.intervals, cutoff / part, difference.resolution) for part in WITHIN]
     places = [np.array([difference.y[0], speed]) / difference.scale[-2:] for speed in dict.fromkeys((*shown, *speeds))]
     starts: list[Floats] = [np.concatenate([theta, place]) for place in places]
     return min(starts, key=lambda q: rms(difference(q)))

@@ -15,6 +15,7 @@ from pmfid.filters.chain import (
     lag,
     matched_input,
     mean_velocity_correction,
+    uneven_velocity_correction,
 )
 from pmfid.filters.network import (
     ACCELERATION,
@@ -56,13 +57,14 @@ POSITIONS = {"measured": POSITION, "modelled": SPLIT_POSITION, "simulated": MODE
 class FilterSpec:
     """cutoff: pole of the chain [rad/s], > 0 (paper eq. 9); order: stages, >= the equation's order;
     dt: sample period [s]; discretization: a key of `HOLD_FILTERS`; prefilter_zeros: zeros of f(s) [rad/s], < 0,
-    one for each noisy column (paper eq. 19), or empty."""
+    one for each noisy column (paper eq. 19), or empty; uneven: the step varies, and dt is its mean."""
 
     cutoff: float
     order: int
     dt: float
     discretization: str
     prefilter_zeros: tuple[float, ...] = ()
+    uneven: bool = False
 
 
 class ColumnBuilder:
@@ -194,10 +196,13 @@ class ColumnBuilder:
         """j-th derivative of the filtered velocity, of the counts or of the auxiliary model."""
         spec = self.spec
         source = VELOCITY + (AUXILIARY if simulated else 0)
-        taps = derivative(chain(self.network, source, spec.cutoff, spec.order, spec.dt), j, spec.cutoff)
+        nodes = chain(self.network, source, spec.cutoff, spec.order, spec.dt)
+        taps = derivative(nodes, j, spec.cutoff)
         if simulated:  # late already
             return taps
         if j == self.equation.order - 2 and spec.discretization == "matched" and not self.modelled:
+            if spec.uneven:
+                return uneven_velocity_correction(self.network, nodes, spec.cutoff, spec.dt)
             return mean_velocity_correction(self.network, taps[0][0])
         return [(self.network.delay(node), weight) for node, weight in taps]
 

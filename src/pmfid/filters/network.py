@@ -27,6 +27,9 @@ ONE, START = _nodes("ONE", "START")  # of a linear process, which has no auxilia
 (SIGNALS,) = _nodes("SIGNALS")
 
 Taps = list[tuple[int, float]]
+#: How a stage follows a step that varies: its kind in the kernel, and its pole times half the sample period.
+Pace = tuple[int, float]
+LASTING, CHANGING, BENDING = _nodes("LASTING", "CHANGING", "BENDING")
 
 
 @dataclass
@@ -37,13 +40,33 @@ class Network:
     #: node of the first stage
     first: int = SIGNALS
     slots: dict[Hashable, int] = field(default_factory=dict)
+    #: of stages that follow a step that varies, by their nodes
+    paces: dict[int, Pace] = field(default_factory=dict)
 
-    def stage(self, source: int, a: float, b0: float, b1: float) -> int:
+    def stage(self, source: int, a: float, b0: float, b1: float, pace: Pace | None = None) -> int:
         """Appends a stage, or finds the one that does the same; returns its node."""
         entry = (source, a, b0, b1)
         if entry not in self.stages:
             self.stages.append(entry)
-        return self.first + self.stages.index(entry)
+        node = self.first + self.stages.index(entry)
+        if pace is not None:
+            self.paces[node] = pace
+        return node
+
+    @property
+    def rates(self) -> tuple[list[int], list[tuple[int, int, float]]]:
+        """For each stage the number of its rate, from 1 on, 0: none; and the rates: late, kind, half. The velocity of
+        the counts is of the last interval, all that comes from it until it is delayed, too."""
+        late = [int(signal != VELOCITY) for signal in range(self.first)]
+        numbers, rates = list[int](), list[tuple[int, int, float]]()
+        for node, (source, _, b0, b1) in enumerate(self.stages, self.first):
+            late.append(1 if source == node or (b0, b1) == (0.0, 1.0) else late[source])
+            pace = self.paces.get(node)
+            rate = None if pace is None else (late[node], *pace)
+            if rate is not None and rate not in rates:
+                rates.append(rate)
+            numbers.append(0 if rate is None else 1 + rates.index(rate))
+        return numbers, rates
 
     def slot(self, key: Hashable) -> int:
         """A node that the auxiliary model writes to, the same one for the same key: a stage that leaves there what it

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 #: Values of a structure by the names of its fields; of an array the first ones, the others are 0.
 Values = Mapping[str, object]
 Stages = Sequence[tuple[int, float, float, float]]
+#: For each stage the number of its rate from 1 on, 0: none; and the rates: late, kind, pole times half a period.
+Rates = tuple[Sequence[int], Sequence[tuple[int, int, float]]]
 Columns = Sequence[Sequence[tuple[int, float]]]
 
 
@@ -36,13 +38,15 @@ def new_kernel(
     linear: Values | None = None,
     late: Values | None = None,
     shapes: Values | None = None,
+    rates: Rates = ((), ()),
 ) -> Kernel:
     """A kernel in its initial state.
 
     stages: rows (source, a, b0, b1); columns: per column a list of (node, weight); encoder, direct, instrument,
     auxiliary, linear, late: the fields of the C structures by name; without auxiliary and linear there is no model that
     is simulated, and no `instrument`; without late the input acts at once; shapes: the field of this name of
-    `auxiliary`, where there is none. first_samples: settle_samples where not given. Raises ValueError where a size is
+    `auxiliary`, where there is none. first_samples: settle_samples where not given; rates: of a clock that is not even.
+    Raises ValueError where a size is
     exceeded, a field is missing or unknown, or the kernel finds the numbers impossible.
     """
     from pmfid import _kernel32, _kernel64
@@ -53,7 +57,7 @@ def new_kernel(
         "settle_samples": settle_samples,
         "first_samples": settle_samples if first_samples is None else first_samples,
         "encoder": encoder,
-        "network": network_values(stages, columns, parameters),
+        "network": network_values(stages, columns, parameters, rates),
         "direct": direct,
         "auxiliary": auxiliary,
         "linear": linear,
@@ -67,7 +71,9 @@ def new_kernel(
     return cast("Kernel", module.Kernel(config.tobytes()))
 
 
-def network_values(stages: Stages, columns: Columns, parameters: int) -> dict[str, object]:
+def network_values(
+    stages: Stages, columns: Columns, parameters: int, rates: Rates = ((), ())
+) -> dict[str, object]:
     """The fields of `pmf_network_config_t`. Raises ValueError if the kernel has no room for the stages or columns."""
     sizes, taps = constants_of(None), [tap for column in columns for tap in column]
     names = ("PMF_MAX_STAGES", "PMF_MAX_TAPS", "PMF_MAX_COLUMNS", "PMF_MAX_PARAMETERS")
@@ -79,12 +85,19 @@ def network_values(stages: Stages, columns: Columns, parameters: int) -> dict[st
             f"the equation needs {len(stages)} stages, {len(taps)} taps and {parameters} parameters; the kernel holds "
             f"{room[0]}, {room[1]} and {room[3]}; use a lower order"
         )
+    if len(rates[1]) > sizes["PMF_MAX_RATES"]:
+        raise ValueError(
+            f"the stages follow a step in {len(rates[1])} ways, the kernel holds {sizes['PMF_MAX_RATES']}; "
+            "give fewer prefilter_zeros"
+        )
     return {
         "n_stages": len(stages),
         "n_columns": len(columns),
-        "stage": list(stages),
+        "stage": [(*stage, rate) for stage, rate in zip(stages, rates[0] or [0] * len(stages), strict=True)],
         "tap_end": np.cumsum([len(column) for column in columns]),
         "tap": taps,
+        "n_rates": len(rates[1]),
+        "rate": list(rates[1]),
     }
 
 

@@ -53,6 +53,7 @@ class KernelSizes:
     max_order: int
     max_shapes: int
     max_knots: int
+    max_rates: int
     window_blocks: int
     max_late: int
     with_dead_time: int
@@ -66,6 +67,7 @@ class KernelSizes:
     with_endless: int
     with_split: int
     with_noise: int
+    with_steps: int
 
     def macros(self) -> dict[str, int]:
         """Name in pmf_sizes.h -> value."""
