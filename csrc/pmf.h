@@ -229,6 +229,9 @@ typedef struct {
     real_t node[PMF_SIGNALS + PMF_MAX_STAGES];
     real_t memory[PMF_MAX_STAGES];
     real_t column[PMF_MAX_COLUMNS];
+#if PMF_WITH_STEPS
+    real_t ratio, ratio_before; /* those of the encoder */
+#endif
 } pmf_network_state_t;
 
 typedef struct {

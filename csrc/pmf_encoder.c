@@ -100,12 +100,14 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
     return PMF_BIT(rest, PMF_STANDSTILL);
 }
 
-static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation, real_t predicted,
-                  scalar_t gain)
+static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation, real_t predicted)
 {
+#if PMF_STEPS
+    real_t ratio = config->rate > PMF_R(0.0) ? state->ratio : PMF_R(1.0);
+#endif
     state->velocity_before = state->velocity;
     state->position = predicted + config->position_gain * innovation;
-    state->velocity += gain * innovation;
+    state->velocity += SPEED_GAIN(config->velocity_gain) * innovation;
     state->innovation = innovation;
 }
 
@@ -230,7 +232,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
                   state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
     signal[PMF_VELOCITY] = AS_SPEED(config->velocity_per_count * changed);
 
-    track(config, state, innovation, predicted, SPEED_GAIN(config->velocity_gain));
+    track(config, state, innovation, predicted);
     status |= note_motion(config, state, motion);
     state->mean_velocity = signal[PMF_VELOCITY];
 #if PMF_WITH_SPLIT

@@ -163,10 +163,6 @@ uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uin
 void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
 #endif
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
-#if PMF_STEPS
-/* The same where the step varies: of the last interval and of the one before, over the sample period. */
-void pmf_network_follow(const pmf_network_config_t *config, pmf_network_state_t *state, real_t ratio, real_t before);
-#endif
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);
 #if PMF_WITH_PROCESS

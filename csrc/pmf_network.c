@@ -6,33 +6,6 @@
  */
 #include "pmf_internal.h"
 
-static void tap_columns(const pmf_network_config_t *config, pmf_network_state_t *state)
-{
-    const pmf_tap_t *tap = config->tap;
-    uint32_t i;
-    for (i = 0; i < config->n_columns; ++i) {
-        const pmf_tap_t *end = &config->tap[config->tap_end[i]];
-        real_t sum = tap->weight * state->node[tap->node]; /* every column has a tap */
-        for (++tap; tap != end; ++tap) {
-            sum += tap->weight * state->node[tap->node];
-        }
-        state->column[i] = sum;
-    }
-}
-
-PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
-{
-    const pmf_stage_t *stage = config->stage;
-    uint32_t i;
-    for (i = 0; i < config->n_stages; ++i, ++stage) {
-        real_t w = state->node[stage->source];
-        real_t y = stage->b0 * w + state->memory[i];
-        state->memory[i] = stage->b1 * w + stage->a * y;
-        state->node[PMF_SIGNALS + i] = y;
-    }
-    tap_columns(config, state);
-}
-
 #if PMF_STEPS
 typedef struct {
     real_t keep, gain;
@@ -54,7 +27,7 @@ static pace_t pace_of(const pmf_rate_t *rate, real_t ratio, real_t before)
 }
 
 /* `memory` has the source of the step before. */
-void pmf_network_follow(const pmf_network_config_t *config, pmf_network_state_t *state, real_t ratio, real_t before)
+static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     pace_t pace[PMF_MAX_RATES + 1];
     const pmf_stage_t *stage = config->stage;
@@ -62,7 +35,7 @@ void pmf_network_follow(const pmf_network_config_t *config, pmf_network_state_t 
     pace[0].keep = PMF_R(0.0);
     pace[0].gain = PMF_R(1.0);
     for (i = 0; i < config->n_rates; ++i) {
-        pace[i + 1U] = pace_of(&config->rate[i], ratio, before);
+        pace[i + 1U] = pace_of(&config->rate[i], state->ratio, state->ratio_before);
     }
     for (i = 0; i < config->n_stages; ++i, ++stage) {
         const pace_t *own = &pace[stage->rate];
@@ -70,6 +43,31 @@ void pmf_network_follow(const pmf_network_config_t *config, pmf_network_state_t 
         *y = own->gain * (stage->b0 * w + stage->b1 * state->memory[i]) + own->keep * *y;
         state->memory[i] = w;
     }
-    tap_columns(config, state);
 }
 #endif
+
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
+{
+    const pmf_stage_t *stage = config->stage;
+    const pmf_tap_t *tap = config->tap;
+    uint32_t i;
+#if PMF_STEPS
+    if (config->n_rates != 0U) {
+        follow_steps(config, state);
+    } else
+#endif
+        for (i = 0; i < config->n_stages; ++i, ++stage) {
+            real_t w = state->node[stage->source];
+            real_t y = stage->b0 * w + state->memory[i];
+            state->memory[i] = stage->b1 * w + stage->a * y;
+            state->node[PMF_SIGNALS + i] = y;
+        }
+    for (i = 0; i < config->n_columns; ++i) {
+        const pmf_tap_t *end = &config->tap[config->tap_end[i]];
+        real_t sum = tap->weight * state->node[tap->node]; /* every column has a tap */
+        for (++tap; tap != end; ++tap) {
+            sum += tap->weight * state->node[tap->node];
+        }
+        state->column[i] = sum;
+    }
+}

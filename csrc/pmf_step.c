@@ -145,12 +145,13 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 #endif
 #if PMF_STEPS
     if (config->encoder.rate > PMF_R(0.0)) {
-        pmf_network_follow(&config->network, &state->network, state->encoder.ratio, state->encoder.ratio_before);
+        state->network.ratio = state->encoder.ratio;
+        state->network.ratio_before = state->encoder.ratio_before;
         state->encoder.ratio_before = state->encoder.ratio;
         state->encoder.ratio = PMF_R(1.0);
-    } else
+    }
 #endif
-        pmf_network_step(&config->network, &state->network);
+    pmf_network_step(&config->network, &state->network);
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, config->instrument.first_column,

@@ -11,7 +11,8 @@
 static uint32_t network_fits(const pmf_network_config_t *network)
 {
     uint32_t i, tap = 0U, fits = 1U;
-    if (network->n_stages > PMF_MAX_STAGES || network->n_columns > PMF_MAX_COLUMNS || network->n_rates > PMF_MAX_RATES) {
+    if (network->n_stages > PMF_MAX_STAGES || network->n_columns > PMF_MAX_COLUMNS ||
+        network->n_rates > PMF_MAX_RATES) {
         return 0U;
     }
     for (i = 0; i < network->n_stages; ++i) {

@@ -111,6 +111,7 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     }
     if (!(config->encoder.rate > PMF_SCALAR(0.0))) {
         leave_out(unused, IN_STATE(encoder.ratio), END_IN_STATE(encoder.ratio_before));
+        leave_out(unused, IN_STATE(network.ratio), END_IN_STATE(network.ratio_before));
         leave_out(unused, IN_STATE(auxiliary.step), END_IN_STATE(auxiliary.step));
     }
     if (config->late.room == 0U) {

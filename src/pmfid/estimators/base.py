@@ -20,7 +20,7 @@ from pmfid.estimators.configuration import (
     freeze,
 )
 from pmfid.estimators.plants import PlantDefaults, plant_of
-from pmfid.estimators.sample_steps import GIVEN, SampleSteps, read_steps
+from pmfid.estimators.sample_steps import SampleSteps, read_steps
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
@@ -158,7 +158,7 @@ class Estimator:
         if self.steps is None:
             return None
         if not isinstance(self.steps, SampleSteps) or self.steps.before.size != samples:
-            known = 0 if self.steps == GIVEN else self.steps.before.size
+            known = self.steps.before.size if isinstance(self.steps, SampleSteps) else 0
             raise UsageError(f"the record has {samples} samples and steps {known}: give steps for each sample, (n,)")
         return self.steps.before
 

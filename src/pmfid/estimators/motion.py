@@ -18,15 +18,14 @@ from pmfid.kernel.configuration import Decay, decays, shape_bytes
 from pmfid.models.equation import ESTIMATE, LATE, MASS, MOST_LATE, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.types import Flags, Floats
 
-
 #: Sample period, or (n,) time from each sample to the next [s].
 Intervals = float | Floats
 
 
-def travelled(velocity: Floats, dt: Intervals) -> Floats:
+def sum_travel(velocity: Floats, dt: Intervals) -> Floats:
     """(n,) position at the samples from 0 on, of mean velocities (n,) between them."""
     if isinstance(dt, np.ndarray):
-        return np.r_[0.0, np.cumsum(velocity[:-1] * dt[:-1])]
+        return np.append(0.0, np.cumsum(velocity[:-1] * dt[:-1]))
     return np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * dt)
 
 
@@ -67,7 +66,9 @@ def simulate_motion(
     roles, shapes = known.role_values(theta), shape_bytes(known.shapes)
     period, steps = (float(np.mean(dt)), dt) if isinstance(dt, np.ndarray) else (dt, None)
     if not (shapes or known.lag):
-        found = _kernel64.simulate(roles, known.input_gain, period, u, velocity, position, b"", past, None, on_top, steps)
+        found = _kernel64.simulate(
+            roles, known.input_gain, period, u, velocity, position, b"", past, None, on_top, steps
+        )
         return np.asarray(found[0]), float(found[3])
     for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
         roles[viscous] = max(roles[viscous] - (parts - 1) * TUNING.little_damping * roles[MASS] / period, 0.0)
@@ -97,7 +98,7 @@ def parts_for(equation: Equation, theta: Floats, dt: Intervals, u: Floats, allow
         coarse = mean_velocity(equation, theta, dt, u, parts=parts)
         while parts < TUNING.most_parts:
             fine = mean_velocity(equation, theta, dt, u, parts=2 * parts)
-            if not np.std(travelled(coarse - fine, dt)) > allowed:
+            if not np.std(sum_travel(coarse - fine, dt)) > allowed:
                 break
             parts, coarse = 2 * parts, fine
     return parts
@@ -234,7 +235,7 @@ class Difference:
         past, dt = np.repeat(self.before, split), self.intervals
         dt = np.repeat(dt / split, split) if isinstance(dt, np.ndarray) else dt / split
         velocity = mean_velocity(self.equation, theta, dt, u, *start, parts, past, on_top)
-        return x0 + travelled(velocity, dt)[::split], velocity
+        return x0 + sum_travel(velocity, dt)[::split], velocity
 
     def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
         """`motion` of a record with gaps; in a gap the position follows the counts, and the velocity is zero."""

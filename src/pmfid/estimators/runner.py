@@ -229,7 +229,7 @@ class Runner(Generic[E]):
         found = None if steps is None else check_steps(steps)
         if asked != (found is not None) or (found is not None and found.size != samples):
             raise UsageError(
-                "an estimator made with steps takes steps (n,) with u and counts, one for each sample; one without takes "
+                "an estimator made with steps takes steps (n,), one for each sample; one without takes "
                 'none: make it with steps="given"'
             )
         return found
@@ -247,7 +247,9 @@ class Runner(Generic[E]):
     def side_by_side(self, axes: int, workers: int | None = None) -> SideBySide:
         """Axes from the present state; arguments and errors of `Fleet`, which keeps them."""
         if self._configuration["steps"] is not None:
-            raise UsageError("many axes at once take an even clock: run each by itself, or make the estimator without steps")
+            raise UsageError(
+                "many axes at once take an even clock: run each by itself, or make the estimator without steps"
+            )
         return SideBySide(self.kernel, self.precision, self.names, self.units, axes, workers)
 
     @property

@@ -34,7 +34,7 @@ class SampleSteps:
     @cached_property
     def after(self) -> Floats:
         """(n,) time from each sample to the next [s]."""
-        return np.r_[self.before[1:], self.before[:1]]
+        return np.append(self.before[1:], self.before[:1])
 
     def part(self, first: int, last: int) -> SampleSteps:
         """Of samples first to last - 1."""

@@ -11,7 +11,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import hold_last_input
 from pmfid.estimators.likelihood import Best, cost
-from pmfid.estimators.motion import Difference, first_speed, mean_velocity, travelled
+from pmfid.estimators.motion import Difference, first_speed, mean_velocity, sum_travel
 from pmfid.estimators.results import Columns
 from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
@@ -99,7 +99,7 @@ def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: N
     start = first_speed(counts, estimator.intervals, estimator.cutoff, 1.0)
     step = estimator.encoder.resolution
     velocity = mean_velocity(estimator.equation, theta, estimator.intervals, hold_last_input(u), start * step)
-    place = travelled(velocity, estimator.intervals) / step
+    place = sum_travel(velocity, estimator.intervals) / step
     if not np.max(np.abs(place)) < TUNING.most_counts:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(

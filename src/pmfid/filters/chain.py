@@ -99,7 +99,7 @@ def mean_velocity_correction(network: Network, node: int) -> Taps:
     return [(node, -1 / 12), (one, 14 / 12), (network.delay(one), -1 / 12)]
 
 
-def uneven_velocity_correction(network: Network, nodes: list[int], cutoff: float, dt: float) -> Taps:
+def correct_uneven_velocity(network: Network, nodes: list[int], cutoff: float, dt: float) -> Taps:
     """The same, one sample late, where the step varies; nodes: of the chain. The second difference of its last stage is
     the difference, over two steps, of the derivative between them, times the mean of the steps."""
     taps = [(network.delay(nodes[-1]), 1.0)]

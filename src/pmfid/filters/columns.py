@@ -9,13 +9,13 @@ from pmfid.errors import UsageError
 from pmfid.filters.chain import (
     HOLD_FILTERS,
     chain,
+    correct_uneven_velocity,
     derivative,
     differentiating_lag,
     hold_exact,
     lag,
     matched_input,
     mean_velocity_correction,
-    uneven_velocity_correction,
 )
 from pmfid.filters.network import (
     ACCELERATION,
@@ -202,7 +202,7 @@ class ColumnBuilder:
             return taps
         if j == self.equation.order - 2 and spec.discretization == "matched" and not self.modelled:
             if spec.uneven:
-                return uneven_velocity_correction(self.network, nodes, spec.cutoff, spec.dt)
+                return correct_uneven_velocity(self.network, nodes, spec.cutoff, spec.dt)
             return mean_velocity_correction(self.network, taps[0][0])
         return [(self.network.delay(node), weight) for node, weight in taps]
 

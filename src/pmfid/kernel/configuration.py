@@ -71,9 +71,7 @@ def new_kernel(
     return cast("Kernel", module.Kernel(config.tobytes()))
 
 
-def network_values(
-    stages: Stages, columns: Columns, parameters: int, rates: Rates = ((), ())
-) -> dict[str, object]:
+def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rates = ((), ())) -> dict[str, object]:
     """The fields of `pmf_network_config_t`. Raises ValueError if the kernel has no room for the stages or columns."""
     sizes, taps = constants_of(None), [tap for column in columns for tap in column]
     names = ("PMF_MAX_STAGES", "PMF_MAX_TAPS", "PMF_MAX_COLUMNS", "PMF_MAX_PARAMETERS")

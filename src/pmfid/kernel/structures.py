@@ -189,7 +189,10 @@ def copy_fields(source: Structured, target: Structured) -> None:
             copy_fields(one, other)
         else:
             part = tuple(slice(min(sizes)) for sizes in zip(one.shape, other.shape, strict=True))
-            other[part] = one[part]
+            if one.dtype.names:
+                copy_fields(one[part], other[part])
+            else:
+                other[part] = one[part]
 
 
 @cache

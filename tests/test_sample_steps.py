@@ -1,0 +1,96 @@
+"""A step that varies: every method takes the time since the last sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from pmfid import BCRLS, IV, OE, RIV, RLS, Drive, Encoder, Fleet, TransferFunction, UsageError
+from pmfid.estimators.known_step import KnownStep
+from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
+from pmfid.status import Status
+from pmfid.types import Counts, Floats
+
+#: Parts of a period in the simulation, samples.
+PARTS, SAMPLES = 50, 1500
+TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+
+
+def jittered(spread: float, seed: int = 3) -> tuple[Floats, Counts, Floats]:
+    """Input, counts and steps of the cart, sampled at instants of a host that polls."""
+    rng = np.random.default_rng(seed)
+    parts = np.rint(PARTS * rng.uniform(1 - spread, 1 + spread, SAMPLES)).astype(int)
+    u = prbs(SAMPLES, clock=8, amplitude=4.0, rng=rng)
+    x = simulate_drive(CART, np.repeat(u, parts), CART_DT / PARTS).x[np.r_[0, np.cumsum(parts)[:-1]]]
+    return u, quantize(x, CART_RESOLUTION), np.r_[PARTS, parts[:-1]] * CART_DT / PARTS
+
+
+def arguments(**more: object) -> tuple[Drive, Encoder, float, float]:
+    return Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0
+
+
+@pytest.mark.parametrize("method", [IV, OE, IntervalML])
+def test_off_line_methods_that_simulate_are_exact(method: type[IV | OE | IntervalML]) -> None:
+    u, counts, steps = jittered(0.5)
+    fit = method(*arguments(), steps=steps).fit(u, counts)
+    np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-3)
+    assert np.all(np.abs(fit.theta - TRUTH) < 4 * fit.theta_std)
+    with np.testing.assert_raises(AssertionError):  # an even clock of the same mean is another record
+        np.testing.assert_allclose(method(*arguments()).fit(u, counts).theta, TRUTH, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("method", "within"), [(RIV, 2e-3), (BCRLS, 0.05), (RLS, 0.05)])
+def test_on_line_methods_take_the_step_that_was(method: type[RecursiveEstimator], within: float) -> None:
+    u, counts, steps = jittered(0.5)
+    estimator = method(*arguments(), steps="given")
+    track = estimator.run(u, counts, steps)
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=within)
+    one = estimator.start()
+    for sample in zip(u[:200], counts[:200].tolist(), steps[:200], strict=True):
+        estimate = one.step(*sample)
+    np.testing.assert_array_equal(estimate.theta, track.theta[199])
+
+
+@pytest.mark.parametrize("method", [RIV, BCRLS, RLS])
+def test_even_steps_are_an_even_clock(method: type[RecursiveEstimator]) -> None:
+    u, counts, _ = jittered(0.0)
+    encoder = Encoder(CART_RESOLUTION, guard=False)
+    even = method(Drive(CART.input_gain), encoder, CART_DT, 20.0).run(u, counts)
+    given = method(Drive(CART.input_gain), encoder, CART_DT, 20.0, steps="given")
+    track = given.run(u, counts, np.full(u.size, CART_DT))
+    np.testing.assert_allclose(track.theta[300:], even.theta[300:], rtol=1e-6)
+    np.testing.assert_array_equal(track.status, even.status)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -0.01, np.nan, np.inf, 1e9])
+def test_a_step_that_cannot_be_is_flagged(wrong: float) -> None:
+    estimator = RLS(*arguments(), steps="given")
+    u, counts, steps = jittered(0.2)
+    estimator.run(u[:500], counts[:500], steps[:500])
+    estimate = estimator.step(1.0, int(counts[500]), wrong)
+    assert estimate.status & Status.INVALID_INPUT
+    assert np.all(np.isfinite(estimate.theta))
+
+
+def test_what_takes_no_steps_says_so() -> None:
+    u, counts, steps = jittered(0.2)
+    with pytest.raises(UsageError, match="resample"):
+        RIV(Drive(CART.input_gain, dead_time=0.01), Encoder(CART_RESOLUTION), CART_DT, 20.0, steps="given")
+    with pytest.raises(UsageError, match="Experiment"):
+        RLS(TransferFunction(2, 0), Encoder(1e-3), 0.01, 5.0, steps="given")
+    with pytest.raises(UsageError, match="even samples"):
+        KnownStep(*arguments(), steps=steps)
+    with pytest.raises(UsageError, match="run each by itself"):
+        Fleet(RLS(*arguments(), steps="given"), 3)
+    with pytest.raises(UsageError, match="positive"):
+        IV(*arguments(), steps=np.zeros(5))
+    with pytest.raises(UsageError, match="steps for each sample"):
+        IV(*arguments(), steps=steps[1:]).fit(u, counts)
+    with pytest.raises(UsageError, match="steps"):
+        RLS(*arguments(), steps="given").run(u, counts)
+    given: ArrayLike = steps
+    with pytest.raises(UsageError, match="steps"):
+        RLS(*arguments()).run(u, counts, given)
