@@ -7,7 +7,7 @@ BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
-.PHONY: demo test test-long spark kills broker-kills service-faults soak check format bench bench-compare study hostile firmware \
+.PHONY: demo test test-long coverage spark kills broker-kills service-faults soak check format bench bench-compare study hostile firmware \
     firmware-tools service-tools spark-tools golden images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. An edit of Python
@@ -76,16 +76,23 @@ spark: .venv/spark
 # forbids it, each process rewrites every assertion again, and each command that a test starts compiles all of pmfid.
 WORKERS ?= auto
 KEPT = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
-# The whole run is bounded as well, against what no test's own limit reaches.
-BOUND ?= 840
+# The whole run is bounded as well [s], against what no test's own limit reaches.
+BOUND = 840
+PYTEST = $(KEPT) timeout --kill-after=20 $(BOUND) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile \
+    --max-worker-restart 2 -p no:benchmark
 test: .venv/tools firmware-tools service-tools
-	$(KEPT) timeout --kill-after=20 $(BOUND) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile \
-	--max-worker-restart 2 -p no:benchmark -m "not long"
+	$(PYTEST) -m "not long" $(TEST_OPTIONS)
 
 # The rest, of seconds each.
+test-long: BOUND = 7200
 test-long: .venv/tools firmware-tools service-tools
-	$(KEPT) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile -p no:benchmark \
-	-m long
+	$(PYTEST) -m long
+
+# The lines of src/pmfid that the fast tests reach in their own processes.
+coverage: BOUND = 2700
+coverage: .venv/tools firmware-tools service-tools
+	mkdir -p build/coverage
+	$(PYTEST) -m "not long" --cov --cov-report=html:build/coverage/html --cov-report=term
 
 # An hour of a hundred axes at their full rate: memory, latency and open files over time.
 soak: .venv/tools service-tools
