@@ -66,12 +66,17 @@ def hostile(samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
 
 
 KERNELS = [(cls, precision) for cls in RECURSIVE for precision in PRECISIONS]
-#: Of these every kernel in `make test`, of the others one in two precisions or in one.
-BUILDS = {(GCC, "-O3"): KERNELS, (CLANG, "-O2"): [(pmfid.RIV, "float32"), (pmfid.RIV, "float64")]}
-BUILDS |= {(M4F, "-O2"): [(cls, "float32") for cls in RECURSIVE], (M7, "-O3"): [(pmfid.RIV, "float64")]}
+#: In `make test`: the method with the most code in both precisions, of the others each in one.
+OFTEN = [(pmfid.RIV, "float32"), (pmfid.RIV, "float64"), (pmfid.BCRLS, "float32"), (pmfid.RLS, "float64")]
+OFTEN += [(pmfid.RKnownStep, "float32")]
+BUILDS = {(GCC, "-O3"): OFTEN, (CLANG, "-O2"): OFTEN[:1], (M4F, "-O2"): OFTEN[:3:2], (M7, "-O3"): OFTEN[1:2]}
 
 
-@pytest.fixture(scope="module", params=KERNELS, ids=str)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(one, marks=[] if one in OFTEN else pytest.mark.long) for one in KERNELS],
+    ids=str,
+)
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     cls, precision = request.param
     return exported(make(cls, precision), tmp_path_factory.mktemp("export"), *hostile())
@@ -126,7 +131,9 @@ VARIANTS = {
 @needs(GCC)
 @pytest.mark.parametrize(
     ("variant", "cls"),
-    long_unless(lambda variant, cls: cls is pmfid.RIV or variant in ("window", "offset"), product(VARIANTS, RECURSIVE)),
+    long_unless(
+        lambda variant, cls: cls is pmfid.RIV or (cls, variant) == (pmfid.BCRLS, "window"), product(VARIANTS, RECURSIVE)
+    ),
 )
 def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstimator], tmp_path: Path) -> None:
     try:
@@ -213,7 +220,10 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
 @needs(GCC)
 @pytest.mark.parametrize(
     ("name", "precision"),
-    [(name, precision) for name, (cls, _) in PROCESSES.items() for precision in PRECISIONS[: 1 + (name == cls.method)]],
+    long_unless(
+        lambda name, precision: name == "rsrivc" or (name, precision) in (("window", "float32"), ("rls", "float64")),
+        [(name, real) for name, (cls, _) in PROCESSES.items() for real in PRECISIONS[: 1 + (name == cls.method)]],
+    ),
 )
 def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path) -> None:
     """The methods in both precisions; their variants, as those of a drive above, in float32 and not optimized."""
@@ -328,18 +338,24 @@ def test_the_canary_finds_spoilt_arithmetic(target: Target, precision: str, tmp_
 # --- compilers and checkers -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize(
-    ("target", "optimize"),
+    ("target", "optimize", "precision"),
     [
-        pytest.param(target, optimize, marks=needs(target), id=target.name)
-        for target, optimize in (
-            (GCC, "-O3"),
-            (CLANG, "-O2"),
-            (M4F, "-O2"),
-            (Target("g++", "g++", ("-x", "c++", "-std=c++17")), "-O2"),
-            (Target("clang++", "clang++", ("-x", "c++", "-std=c++17")), "-O2"),
+        pytest.param(
+            target, optimize, precision, marks=[needs(target), *often[precision]], id=f"{target.name}-{precision}"
         )
+        for target, optimize, often in (
+            (GCC, "-O3", {"float32": [], "float64": []}),
+            (CLANG, "-O2", {"float32": [], "float64": [pytest.mark.long]}),
+            (M4F, "-O2", {"float32": [], "float64": [pytest.mark.long]}),
+            (Target("g++", "g++", ("-x", "c++", "-std=c++17")), "-O2", {"float32": [pytest.mark.long], "float64": []}),
+            (
+                Target("clang++", "clang++", ("-x", "c++", "-std=c++17")),
+                "-O2",
+                {"float32": [], "float64": [pytest.mark.long]},
+            ),
+        )
+        for precision in PRECISIONS
     ],
 )
 def test_every_file_compiles_without_a_warning(target: Target, optimize: str, precision: str, tmp_path: Path) -> None:

@@ -140,17 +140,21 @@ def one_of(kind: str, number: int, precision: str) -> RecursiveEstimator:
     return make(cls, precision, **({"model": PROCESS, "forgetting": 0.999, "cutoff": 10.0} | options))
 
 
-def in_precisions(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> list[Any]:
-    """Number and precision: in `make test` the methods in both, their options in one by turns."""
+def in_ways(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> list[Any]:
+    """Number, precision and way: in `make test` the methods in both precisions, their options in one by turns, each in
+    the widest way and in one of the others by turns."""
     return [
         pytest.param(
             k,
             precision,
-            id=f"{cls.__name__}-{options}-{precision}",
-            marks=[pytest.mark.long] if options and precision != PRECISIONS[k % 2] else [],
+            way,
+            id=f"{cls.__name__}-{options}-{precision}-{way}",
+            marks=[pytest.mark.long] if (options and precision != turn) or way not in (WAYS[-1], others) else [],
         )
         for k, (cls, options) in enumerate(cases)
+        for turn, others in [(PRECISIONS[k % 2], WAYS[k % max(len(WAYS) - 1, 1)])]
         for precision in PRECISIONS
+        for way in WAYS
     ]
 
 
@@ -164,8 +168,7 @@ def side_by_side_as_alone(kind: str, number: int, precision: str, way: int) -> t
     return alone
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize(("number", "precision"), in_precisions(VARIANTS))
+@pytest.mark.parametrize(("number", "precision", "way"), in_ways(VARIANTS))
 def test_every_axis_has_the_bits_that_it_has_alone(number, precision, way):
     occurred = Status(0)
     for axis in side_by_side_as_alone("drive", number, precision, way):
@@ -174,8 +177,7 @@ def test_every_axis_has_the_bits_that_it_has_alone(number, precision, way):
     assert expected in occurred, "the record does not test what it is for"
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize(("number", "precision"), in_precisions(PROCESSES))
+@pytest.mark.parametrize(("number", "precision", "way"), in_ways(PROCESSES))
 def test_every_linear_process_has_the_bits_that_it_has_alone(number, precision, way):
     alone = side_by_side_as_alone("process", number, precision, way)
     followed = [not Status(int(axis.track.status[-1])) & (Status.FALLBACK | Status.STARTING) for axis in alone]
