@@ -33,6 +33,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import lines, resident, write_axis
+from tests.processes import run_process
 
 CHANGE = 15.0
 #: A calibration of N hours is enough here, and the same for the command in a process of its own.
@@ -276,21 +277,15 @@ def test_positions_and_scales_in_a_pipe(folder: Path) -> None:
 
 def test_estimates_come_out_one_by_one(folder: Path) -> None:
     """A real pipe: each line is answered before the next one is sent. How soon is measured by the study."""
-    process = subprocess.Popen(
-        command(folder / "axis.toml", "--out", "-"),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    for k, line in enumerate(lines(2.0)):
-        process.stdin.write(line)
-        process.stdin.flush()
-        answer = process.stdout.readline().split(b",")
-        assert len(answer) == 10
-        assert k == 0 or float(answer[0]) == pytest.approx((k - 1) * CART_DT)
-    process.communicate(timeout=60)
+    words = command(folder / "axis.toml", "--out", "-")
+    with run_process(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        for k, line in enumerate(lines(2.0)):
+            process.stdin.write(line)
+            process.stdin.flush()
+            answer = process.stdout.readline().split(b",")
+            assert len(answer) == 10
+            assert k == 0 or float(answer[0]) == pytest.approx((k - 1) * CART_DT)
+        process.communicate(timeout=60)
     assert process.returncode == 0
 
 
@@ -299,19 +294,15 @@ def test_estimates_come_out_one_by_one(folder: Path) -> None:
 )
 def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal.Signals) -> None:
     out, n = folder / f"killed-{number}.{kind}", 1500
-    process = subprocess.Popen(
-        [*command(folder / "axis.toml", "--out", str(out), "--json")], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    process.stdin.write(b"".join(lines(n * CART_DT)))
-    process.stdin.flush()
-    while b"watching" not in process.stdout.readline():
-        pass
-    time.sleep(1.0)
-    assert resident(process.pid) > 10
-    process.send_signal(number)
-    rest, _ = process.communicate(timeout=60)
+    words = command(folder / "axis.toml", "--out", str(out), "--json")
+    with run_process(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.stdin.write(b"".join(lines(n * CART_DT)))
+        process.stdin.flush()
+        assert any(b"watching" in line for line in iter(process.stdout.readline, b""))
+        time.sleep(1.0)
+        assert resident(process.pid) > 10
+        process.send_signal(number)
+        rest, _ = process.communicate(timeout=60)
     end = json.loads(rest.splitlines()[-1])
     assert process.returncode == 0
     table = pl.read_csv(out) if kind == "csv" else pl.read_parquet(out)

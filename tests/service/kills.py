@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.processes import run_process
+
 REPOSITORY = Path(__file__).parents[2]
 
 
@@ -16,7 +18,7 @@ def killed_after(program: str, lines: int, *arguments: str) -> list[str]:
     written by then."""
     command = [sys.executable, "-c", program, *arguments]
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=REPOSITORY, env=environment) as process:
+    with run_process(command, stdout=subprocess.PIPE, text=True, cwd=REPOSITORY, env=environment) as process:
         assert process.stdout is not None
         said = [process.stdout.readline().strip() for _ in range(lines)]
         os.kill(process.pid, signal.SIGKILL)
