@@ -43,7 +43,7 @@ def test_the_sections_are_valid_and_every_kind_has_one() -> None:
 def test_the_samples_are_read(tmp_path: Path, form: str) -> None:
     found = {
         "JSON": re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL),
-        "columns": re.findall(r"one object of columns, `(.*?)`", PAGE, re.DOTALL),
+        "columns": re.findall(r"one object of columns,\s`(.*?)`", PAGE, re.DOTALL),
         "line protocol": re.findall(r"```\n(drive,axis.*?)```", PAGE, re.DOTALL),
     }
     (text,) = found[form]
