@@ -50,7 +50,7 @@ _BEFORE = _HEAD.size + _REST.size
 _LONGEST = 2**36
 
 Event = dict[str, Any]
-#: Bytes without gaps, of which no copy is made.
+#: Contiguous bytes, which are not copied.
 Chunk = bytes | memoryview
 
 

@@ -77,7 +77,7 @@ class Presentable(ABC):
 
     @abstractmethod
     def columns(self) -> Mapping[str, object]:
-        """Of `to_frame`, by name, all of one length."""
+        """The columns of `to_frame` by name, all of one length."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, object]:
@@ -90,7 +90,7 @@ class Presentable(ABC):
         return self.summary().html
 
     def to_frame(self) -> pl.DataFrame:
-        """As a polars DataFrame."""
+        """The result as a polars DataFrame."""
         return frame_of(self.columns())
 
     def plot(self, **options: object) -> Figure:
@@ -144,7 +144,7 @@ class Parameters:
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """Of text, as of `header`."""
+        """The rows of text, as of `header`."""
         found = zip(self.names, self.theta, self.std, self.units, strict=True)
         return [(name, f"{value:.6g}", f"{std:.2g}", unit) for name, value, std, unit in found]
 
@@ -163,12 +163,12 @@ class Parameters:
 
     @property
     def content(self) -> dict[str, object]:
-        """By name, for `to_dict`."""
+        """The content by name, for `to_dict`."""
         found = zip(self.names, self.theta, self.std, self.units, strict=True)
         return {name: {"value": plain(value), "std": plain(std), "unit": unit} for name, value, std, unit in found}
 
     def summary(self, title: str, remarks: Sequence[str] = ()) -> Summary:
-        """With a title, and what to mind."""
+        """The summary, with a title and warnings."""
         columns = len(self.header) if any(self.units) else len(self.header) - 1
         return Summary(title, self.header[:columns], [row[:columns] for row in self.rows], self.lines, remarks)
 

@@ -49,7 +49,7 @@ def _leave_late(hears: socket.socket, speaks: socket.socket) -> None:
 
 
 def _leave(message: str) -> None:
-    """Without the end of the interpreter: it would wait for threads at work."""
+    """Leave without the end of the interpreter, which would wait for threads at work."""
     if "multiprocessing" in sys.modules:
         import multiprocessing
 

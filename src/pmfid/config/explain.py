@@ -181,7 +181,7 @@ def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[Refer
 
 
 def explain_entries(found: Sequence[ReferenceEntry]) -> str:
-    """For people: a list of many, all that is known of a few."""
+    """The entries for people: a list if there are many, all details of a few."""
     if len(found) <= 4:
         return "\n\n".join(entry.text for entry in found)
     width = max(len(entry.name) for entry in found)

@@ -154,7 +154,7 @@ def gain(value: object) -> object:
 
 
 def known_unit(text: str, table: dict[str, Unit]) -> str:
-    """A unit of a table by its name there. Raises ValueError for another."""
+    """The unit of this name in a table. Raises ValueError for an unknown name."""
     unit = unit_named(text, table)
     if unit is None:
         raise ValueError(f"there is no such unit here; known are {', '.join(table)}")

@@ -272,7 +272,8 @@ def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tu
 
 
 def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float | None:
-    """Of the run's own information by the same criterion, or by the trace where that gives the run alone no size."""
+    """The part of the run's information that survives, by the same criterion. The trace decides if the criterion gives
+    the run alone no size."""
     if problem.drive.friction != "symmetric":
         return None
     judge = replace(criterion, name="trace") if criterion.name == "ME" else criterion

@@ -52,7 +52,7 @@ class Box:
         return float(self.slope @ z - self.lower @ self.upper)
 
     def gaps(self, z: Floats) -> Floats:
-        """By how much each chord is too high at z."""
+        """The amount by which each chord is too high at z."""
         return np.maximum(0.0, (self.upper - z) * (z - self.lower))
 
     def copy(self) -> Box:

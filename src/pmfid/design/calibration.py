@@ -196,7 +196,7 @@ class _Objective:
         return np.asarray(np.concatenate([x - centre(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
 
     def counts(self, q: Floats) -> list[Floats]:
-        """For each run the simulated less the measured position, in counts."""
+        """The simulated less the measured position of each run, in counts."""
         size = float(self.problem.resolution or 1.0)
         pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
         return [(x - centre(run.y)) / size for x, run in pairs]
@@ -208,7 +208,7 @@ class _Objective:
         columns = []
         for i in range(q.size):
             low, high = (np.array(q, float) for _ in range(2))
-            # as a part of the nominal value: of an estimate at its bound, 0, a part would be nothing
+            # a step relative to the nominal value, because an estimate may be 0, at its bound
             low[i], high[i] = max(q[i] - TUNING.simulated_step, self.lower[i]), q[i] + TUNING.simulated_step
             columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
         return np.vstack([np.column_stack(columns), self.root])

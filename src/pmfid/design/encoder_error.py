@@ -131,7 +131,7 @@ class Allowed:
     root: Floats
 
     def room(self, q: Floats) -> float:
-        """By how much the motion at q may be moved within its counts [counts], 0 if it may not."""
+        """The distance by which the motion at q may be moved within its counts [counts], 0 if it may not."""
         return max(2.0 * self.half - widest(self.distances(q)), 0.0) if np.all(q >= self.lower) else 0.0
 
     def doubt(self, q: Floats) -> float:

@@ -59,7 +59,8 @@ class InputSet:
         return int(self.matrix.shape[1])
 
     def excess(self, u: Floats) -> tuple[Floats, Floats]:
-        """By how much u (K,) misses each row (r,), negative inside, and the size of the terms that the row compares."""
+        """The amount by which u (K,) misses each row (r,), negative inside, and the size of the terms that the row
+        compares."""
         values = self.matrix @ u
         size = np.abs(self.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
         return np.maximum(self.lower - values, values - self.upper), size
@@ -147,7 +148,7 @@ def _hold_rows(problem: Problem, values: Mapping[str, float]) -> Rows:
 
 
 def _acceleration_rows(problem: Problem, values: Mapping[str, float], v: Floats, v0: Floats) -> Iterator[Rows]:
-    """At both ends of every interval of motion."""
+    """The limits of the acceleration, as rows at both ends of every interval of motion."""
     regimes = {d: drive_regime(problem.drive, values, (), d) for d in set(problem.sense)}
     A, b, g = (
         np.array([part[VELOCITY] for part in parts])
@@ -175,7 +176,7 @@ MET = 1e-9
 
 
 def violation(inputs: InputSet, u: Floats) -> float:
-    """By how much u (K,) leaves the limits, relative to the size of each row; 0 if it meets all."""
+    """The amount by which u (K,) leaves the limits, relative to the size of each row; 0 if u meets all."""
     excess, size = inputs.excess(u)
     relative = excess / np.maximum(size, 1e-300)
     return max(0.0, float(relative.max(initial=0.0)), float(np.linalg.norm(u)) / inputs.radius - 1.0)

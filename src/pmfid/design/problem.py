@@ -272,7 +272,7 @@ class Problem:
     nuisance
         Parameters that are unknown as well, but of no interest. The others are taken as known.
     start, end
-        (position [m], velocity [m/s]) at the start and at the end; None where the end is free.
+        (position [m], velocity [m/s]) at the start and at the end; None if the end is free.
     end_tolerance
         (position [m], velocity [m/s]) by which the end may be missed.
     samples_per_interval

@@ -119,7 +119,7 @@ def raise_infeasible(problem: Problem) -> NoReturn:
 
 
 def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
-    """For each limit that alone, if relaxed, makes the problem feasible: its needed value; smallest change first."""
+    """The needed value of each limit that alone, if relaxed, makes the problem feasible; smallest change first."""
     inputs = input_set(problem)
     found = _energy(problem, inputs)
     for name in UNITS:

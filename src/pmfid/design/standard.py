@@ -234,7 +234,7 @@ def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
 
 
 def _range(maker: _Maker) -> tuple[float, float]:
-    """Without a limit of the input: twice what the motion needs at least."""
+    """The range of the input; without a limit, twice what the motion needs at least."""
     size = 2 * float(np.abs(nearest(maker.inputs, np.zeros(maker.problem.intervals))).max()) or 1.0
     return -size, size
 
@@ -244,7 +244,7 @@ def _least_energy(maker: _Maker) -> tuple[Floats, bool]:
 
 
 def _least_time(maker: _Maker) -> tuple[Floats, bool]:
-    """As far ahead as possible at every node: largest sum of the way gone."""
+    """The motion that is as far ahead as possible at every node: largest sum of the distances."""
     ahead = np.array(maker.problem.sense, float) @ maker.inputs.states[0, 1:]
     return _check_limits(maker, Oracle(maker.inputs).maximise(ahead)), False
 

@@ -30,7 +30,7 @@ class DesignTuning:
     ascent_drift: float = 0.05
     #: How sharply the worst of several cases counts.
     ascent_sharpness: float = 100.0
-    #: A motion may have so much more than its share.
+    #: Greatest excess of a motion over its share.
     ascent_enough: float = 1e-6
     ascent_rounds: int = 2000
     #: Weights below this take no part.
@@ -130,7 +130,7 @@ class DesignTuning:
     simulated_step: float = 1e-4
 
     # solver
-    #: A limit may be missed by so much, relative to the terms that it compares.
+    #: Greatest violation of a limit, relative to the terms that the limit compares.
     solver_precision: float = 1e-7
     #: A smaller change is none.
     solver_least: float = 1e-9

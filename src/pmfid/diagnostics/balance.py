@@ -97,8 +97,8 @@ class Balance:
 
     @cached_property
     def velocity(self) -> Floats:
-        """To sort by: the simulated one where the measured one has encoder noise that the residual shares, and only
-        there: under control it follows the residual."""
+        """The velocity that sorts the samples. The simulated velocity replaces the measured one only if the residual
+        shares the encoder noise of the latter: under control it follows the residual."""
         return self.simulated if self.noisy and self.fit > 50.0 else self.measured
 
     @property
@@ -176,7 +176,7 @@ class Balance:
 
 
 def one_way_friction(balance: Balance) -> Friction | None:
-    """Of the samples with one direction of motion; None where these are too few."""
+    """Friction of the samples with one direction of motion; None if these are too few."""
     # the filtered velocity may still have the sign from before a reversal
     one_way = np.sign(balance.velocity) * balance.direction >= TUNING.one_way
     if np.count_nonzero(one_way) < 2 * TUNING.fewest_bins:
@@ -224,7 +224,7 @@ def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
 
 
 def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: ArrayLike) -> Balance | None:
-    """The record u, counts (n,) at theta (p,), with a memory its last three; None where it cannot be simulated.
+    """The record u, counts (n,) at theta (p,), with a memory its last three; None if it cannot be simulated.
 
     Raises PmfidError as `IV` does."""
     if estimator.equation.without_simulation:

@@ -39,7 +39,7 @@ def counts_per_sample(counts: Counts) -> float:
 
 def count_jump(counts: Counts) -> str:
     """What to say of one change of the counts (n,) far beyond all others: a wrap that nobody has undone, or a lost
-    position; empty where there is none."""
+    position; empty if there is none."""
     change = np.abs(np.diff(counts))
     worst = int(np.argmax(change))
     usual = float(np.quantile(_motion(counts, change), 0.99))
@@ -127,7 +127,7 @@ def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
 
 
 def _names(equation: Equation) -> tuple[str, ...]:
-    """Of theta."""
+    """The names of theta."""
     return (*equation.names, *dict(equation.further))
 
 
@@ -367,7 +367,7 @@ def examine_estimate(
     """Adequacy of the model near an estimate theta (p,) from u, counts: (n,), on the samples that the estimate depends
     on; None if nothing simulates the equation, or nothing moves. known: the result, if this model has one already.
 
-    Raises NotIdentifiableError where no motion of the model can be fitted.
+    Raises NotIdentifiableError if no motion of the model can be fitted.
     """
     if estimator.equation.without_simulation:
         return None
@@ -423,7 +423,7 @@ def _find_hidden_effects(
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
 ) -> Iterator[Finding]:
-    """Of an adequate model: does the estimate agree with it, and which effects could the record hide?"""
+    """Does the estimate agree with an adequate model, and which effects could the record hide?"""
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
     own_spread = found.spread()[: theta.size]  # without shape parameters, which are known here
     if isinstance(estimator, Following):

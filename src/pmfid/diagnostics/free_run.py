@@ -72,7 +72,7 @@ class FreeRun:
 
     @property
     def fit(self) -> float | None:
-        """100 (1 - |y - simulated| / |y - mean y|) [%], None where the output does not move (Ljung 1999, `compare`)."""
+        """100 (1 - |y - simulated| / |y - mean y|) [%], None if the output does not move (Ljung 1999, `compare`)."""
         return 100 * (1 - self.rmse / self.mean) if self.mean > 0 else None
 
     @property
@@ -156,7 +156,7 @@ def _seconds(duration: float, least: float) -> list[float]:
 
 
 def finite(run: FreeRun) -> FreeRun:
-    """The same. Raises UsageError where the simulation has left the range of numbers."""
+    """The same. Raises UsageError if the simulation has left the range of numbers."""
     if not np.max(np.abs(run.error)) < TUNING.beyond:
         raise UsageError(
             "the simulated output leaves the range of numbers: check the units of the parameters, of the input and of "

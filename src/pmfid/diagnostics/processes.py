@@ -213,7 +213,8 @@ class Assessment:
 
     @property
     def white(self) -> bool:
-        """At most as many correlations beyond the bound as chance explains, four of 25."""
+        """Is the residual white? The number of correlations beyond the bound is at most what chance explains, four of
+        25."""
         return few_beyond(self.autocorrelation[1:], self.autocorrelation_bound)
 
     @property

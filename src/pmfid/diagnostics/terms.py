@@ -148,7 +148,7 @@ def search(
     done: Callable[[float], None] | None = None,
 ) -> Terms:
     """From the model upwards. places: what may come again along the travel, too; scan: look for the pitch of a cogging
-    force. Raises NotIdentifiableError where not even the model to begin with has a fit."""
+    force. Raises NotIdentifiableError if not even the model to begin with has a fit."""
     looking = scan and model.cogging is None and all(place.key != "cogging" for place in places)
     first = bench.first(model)
     return _Search(bench, tuple(places), looking, [first], [bench.elsewhere(first)], done or (lambda part: None)).run()
@@ -334,7 +334,7 @@ def is_worse(error: float, before: float) -> bool:
 
 
 def removable(first: Drive, last: Drive) -> list[Change]:
-    """Each change by itself of those that lead from one model to another."""
+    """Each single change among those that lead from one model to another."""
     found = changed_fields(first, last)
     together = {"friction": DIRECTIONAL}
     return [dict(together.get(key, {key: value})) for key, value in found.items() if key != "offset" or last.offset]
@@ -346,7 +346,7 @@ def _next_to(step: FittedCandidate, kept: FittedCandidate) -> str:
 
 
 def _measure_deficit(step: FittedCandidate, best: FittedCandidate) -> float:
-    """By how much a term explains less than the best, in units of chance."""
+    """The amount by which a term explains less than the best one, in units of chance."""
     if step.trial is None or best.trial is None:
         return math.inf
     return 2 * (best.trial.log_likelihood - step.trial.log_likelihood) / best.candidate.inflation

@@ -192,8 +192,8 @@ def verdict(
     known: Adequacy | None,
     tolerance: float,
 ) -> Verdict:
-    """On an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,). known: what the counts say on
-    the model, where that is known; tolerance: relative error of a parameter that is of no matter."""
+    """Judge an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,). known: what the counts say
+    on the model, if that is known; tolerance: negligible relative error of a parameter."""
     found, spread = _spread(estimator, u, counts, theta, std, known)
     judged = judge(estimator, u, counts, theta, std, found)
     p = len(estimator.equation.names)

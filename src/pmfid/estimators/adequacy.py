@@ -199,7 +199,7 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
 
 
 def _places(difference: Difference, places: Sequence[PeriodicForce], v: Floats) -> Iterator[CandidateForce]:
-    """At the measured places: the simulated motion may be off by more than a period."""
+    """The measured places; the simulated motion may be off by more than a period."""
     middle = difference.y - difference.slack
     middle = middle + np.diff(middle, append=middle[-1]) / 2
     for place in places:
@@ -276,7 +276,7 @@ class Adequacy:
 
     @property
     def says(self) -> str:
-        """What is wrong with the model, for people; empty where nothing is."""
+        """What is wrong with the model, for people; empty if nothing is."""
         if self.missed:
             asked = list(dict.fromkeys(self._describe_force(k) for k in self.named))[: TUNING.most_said]
             first = self.missed[0]
@@ -315,7 +315,7 @@ def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats
     """The model of an estimator on a record u, counts: (n,); nothing else of the estimator counts but the cutoff, for
     records that drift away from the simulation. start: parameters (p,) to start from, None: those of `IV`.
 
-    Raises NotIdentifiableError where no fit can be found at all.
+    Raises NotIdentifiableError if no fit can be found at all.
     """
     method = like(IntervalML, estimator, prefilter_zeros=None, precision="float64", drift_cutoff=None)
     return weigh(method.best(u, counts, start))

@@ -179,7 +179,7 @@ def _position_gain(estimator: Estimator) -> float:
 
 
 def _alike(direct: Equation, equation: Equation) -> list[int | None]:
-    """For each role in an equation the parameter of the direct one, which knows but some of the shapes."""
+    """The parameter of the direct equation for each role; the direct equation knows only some of the shapes."""
     places = {term.place: i for i, term in enumerate(direct.unknown)}
     return [*direct.roles[: len(ROLES)], *(places.get(term.place) for term in equation.shaped)]
 

@@ -115,7 +115,7 @@ class Estimator:
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:
-        """Why the method cannot take this equation, with a remedy; empty where it can."""
+        """Why the method cannot take this equation, with a remedy; empty if it can."""
         if equation.dead_time == ESTIMATE:
             return (
                 f'{cls.method} does not simulate the motion, as it must where dead_time = "estimate"; use iv, riv, '
@@ -221,7 +221,7 @@ class Estimator:
 
     @property
     def memory(self) -> float:
-        """Of what was gathered [s]."""
+        """The memory of the estimate [s]."""
         return math.inf
 
     @property

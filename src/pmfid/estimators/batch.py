@@ -20,7 +20,7 @@ from pmfid.status import Status
 def check_identifiable(
     columns: Columns, names: tuple[str, ...], least_part: float = TUNING.start_pivot, simulated: bool = False
 ) -> None:
-    """Raises NotIdentifiableError where a column is zero or a combination of the others, naming the parameter.
+    """Raises NotIdentifiableError if a column is zero or a combination of the others, naming the parameter.
     simulated: the equation holds while a simulated motion moves, and says nothing while that rests."""
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
         raise NotIdentifiableError(
@@ -103,7 +103,7 @@ class BatchEstimator(Estimator):
 
     @property
     def least_part(self) -> float:
-        """Of the power of a column that must not follow from the others."""
+        """The least part of a column's power that must not follow from the others."""
         return self.plant.least_part
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:

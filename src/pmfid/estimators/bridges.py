@@ -45,7 +45,7 @@ class Body:
 
     @property
     def decay(self) -> float:
-        """Of a deviation of the speed [1/s]."""
+        """The decay rate of a deviation of the speed [1/s]."""
         values = self.values
         return max(0.0, (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 / values[MASS])
 

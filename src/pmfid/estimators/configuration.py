@@ -79,7 +79,7 @@ def hold_last_input(u: Floats) -> Floats:
 
 
 def check_size(u: Floats) -> None:
-    """Raises UsageError where squares of the input (n,) would leave the number format."""
+    """Raises UsageError if squares of the input (n,) would leave the number format."""
     size = np.max(np.abs(u), initial=0.0, where=np.isfinite(u))
     if size > 0 and not 1e-100 < size < 1e100:
         raise UsageError(f"the largest input is {size:.3g}: no drive has that; check the column and input_scale")

@@ -90,7 +90,7 @@ def _columns(
 def _make_simulated_columns(
     methods: Sequence[IV], u: Floats, counts: NDArray[np.int64]
 ) -> Iterator[tuple[float, tuple[Columns, int]]]:
-    """With the instruments of one motion for all poles."""
+    """The columns with the instruments of one motion, for all poles."""
     for first in methods:
         with suppress(NotIdentifiableError):
             theta = first.settle_iteration(u, counts)[1]
@@ -110,7 +110,7 @@ def _make_compensated_columns(
 
 
 def _uncertainty(columns: Columns, settle_samples: int) -> float:
-    """Logarithm of the determinant of the covariance; infinite where there is no estimate."""
+    """Logarithm of the determinant of the covariance; infinite if there is no estimate."""
     if columns.z.size <= columns.phi.shape[1] or not np.all(np.any(columns.zeta != 0, axis=0)):
         return np.inf
     try:

@@ -218,7 +218,7 @@ class FrictionCurve(Presentable):
         return self._interpolate(velocity, self.force)
 
     def std_at(self, velocity: ArrayLike) -> Floats:
-        """Its standard deviation (n,) [N], NaN where `at` is."""
+        """The standard deviation of the curve (n,) [N], NaN outside the range of `at`."""
         return self._interpolate(velocity, self.std)
 
     def _interpolate(self, velocity: ArrayLike, values: Floats) -> Floats:
@@ -339,7 +339,8 @@ def _solve_curve(basis: Basis, rising_from: float | None) -> _Solved:
 
 
 def _make_curve(solved: _Solved, std: Floats) -> FrictionCurve:
-    """Without the nodes at rest: no sample is there, and Stribeck friction may hide below the first of the others."""
+    """The curve without the nodes at rest: no sample is there, and Stribeck friction may hide below the first of the
+    others."""
     (ahead, forward), (back, backward) = solved.sides
     bars_ahead, bars_back = np.split(std[1:], [ahead.size])
     velocity, force = np.r_[-back[:0:-1], ahead[1:]], np.r_[-backward[:0:-1], forward[1:]]

@@ -210,7 +210,7 @@ class Instruments(ProcessSolver, Simulating):
 
     @cached_property
     def _unguarded(self) -> Instruments:
-        """For records with gaps, in which the model moves as it must."""
+        """The method without its guard, for records with gaps, in which the model moves as it must."""
         return replace(self, encoder=replace(self.encoder, guard=False))
 
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:

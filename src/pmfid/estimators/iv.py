@@ -112,7 +112,7 @@ class IV(Instruments):
         return self._result(self.columns_at(whole, u, counts), whole, cov)
 
     def _fix_lateness(self, late: Floats, start: Floats) -> Instruments:
-        """With a known lateness (l,) [s], from theta (p,) on."""
+        """The estimate with a known lateness (l,) [s], starting from theta (p,)."""
         times = iter(late.tolist())
         model, equation = self.model, self.equation
         model = model.at_dead_time(next(times)) if equation.dead_time == ESTIMATE else model

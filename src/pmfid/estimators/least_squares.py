@@ -33,7 +33,7 @@ def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArr
 
 
 def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of a matrix (p, p). Raises NotIdentifiableError where there is none, or none within the numbers."""
+    """The inverse of a matrix (p, p). Raises NotIdentifiableError if there is none, or none within the numbers."""
     try:
         with np.errstate(all="ignore"):  # what comes of it is looked at
             inverse = np.linalg.inv(matrix)
@@ -82,7 +82,7 @@ class Level:
     """What the output's level is in, as indices of parameters.
 
     y - first has the equation of y, but its constant is theta[constant] - ratio * first * theta[lowest].
-    lowest: None where the output itself is in no term, so that the constant is the same.
+    lowest: None if the output itself is in no term, so that the constant is the same.
     """
 
     constant: int
@@ -91,7 +91,7 @@ class Level:
 
 
 def level_of(equation: Equation) -> Level | None:
-    """None where the equation is not as true of y - first: without a constant of its own that is unknown, or with what
+    """None if the equation is not as true of y - first: without a constant of its own that is unknown, or with what
     stood in the plant at the start."""
     unknown = [(term.signal, term.derivative) for term in equation.unknown]
     known = {term.signal for term in equation.known}

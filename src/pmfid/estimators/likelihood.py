@@ -57,7 +57,8 @@ def log_likelihood(best: Best, cutoff: float) -> float:
 
 
 def likeliest_of(found: Iterable[Best], cutoff: float) -> Best:
-    """Of maxima that were climbed from different starts the largest; one that explains every count ends the search."""
+    """The largest of several maxima that were climbed from different starts; one that explains every count ends the
+    search."""
     kept = list[Best]()
     for one in found:
         kept.append(one)
@@ -142,7 +143,7 @@ def likeliest_noise(e: Floats) -> float:
     apart = np.abs(e)
 
     def slope(log: float) -> float:
-        """Of the log-likelihood by the logarithm of the noise, for a sample."""
+        """The derivative of the log-likelihood by the logarithm of the noise, for a sample."""
         noise = math.exp(log)
         return -float(np.mean(count_likelihood(apart, noise)[2])) * noise**2
 

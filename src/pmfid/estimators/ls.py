@@ -140,7 +140,7 @@ class Refined:
 def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
     """Passes from theta (p,) to sum zeta error = 0: what the linear method asks for, with the exact columns.
 
-    Each is a Newton step that leaves out how the instruments change. None where they do not settle."""
+    Each is a Newton step that leaves out how the instruments change. None if they do not settle."""
     change, history = np.inf, []
     for count in range(1, TUNING.ls_passes + 1):
         with np.errstate(all="ignore"):
@@ -173,7 +173,7 @@ def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
 def refine_estimate(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
     """The passes from the estimate with matched filters; where they do not settle, from the filters' own poles.
 
-    Raises NotIdentifiableError where those do not, either."""
+    Raises NotIdentifiableError if those do not, either."""
     first = like(type(estimator), estimator, discretization="matched").fit_output(u, y)
     exact, used = make_exact(estimator, u, y), slice(estimator.settle_samples, None)
     found = refine_exactly(exact, first.theta, used)

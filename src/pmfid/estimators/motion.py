@@ -286,13 +286,13 @@ class Difference:
         return np.array([0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])])
 
     def fine_at(self, theta: Floats) -> Difference:
-        """With as many parts of a sample as the counts ask for at theta (p,), and no fewer than now."""
+        """The motion with as many parts of a sample as the counts need at theta (p,), and no fewer than now."""
         asked = parts_for(self.equation, theta, self.intervals, self.u, TUNING.parts_error * self.resolution)
         return replace(self, parts=max(self.parts, asked))
 
     @property
     def parameters(self) -> int:
-        """Of the equation, with those in which it is not linear."""
+        """The parameters of the equation, with those in which it is not linear."""
         return self.scale.size - 2
 
     @property
@@ -431,7 +431,7 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
 
 
 def try_step(difference: Difference, q: Floats, trial: Floats) -> Floats:
-    """The difference (n,) at trial (q,), infinite where the step from q is too long: what hardly acts runs away."""
+    """The difference (n,) at trial (q,), infinite if the step from q is too long: what hardly acts runs away."""
     if np.max(np.abs(trial - q)) > TUNING.longest_step:
         return np.full(difference.y.size, np.inf)
     return difference(trial)
@@ -459,7 +459,7 @@ def remove_nuisance(difference: Difference, columns: Floats, nuisance: Floats, r
 
 
 def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
-    """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError where one of them is zero or a
+    """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError if one of them is zero or a
     combination of the others, naming the parameter."""
     with np.errstate(over="ignore"):  # of a wide step a motion may run away: infinitely sensitive, then
         parts, inverse = parts_of_their_own(sensitivity)

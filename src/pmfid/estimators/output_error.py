@@ -65,7 +65,7 @@ class Following(Simulating, BatchEstimator):
         return likeliest_of(self._maxima(u, counts), self.cutoff)
 
     def _maxima(self, u: Floats, counts: NDArray[np.int64]) -> Iterator[Best]:
-        """From each of the Stribeck speeds to start from. Raises NotIdentifiableError where none settles."""
+        """From each of the Stribeck speeds to start from. Raises NotIdentifiableError if none settles."""
         refused, settled = None, False
         for theta, status in self._start_at_speeds(u, counts):
             try:
@@ -179,7 +179,7 @@ class Following(Simulating, BatchEstimator):
         """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record. Where
         a Stribeck speed is to be found, the best of those that are gone on from.
 
-        Raises NotIdentifiableError where the counts alone show that nothing can be identified."""
+        Raises NotIdentifiableError if the counts alone show that nothing can be identified."""
         if self.equation.searched:
             return self._start_at_speeds(u, counts)[0]
         first = like(Instruments, self)
@@ -227,7 +227,7 @@ class Following(Simulating, BatchEstimator):
         return replace(self._prepare_difference(theta, u, y)[0], pole=0.0)
 
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
-        """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError where it is no fit, or one
+        """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError if it is no fit, or one
         without a mass: what the bound leaves of it is no estimate."""
         leading = difference.equation.leading
         if q[leading] < TUNING.at_bound * TUNING.least_mass:

@@ -56,7 +56,8 @@ class PlantDefaults(ABC):
 
 @dataclass(frozen=True)
 class MachineDefaults(PlantDefaults):
-    """With friction: position and direction matter, and so does every interval that moves only partly."""
+    """Defaults for a machine with friction: position and direction matter, and so does every interval that moves only
+    partly."""
 
     regularization: float = 1e-4  # P stays below 1e4 times its best
     pivot: float = TUNING.start_pivot

@@ -158,7 +158,7 @@ class RecursiveEstimator(Estimator):
             raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
 
     def scheme_refused(self) -> str:
-        """Why the method cannot forget in the way that is asked for, with a remedy; empty where it can."""
+        """Why the method cannot forget in the way that is asked for, with a remedy; empty if it can."""
         if self.forgetting_scheme != "directional":
             return ""
         return (

@@ -11,10 +11,10 @@ from pmfid.estimators.recursive import BCRLS, RLS
 from pmfid.estimators.srivc import RSRIVC, SRIVC
 from pmfid.models.drive import Model
 
-#: Those that take a drive.
+#: Methods for a drive.
 OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML)
 RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
-#: And those that take a linear process alone.
+#: Methods for a linear process alone.
 PROCESS_ONLY = (SRIVC, RSRIVC)
 ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE, *PROCESS_ONLY)}
 

@@ -80,7 +80,7 @@ class Fit(Presentable):
         return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
-        """Without the residual."""
+        """The result as a dict, without the residual."""
         return {
             "samples": self.samples,
             "parameters": self._parameters.content,

@@ -218,7 +218,7 @@ class Runner(Generic[E]):
         """Many samples at once, from the present state; u, counts: (n,); steps: (n,) time of each sample since the one
         before [s], of an estimator with `steps`. The same bits as `step` in a loop.
 
-        Raises UsageError where the arrays differ in length, the counts are no integers, or steps are given to an
+        Raises UsageError if the arrays differ in length, the counts are no integers, or steps are given to an
         estimator without or not given to one with `steps`.
         """
         u, counts = check_arrays(u, counts)

@@ -74,7 +74,7 @@ def find_least_from_start(
 ) -> Floats:
     """`least` from q (q,). Where a force has a shape, from where the motion at these parameters starts by the first
     samples, and from q itself only if more is left than the encoder explains: along the travel the sum of squares has a
-    minimum for each way to begin. Raises NotIdentifiableError where nothing settles."""
+    minimum for each way to begin. Raises NotIdentifiableError if nothing settles."""
     if not difference.equation.shaped:
         return least(difference, q, tolerances)
     found, refused = list[Floats](), NotIdentifiableError("no start of the motion leads anywhere")
@@ -102,7 +102,7 @@ def fit_at_speeds(
     usual: float, at: Callable[[float], Found], worse: Callable[[Found], float]
 ) -> list[tuple[float, Found]]:
     """Stribeck speeds to go on from, the best first, and what was found at each; usual: speed of the motion; at: fits
-    with a speed that is known; worse: by what they are compared. Raises NotIdentifiableError where none settles."""
+    with a speed that is known; worse: by what they are compared. Raises NotIdentifiableError if none settles."""
     found = list[tuple[float, Found]]()
     refused = NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
     for speed in (usual * np.array(TUNING.stribeck_speeds)).tolist():
@@ -240,7 +240,7 @@ def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_S
 
 
 def _step(slopes: Sequence[_Slope], damping: float, bound: NDArray[np.bool_]) -> Floats:
-    """Of the parameters (p,), those at a bound only away from it."""
+    """The step of the parameters (p,); a parameter at a bound moves only away from it."""
     normal = np.sum([slope.own.T @ slope.own for slope in slopes], axis=0)
     downhill = -np.sum([slope.own.T @ slope.left for slope in slopes], axis=0)
     free = ~(bound & (downhill < 0))
@@ -251,7 +251,7 @@ def _step(slopes: Sequence[_Slope], damping: float, bound: NDArray[np.bool_]) ->
 
 
 def _cost(left: Floats) -> float:
-    """Sum of squares; infinite where a step was too far."""
+    """Sum of squares; infinite if a step was too far."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = float(left @ left)
     return total if total < np.inf else np.inf
@@ -269,7 +269,7 @@ class WindowChoice:
 
     @property
     def says(self) -> str:
-        """For people."""
+        """The reason, for people."""
         chosen = "one window over the whole record" if math.isinf(self.seconds) else f"windows of {self.seconds:.3g} s"
         if len(self.errors) < 2:
             return f"{chosen}: it is too short to choose their length on it"

@@ -87,7 +87,7 @@ def restored_from(vault: CheckpointFolder, groups: Mapping[bytes, ShardGroup], e
 
 
 def _listings(vault: CheckpointFolder, tell: Callable[[Event], None]) -> list[Listing]:
-    """Of the checkpoints there are, the newest first."""
+    """The listings of the present checkpoints, the newest first."""
     readable = list[Listing]()
     for found in vault.whole(tell):
         try:
@@ -255,8 +255,8 @@ class ShardedFleet:
         return self._handles.take(places)
 
     def remove(self, handles: ArrayLike) -> None:
-        """Without these axes. Their handles are refused from now on, also where their places are used again. The memory
-        stays for those that are added. Raises UsageError for an axis that is not there or comes twice."""
+        """Remove these axes. Their handles are refused from now on, also if their places are used again. The memory
+        stays for added axes. Raises UsageError for an axis that is not there or comes twice."""
         self._handles.release(self._handles.places(handles))
 
     def _group(self, runner: Runner[RecursiveEstimator]) -> ShardGroup:

@@ -144,7 +144,7 @@ class Shard:
     side: int = 1
     sequence: int = 0
     synced: bool = False
-    #: (size, bytes); of rows that nobody has used the memory is not there yet.
+    #: (size, bytes); unused rows have no memory yet.
     states: NDArray[np.uint8] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -177,7 +177,7 @@ class ShardPiece:
     at: slice
 
     def run(self, work: SampleBlock, way: int) -> None:
-        """Its part of a call."""
+        """Run the shard's part of a call."""
         span = _span(self.rows)
         states = self.shard.states[span]
         results = tuple(result[self.at] for result in work.results)
@@ -217,7 +217,7 @@ class Listed:
 
 @dataclass(frozen=True)
 class Listing:
-    """A checkpoint. size: places of a shard; mark: what whoever made it stored with it."""
+    """A checkpoint. size: places of a shard; mark: what the caller stored with the checkpoint."""
 
     sequence: int
     size: int

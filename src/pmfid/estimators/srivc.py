@@ -206,7 +206,7 @@ def solve_by_descent(problem: ProcessProblem) -> Solution:
 
 
 def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> ProcessProblem:
-    """The stretches of all records, in units of the filters' time constant. Raises UsageError where none is usable."""
+    """The stretches of all records, in units of the filters' time constant. Raises UsageError if none is usable."""
     model = estimator.model
     if not isinstance(model, TransferFunction):
         raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
@@ -232,7 +232,7 @@ def make_structure(model: TransferFunction, dt: float, rate: float) -> Structure
 
 
 def check_signals(problem: ProcessProblem, names: tuple[str, ...]) -> None:
-    """Raises NotIdentifiableError where input or output say nothing, whatever the method."""
+    """Raises NotIdentifiableError if input or output say nothing, whatever the method."""
     samples = sum(stretch.rows.size for stretch in problem.stretches)
     if samples <= 2 * len(names):
         raise NotIdentifiableError(f"only {samples} samples for {len(names)} parameters: record longer")
@@ -243,7 +243,7 @@ def check_signals(problem: ProcessProblem, names: tuple[str, ...]) -> None:
 
 
 def result(estimator: Estimator, problem: ProcessProblem, solution: Solution) -> ProcessFit:
-    """The `ProcessFit` in seconds. Raises NotIdentifiableError where a sensitivity follows from the others."""
+    """The `ProcessFit` in seconds. Raises NotIdentifiableError if a sensitivity follows from the others."""
     point = solution.point
     check_apart(point, estimator.names)
     scale = problem.structure.scale(problem.rate)
@@ -284,7 +284,7 @@ def with_dead_time(estimator: Estimator, theta: NDArray[np.float64]) -> Estimato
 
 
 def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
-    """Raises NotIdentifiableError where a sensitivity is zero or a combination of the others, naming the parameter."""
+    """Raises NotIdentifiableError if a sensitivity is zero or a combination of the others, naming the parameter."""
     with np.errstate(over="ignore"):  # looked at
         countable = np.all(np.isfinite(np.linalg.norm(point.zeta, axis=0)))
     parts = parts_of_their_own(point.zeta, rcond=1e-13)[0] if countable else np.zeros(len(names))

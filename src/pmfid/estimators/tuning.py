@@ -228,7 +228,7 @@ class EstimatorTuning:
     #: Damping of the first step, and the largest one: a step that is damped more moves nothing.
     first_damping: float = 1e-3
     max_damping: float = 1e8
-    #: Longest step, in sizes of the parameters at the start, of which some are only guessed.
+    #: Longest step, in sizes of the parameters at the start. Some of these sizes are only guessed.
     longest_step: float = 1e6
     #: A stop of the model that comes and goes puts kinks into the sum of squares, at which the last digits never
     #: settle.

@@ -55,8 +55,8 @@ class Network:
 
     @property
     def rates(self) -> tuple[list[int], list[tuple[int, int, float]]]:
-        """For each stage the number of its rate, from 1 on, 0: none; and the rates: late, kind, half. The velocity of
-        the counts is of the last interval, all that comes from it until it is delayed, too."""
+        """The number of each stage's rate, from 1 on, 0: none; and the rates: late, kind, half. The velocity of the
+        counts belongs to the last interval, as does all that comes from it until it is delayed."""
         late = [int(signal != VELOCITY) for signal in range(self.first)]
         numbers, rates = list[int](), list[tuple[int, int, float]]()
         for node, (source, _, b0, b1) in enumerate(self.stages, self.first):

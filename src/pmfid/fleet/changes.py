@@ -72,7 +72,7 @@ def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | No
 
 
 def _sums(part: Floats, places: np.ndarray) -> tuple[Floats, Floats]:
-    """Of part (n, p) before and from each place on."""
+    """Sums of part (n, p) before and from each place on."""
     total = np.cumsum(part, axis=0)
     left = total[places - 1]
     return left, total[-1] - left

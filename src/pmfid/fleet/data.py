@@ -152,7 +152,7 @@ def longest(pieces: Sequence[RecordPiece], columns: Columns) -> Table:
 
 
 def check_columns(columns: Columns, parts: Sequence[Part], found: Survey) -> None:
-    """Raises UsageError where no part has rows with the columns that are named."""
+    """Raises UsageError if no part has rows with the columns that are named."""
     if found.rows.height:
         return
     for part in parts[:1]:
@@ -177,7 +177,7 @@ class Data(Protocol):
         ...
 
     def survey(self, keep: Keep) -> Survey:
-        """Which axes there are, and when; called first. Raises UsageError where nothing can be read."""
+        """Which axes there are, and when; called first. Raises UsageError if nothing can be read."""
         ...
 
     def prepare_shards(
@@ -196,7 +196,7 @@ class Data(Protocol):
         ...
 
     def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
-        """Of each shard, in their order."""
+        """The segments of each shard, in their order."""
         ...
 
 
@@ -215,7 +215,7 @@ class Parts:
         return self._engine.name
 
     def survey(self, keep: Keep) -> Survey:
-        """Of all parts; those that cannot be read are problems. Raises UsageError where none can."""
+        """The survey of all parts; unreadable parts are problems. Raises UsageError if none can be read."""
         if keep.lasting:
             self._parts = {name: self._stamp_part(part) for name, part in self._parts.items()}
         parts = list(self._parts.values())
@@ -246,7 +246,7 @@ class Parts:
         self._aside = None
 
     def stamp(self, shard: RowShard, length: float) -> object:
-        """Of the parts that have its rows."""
+        """The stamp of the parts that have its rows."""
         return [(name, self._parts[name].stamp) for name in shard.parts]
 
     def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
@@ -262,7 +262,7 @@ class Parts:
         return {name: self._places.narrow(part, shard, length) for name, part in parts.items()}
 
     def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
-        """By the engine; no others will be asked for."""
+        """The segments of each shard, in their order."""
         items = [(shard, self._select_rows(shard, work.length)) for shard in shards]
         if self._aside is not None:
             self._aside.only(shards)

@@ -44,7 +44,7 @@ LITTLE, SOUGHT = "little_information", 0.1
 
 @dataclass(frozen=True)
 class Outcome:
-    """As in `History`."""
+    """The outcome, as in `History`."""
 
     periods: pl.DataFrame
     axes: pl.DataFrame
@@ -294,7 +294,7 @@ def data_of(data: object, columns: Columns, engine: Engine | None, out: Path | N
 
 
 def _plain(row: Mapping[str, object]) -> dict[str, object]:
-    """Numbers that JSON knows."""
+    """The row with None in place of numbers that JSON does not know."""
     return {key: None if isinstance(value, float) and value - value != 0 else value for key, value in row.items()}
 
 
@@ -323,7 +323,7 @@ def estimate(
     is none; None: that of [monitor].
 
     Axes, times and files that cannot be used are among the `problems` and the findings of the periods; the rest is
-    done. Raises UsageError where nothing can be: for other columns, methods that are not recursive, no moving axis.
+    done. Raises UsageError if nothing can be: for other columns, methods that are not recursive, no moving axis.
     """
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     columns, periods = Columns.from_axis(own, by, type), Periods.from_name(period)

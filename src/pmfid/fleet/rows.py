@@ -84,7 +84,7 @@ class Aside:
         return name in self._waiting
 
     def prepare(self, shard: RowShard) -> None:
-        """Puts aside what the shard needs. Raises UsageError where the disk is full; a part that cannot be read says so
+        """Puts aside what the shard needs. Raises UsageError if the disk is full; a part that cannot be read says so
         when its rows are asked for."""
         for name in shard.parts:
             if name in self:
@@ -109,7 +109,7 @@ class Aside:
 
     def read(self, name: str, shard: RowShard) -> dict[str, NDArray[np.generic]]:
         """The rows of a shard from one part that is put aside: the number of the axis in the shard's, and the columns
-        of `source`. Raises UsageError where the part could not be read."""
+        of `source`. Raises UsageError if the part could not be read."""
         laid = self._laid[name]
         if laid.error is not None:
             raise UsageError(str(laid.error))
@@ -186,7 +186,7 @@ class _Target:
     def __init__(self, axes: Sequence[str], shards: Sequence[RowShard], length: float) -> None:
         edges = np.unique([edge for shard in shards for edge in (shard.first, shard.last)])
         number = {axis: k for k, axis in enumerate(axes)}
-        # a column before and after all edges belongs to nobody
+        # a column before or after all edges belongs to no axis
         self._table = np.full((len(axes), edges.size + 1), -1, np.int32)
         for k, shard in enumerate(shards):
             first, last = np.searchsorted(edges, [shard.first, shard.last])

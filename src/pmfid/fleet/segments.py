@@ -84,8 +84,8 @@ class Share:
 
 
 def shares_of(counts: Counts, settled: int, quarter: int, span: int) -> Iterator[Share]:
-    """Of a part (n,) without a gap. settled: samples in which the filters settle; quarter: of a whole segment; span:
-    samples that moves of one segment are apart, at most."""
+    """The shares of a part (n,) without a gap. settled: samples in which the filters settle; quarter: of a whole
+    segment; span: greatest distance of samples that move in one segment."""
     edges = np.r_[0, np.flatnonzero(np.diff(counts)) + 1, counts.size]
     long = np.flatnonzero(np.diff(edges) > TUNING.segments_long * settled)
     kept = np.ones(counts.size, bool)

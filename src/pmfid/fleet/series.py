@@ -60,7 +60,7 @@ class Series:
 
 
 def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
-    """Of the segments of one axis, in the order of time."""
+    """The series of one axis' segments, in the order of time."""
     theta, std = (np.stack([rows[name + end].to_numpy() for name in names], axis=1) for end in ("", "_std"))
     start, end, lost, dt = (rows[name].to_numpy() for name in ("start", "end", "lost", "dt"))
     return Series(start, end, rows["samples"].to_numpy(), lost, dt, rows["status"].to_numpy(), theta, std)

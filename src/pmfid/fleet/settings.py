@@ -145,8 +145,8 @@ def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
 
 
 def _best(found: Sequence[tuple[tuple[int, float], Chosen]]) -> Chosen:
-    """Of those with most segments the quickest filters that cost little: other axes may move more slowly than these,
-    and leave less to slow ones."""
+    """The quickest filters that cost little, among those with most segments: other axes may move more slowly, and leave
+    less to slow filters."""
     most = max(usable for (usable, _), _ in found)
     known = [(stds, chosen) for (usable, stds), chosen in found if usable == most]
     least = max(stds for stds, _ in known)
@@ -189,7 +189,7 @@ def liveliest(record: Record) -> Record:
 
 
 def _estimators(axis: Axis, record: Record, pole: float) -> Iterator[RecursiveEstimator]:
-    """With all zeros of the pre-filters that there are to choose from, where they are not given."""
+    """The estimators with all zeros of the pre-filters that there are to choose from, if none are given."""
     update = {"cutoff": pole, "forgetting": forgetting_of(TUNING.settings_segments[0], record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
     estimator = recursive(make_estimator(match_kind(record, own), record))

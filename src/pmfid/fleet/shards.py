@@ -165,7 +165,7 @@ def _sort_messages(messages: Iterable[bytes]) -> list[bytes]:
 
 
 def _key(data: bytes) -> tuple[Any, ...]:
-    """Of a message; of one that is no block its own bytes, for nobody knows where it ends."""
+    """The key of a message; a message that is no block has its own bytes, because its end is unknown."""
     if len(data) < HEADER.size or not data.startswith(MAGIC):
         return (2**64, 0, 0, 0, 0, 0, data)
     _, version, flags, samples, epoch, letters, first, _, _ = HEADER.unpack_from(data)
@@ -257,8 +257,8 @@ class States:
 
     @classmethod
     def from_folder(cls, folder: Path, digest: str) -> States:
-        """Of the last checkpoint in the folder of a service. Raises UsageError where there is none, or another service
-        has it."""
+        """The states of the last checkpoint in the folder of a service. Raises UsageError if there is none, or another
+        service has it."""
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no folder of states; give [service] state of a PLANT.toml")
         vault = Vault(folder)
@@ -273,7 +273,7 @@ class States:
 
     @property
     def groups(self) -> list[Saved]:
-        """Of this configuration."""
+        """The groups of this configuration."""
         return [group for one in self.snapshots for group in one.groups if group.digest == self.digest]
 
     @property
@@ -304,7 +304,7 @@ class States:
 
     def write(self, folder: Path, prepared: Prepared, pace: Pace, names: Sequence[str] = ()) -> int:
         """The states of some axes, all where no name is given, as the checkpoint of a service with [service] state =
-        that folder, which goes on with them; how many. Raises UsageError where another service has the folder."""
+        that folder, which goes on with them; how many. Raises UsageError if another service has the folder."""
         chosen = self.only(names)
         vault = Vault(folder)
         try:
@@ -430,7 +430,7 @@ class Folder:
     KINDS = ("estimates", "notices", "batches")
 
     def write(self, batch: int, table: pl.DataFrame) -> None:
-        """The rows of a batch, in place of those from before. Raises UsageError where the disk takes none."""
+        """The rows of a batch, in place of those from before. Raises UsageError if the disk takes none."""
         import polars as pl
 
         crash_point("stream.given")

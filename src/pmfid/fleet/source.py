@@ -67,7 +67,7 @@ def is_delta(folder: Path) -> bool:
 
 
 def check_no_table(folders: Sequence[Path]) -> None:
-    """Raises UsageError where one of the folders of plain files is a table of a lake: files that no longer count would
+    """Raises UsageError if one of the folders of plain files is a table of a lake: files that no longer count would
     be read as data."""
     logs = [one for one in folders if one.name == DELTA]
     logs += [one for one in folders if one.name == ICEBERG and any(one.glob(METADATA))]
@@ -147,7 +147,7 @@ def _parse_dates(column: pl.Expr) -> pl.Expr:
 
 
 def other_unit(first: float, last: float, factor: float) -> str:
-    """What to do where times [s] lie beyond this century and another unit makes dates of it; empty where they do not.
+    """What to do where times [s] lie beyond this century and another unit makes dates of it; empty if they do not.
     factor: seconds per unit that was taken."""
     if last < RECORD_TUNING.clock_epochs[1]:
         return ""
@@ -253,8 +253,8 @@ class Part:
             yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
     def rows(self, columns: Columns) -> pl.LazyFrame:
-        """Its rows with the columns of this module: axis and type as text, time [s] and the others as float64. Raises
-        UsageError where a column is not there, or is nothing that can be read as numbers."""
+        """The rows of a part with the columns of this module: axis and type as text, time [s] and the others as
+        float64. Raises UsageError for a column that is missing, or cannot be read as numbers."""
         import polars as pl
 
         with readable(Path(self.name).suffix or "frame"):

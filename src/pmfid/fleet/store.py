@@ -34,7 +34,7 @@ def digest(*parts: object) -> str:
 
 
 class Store:
-    """A table and its problems for each key; folder: where they are, for one call at a time. Raises UsageError where
+    """A table and its problems for each key; folder: where they are, for one call at a time. Raises UsageError if
     the folder is a file, holds something else, cannot be written, or another call has it."""
 
     def __init__(self, folder: Path) -> None:
@@ -61,7 +61,7 @@ class Store:
             return None
 
     def put(self, key: str, rows: pl.DataFrame, problems: Sequence[RowProblem]) -> None:
-        """Lays a table and its problems down. Raises UsageError where the disk is full."""
+        """Lays a table and its problems down. Raises UsageError if the disk is full."""
         text = json.dumps([asdict(one) for one in problems])
         whole(self._problems_path(key), lambda path: path.write_text(text, encoding="utf-8"))
         whole(self.path(key), lambda path: rows.write_parquet(path))
@@ -94,7 +94,7 @@ OWN = RESULTS | {"fleet.html", "fleet.json"}
 
 
 def check_folder(folder: Path) -> None:
-    """Raises UsageError where the folder is a file, holds something else, or cannot be looked into."""
+    """Raises UsageError if the folder is a file, holds something else, or cannot be looked into."""
     try:
         inside = [path.name for path in folder.iterdir()]
     except FileNotFoundError:
@@ -110,7 +110,7 @@ def check_folder(folder: Path) -> None:
 
 
 def whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Writes a file in one step. Raises UsageError where that cannot be."""
+    """Writes a file in one step. Raises UsageError if that cannot be."""
     from polars.exceptions import PolarsError  # what its writers make of a full disk
 
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
@@ -147,7 +147,7 @@ class Kept:
     problems: tuple[RowProblem, ...]
 
     def rows(self) -> pl.DataFrame:
-        """The table. Raises UsageError where it has gone from the disk since."""
+        """The table. Raises UsageError if it has gone from the disk since."""
         import polars as pl
 
         if self.here is not None:

@@ -25,7 +25,7 @@ CHANGED, DRIFTS, DIFFERS, WANDERS, UNKNOWN = "changed", "drifts", "differs", "wa
 @dataclass(frozen=True)
 class Follow:
     """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones; wander:
-    what step and trend explain beyond it, None where neither is clear; dt: the median [s]; codes: findings of theta."""
+    what step and trend explain beyond it, None if neither is clear; dt: the median [s]; codes: findings of theta."""
 
     axis: str
     type: str
@@ -71,7 +71,7 @@ class AxisVerdict:
 
     @property
     def weight(self) -> float:
-        """By which they stand in order: where evidence is enough by the size, else by that."""
+        """The rank of a finding: its size, if the evidence is sufficient, else its evidence."""
         return abs(self.total) if self.kind and math.isfinite(self.total) else self.score
 
     @property
@@ -155,7 +155,7 @@ def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdic
 
 
 def _wandering(verdict: AxisVerdict, wander: Beyond, names: Sequence[str]) -> AxisVerdict:
-    """In place of a step or drift that explains no more."""
+    """A wandering, in place of a step or drift that explains no more."""
     own = [size for size, name in zip(wander.size, names, strict=True) if verdict.cause in name]
     return AxisVerdict(WANDERS, verdict.score, verdict.cause, float(max(own or wander.size)))
 
@@ -264,7 +264,7 @@ def format_span(since: float, until: float) -> str:
 
 
 def sentence(verdict: AxisVerdict) -> str:
-    """Why the axis needs attention, or what else there is to say; empty where there is nothing."""
+    """Why the axis needs attention, or what else there is to say; empty if there is nothing."""
     what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
     size, std = 100 * verdict.size, 100 * verdict.std
     if verdict.kind == CHANGED:

@@ -46,7 +46,8 @@ def silent() -> Iterator[None]:
 
 @contextmanager
 def require_extra(extra: str) -> Iterator[None]:
-    """For the import of a library from an extra of the package: raises UsageError with the command that installs it."""
+    """Import a library from an extra of the package inside this context. Raises UsageError with the command that
+    installs it."""
     try:
         yield
     except ImportError as error:

@@ -46,7 +46,7 @@ def new_kernel(
     auxiliary, linear, late: the fields of the C structures by name; without auxiliary and linear there is no model that
     is simulated, and no `instrument`; without late the input acts at once; shapes: the field of this name of
     `auxiliary`, where there is none. first_samples: settle_samples where not given; rates: of a clock that is not even.
-    Raises ValueError where a size is
+    Raises ValueError if a size is
     exceeded, a field is missing or unknown, or the kernel finds the numbers impossible.
     """
     from pmfid import _kernel32, _kernel64
@@ -175,7 +175,7 @@ def shape_values(
 
 
 def too_many(tables: Sequence[ShapeTable]) -> str:
-    """Why the kernel cannot hold them, with a remedy; empty where it can."""
+    """Why the kernel cannot hold them, with a remedy; empty if it can."""
     knots = 1 + sum(len(table.knots) for table in tables)
     if len(tables) <= MOST_SHAPES and knots <= MOST_KNOTS:
         return ""

@@ -197,7 +197,7 @@ def copy_fields(source: Structured, target: Structured) -> None:
 
 @cache
 def whole_words(precision: str) -> bytes:
-    """For every four bytes of the module's state 1 where they are a whole number, else 0."""
+    """A flag for every four bytes of the module's state: 1 if they are a whole number, else 0."""
     state = structures(None, precision)["pmf_state_t"]
     words = np.zeros(state.itemsize // 4, np.uint8)
     words[[place // 4 for place in _whole_places(state, 0)]] = 1

@@ -281,7 +281,7 @@ class Experiment(Presentable):
         return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
 
     def decimated(self, factor: int) -> Experiment:
-        """Every factor-th sample. Raises UsageError where the held input changes in between: what it did then would be
+        """Every factor-th sample. Raises UsageError if the held input changes in between: what it did then would be
         lost; leave samples of y out instead (NaN), which keeps the input."""
         if factor < 1 or self.hold != "zoh":
             raise UsageError(
@@ -430,7 +430,7 @@ class RecordStretch:
     record: int = 0
 
     def scale_time(self, rate: float) -> RecordStretch:
-        """With time in units of 1/rate."""
+        """The experiment with time in units of 1/rate."""
         return replace(self, grid=Grid(self.grid.steps * rate, self.grid.size))
 
 

@@ -152,7 +152,7 @@ def _drop_start(experiment: Experiment, longest: int) -> Experiment:
 def _colour(
     experiments: Sequence[Experiment], orders: Sequence[int], delays: Sequence[int], cutoff: float, offset: bool
 ) -> Noise | None:
-    """Of what the best of a middle and of the largest order leaves; None where no such model follows the record."""
+    """Of what the best of a middle and of the largest order leaves; None if no such model follows the record."""
     best, noise = math.inf, None
     for n in sorted({max(orders), min(max(orders), TUNING.order_middle)}):
         for delay in delays:

@@ -108,7 +108,7 @@ class Process(Presentable):
 
     @property
     def delay_std(self) -> float:
-        """Standard deviation of the dead time [s]; 0 where it was given."""
+        """Standard deviation of the dead time [s]; 0 if it was given."""
         return float(np.sqrt(self.cov[-1, -1])) if self._late else 0.0
 
     @property
@@ -232,7 +232,7 @@ class Process(Presentable):
         return TransferFunction(self.b[::-1], np.r_[1.0, self.a[::-1]])
 
     def to_control(self) -> control.TransferFunction:
-        """`control.TransferFunction` of python-control, without the dead time. Raises UsageError where that is not
+        """`control.TransferFunction` of python-control, without the dead time. Raises UsageError if that is not
         installed."""
         try:
             import control
@@ -344,7 +344,7 @@ class Process(Presentable):
 
 
 def _deviation(slope: Floats, cov: Floats) -> float:
-    """Of slope @ parameters; infinite where rounding leaves a negative variance: nothing is known then."""
+    """The standard deviation of slope @ parameters; infinite if rounding leaves a negative variance."""
     variance = float(slope @ cov @ slope)
     return variance**0.5 if variance >= 0 else float("inf")
 

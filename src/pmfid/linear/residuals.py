@@ -138,7 +138,7 @@ def _place_on_line(columns: Floats, place: Places, size: int) -> Floats:
 
 
 def _size(place: Places) -> int:
-    """Of a transform in which the end of the line does not reach its beginning."""
+    """The size of a transform in which the end of the line does not reach its beginning."""
     return 1 << int(2 * (place[-1] - place[0]) + TUNING.residuals_round).bit_length()
 
 
@@ -163,8 +163,8 @@ def correlate_at_lag(early: Floats, late: Floats, lag: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Phases:
-    """Rows (N,) of a residual by their place in the period: index (N,) of it, counts (P,) of the rows there, all 2 or
-    more; kept (N,): rows whose place has them."""
+    """Rows (N,) of a residual by their place in the period. index (N,): place of each row; counts (P,): rows at each
+    place, all 2 or more; kept (N,): rows whose place has such a count."""
 
     index: Places
     counts: Floats
@@ -182,7 +182,7 @@ class Phases:
 
 
 def period_of(u: Floats) -> int | None:
-    """Samples after which u (M,) repeats itself, to the end, for at least two periods; None where it does not."""
+    """Samples after which u (M,) repeats itself, to the end, for at least two periods; None if it does not."""
     change = np.flatnonzero(np.abs(np.diff(u)) > 0)
     if not change.size:
         return None
@@ -196,7 +196,7 @@ def period_of(u: Floats) -> int | None:
 
 
 def phases_of(stretches: Sequence[RecordStretch], unknowns: int) -> Phases | None:
-    """Of the rows of all stretches; None where one has no period, or too short a one, or none has two of them."""
+    """Of the rows of all stretches; None if one has no period, or too short a one, or none has two of them."""
     index, start = [], 0
     for stretch in stretches:
         period = period_of(stretch.inputs[0]) if stretch.grid.uniform else None

@@ -96,7 +96,7 @@ class Structure:
     """n poles, m zeros, with or without a constant in addition to the input.
 
     integrators: number of poles at 0. unstable: poles may be in the right half-plane. dead_time: of the input,
-    beyond what the stretches know of, in their unit of time; latest: None where it is known, else it is the last
+    beyond what the stretches know of, in their unit of time; latest: None if it is known, else it is the last
     parameter, sought from dead_time on and up to this.
     """
 
@@ -182,7 +182,7 @@ def companion(a: Floats) -> Floats:
 
 
 def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twice: bool) -> Channels:
-    """At theta (p,), through its denominator and dead time; twice: with s^j / (A A')."""
+    """The channels at theta (p,), through its denominator and dead time; twice: with s^j / (A A')."""
     n, free, size, late = structure.n, structure.free, stretch.grid.size, structure.lateness(theta)
     a = structure.denominator(theta)
     w = np.vstack([stretch.inputs, np.ones((int(structure.offset), size)), np.zeros((1, size))])
@@ -212,7 +212,7 @@ def _double(a: Floats, single: Floats, states: Floats) -> Floats:
 
 
 def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch) -> Linearised:
-    """At theta (p,), with initial conditions (n,) of the stretch; time in the unit of the stretch."""
+    """The linearisation at theta (p,), with initial conditions (n,) of the stretch; time in the unit of the stretch."""
     n, free = structure.n, structure.free
     a, b, offset = structure.split(theta)
     here = channels(structure, theta, stretch, twice=True)

@@ -23,7 +23,7 @@ _ROTARY = {
 
 @dataclass(frozen=True)
 class Units:
-    """Of travel, speed, force and what is accelerated, and the name of the latter."""
+    """Units of travel, speed, force and inertia, and the name of the inertia."""
 
     travel: str
     speed: str

@@ -256,7 +256,7 @@ class Equation:
 
     @property
     def relative_degree(self) -> int:
-        """Of a process: highest derivative of the output less highest derivative of the input."""
+        """The relative degree of a process: highest derivative of the output less highest derivative of the input."""
         terms = (*self.unknown, *self.known)
         return self.order - max(term.derivative for term in terms if term.signal == "process_input")
 
@@ -304,7 +304,7 @@ class Equation:
 
     @cached_property
     def roles(self) -> tuple[int | None, ...]:
-        """For each role of the auxiliary model the index of its parameter, or None."""
+        """The index of the parameter for each role of the auxiliary model, or None."""
         places = {term.place: i for i, term in enumerate(self.unknown)}
         body = tuple(next((places[place] for place in role if place in places), None) for role in ROLES)
         return (*body, *(i for i, term in enumerate(self.unknown) if term.shape is not None))
@@ -320,7 +320,7 @@ class Equation:
 
     @cached_property
     def shapes(self) -> tuple[tuple[ShapeTable, bool], ...]:
-        """Their tables, and whether each acts against the motion. Raises UsageError where one is not known."""
+        """The tables of the shapes, and whether each acts against the motion. Raises UsageError if one is not known."""
         return tuple((term.shape.table(), term.signal == "friction") for term in self.shaped if term.shape is not None)
 
     @property
@@ -329,13 +329,13 @@ class Equation:
         return self.roles[STIFFNESS] is not None or any(not term.shape.of_speed for term in self.shaped if term.shape)
 
     def known_at(self, further: Sequence[float] | Floats) -> Equation:
-        """With lag and shape parameters, the values of `further` (f,), known, and nothing but linear unknowns."""
+        """The equation with lag and shape parameters, the values of `further` (f,), known: all unknowns are linear."""
         lagging = self.lag == ESTIMATE
         plain = self.at_lag(max(0.0, float(further[0]))) if lagging else self
         return plain.at_shapes(further[lagging:])
 
     def at_shapes(self, further: Sequence[float] | Floats) -> Equation:
-        """With the shape parameters, the last of `further` (f,), known."""
+        """The equation with the shape parameters, the last of `further` (f,), known."""
         if not self._free:
             return self
         values = iter(further[len(further) - len(self._free) :])
@@ -378,7 +378,7 @@ class Equation:
 
     @property
     def text(self) -> str:
-        """In one line, for people."""
+        """The equation in one line, for people."""
         if not self.process:
             left = [f"{term.name} {term.reads}" for term in self.unknown if term.signal != "input"]
             late = DEAD_TIME if self.dead_time == ESTIMATE else f"{self.dead_time:.9g} s"

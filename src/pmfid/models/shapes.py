@@ -41,7 +41,7 @@ class Shape(ABC):
 
     @abstractmethod
     def table(self) -> ShapeTable:
-        """The form as the kernel reads it. Raises UsageError where a parameter of it is not known yet."""
+        """The form as the kernel reads it. Raises UsageError if a parameter of it is not known yet."""
 
     @property
     @abstractmethod

@@ -264,7 +264,7 @@ class Calibration:
         return UNUSABLE if self.work is None else UNUSABLE_AT_REST
 
     def detectors(self, estimator: Estimator) -> dict[str, Detector]:
-        """By name, as they were calibrated."""
+        """The detectors by name, as they were calibrated."""
         keep = block_keep(estimator) if self.work is None else TUNING.unit_keep
         return make_detectors(keep, self.chi_square)
 
@@ -416,7 +416,8 @@ def _tails(
 
 
 def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts, left_out: int = UNUSABLE) -> Blocks:
-    """Of a record of normal work, once the model has its velocity; raises UsageError if hardly any are left."""
+    """The blocks of a record of normal work, once the model has its velocity. Raises UsageError if hardly any are
+    left."""
     start = start_blocks(estimator, theta)
     blocks = scores(estimator, theta, u, counts, left_out)[start:]
     if len(blocks.score) < TUNING.least_record_blocks:

@@ -301,8 +301,8 @@ class MonitorFleet:
         return range(before, self.axes)
 
     def remove(self, index: ArrayLike) -> NDArray[np.int64]:
-        """Without these axes; the others move up in their order. Returns (axes before,) their new numbers, -1 of those
-        that are gone. Raises UsageError for one that is not there or comes twice."""
+        """Remove these axes; the others move up in their order. Returns (axes before,) their new numbers, -1 for
+        removed ones. Raises UsageError for an axis that is not there or comes twice."""
         kept, moved = np.ones(self.axes, np.bool_), np.full(self.axes, -1, np.int64)
         kept[self._places(index)] = False
         moved[kept] = np.arange(kept.sum())

@@ -156,7 +156,7 @@ class Result(Presentable):
 
     @property
     def beforehand(self) -> dict[str, str]:
-        """By parameter, its prior information: "given" or "prior"."""
+        """The prior information by parameter: "given" or "prior"."""
         return {}
 
     @property
@@ -239,7 +239,7 @@ class Result(Presentable):
         ]
 
     def _describe_beyond_noise(self) -> dict[str, dict[str, object]]:
-        """By parameter, its entries of `to_json` on the model spread; null: not known."""
+        """The entries of `to_json` on the model spread, by parameter; null: not known."""
         names = self.names
         if self.model_spread is None or self.interval_95 is None:
             return {name: {} for name in names}

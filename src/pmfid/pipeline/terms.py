@@ -382,13 +382,14 @@ def _judge_initial_model(data: Record, axis: Axis) -> Said | None:
 
 
 def round_up(number: float) -> float:
-    """To three digits, never down."""
+    """The number with three digits, rounded up."""
     digit = 10.0 ** (math.floor(math.log10(number)) - 2)
     return math.ceil(number / digit) * digit
 
 
 def _fast_enough(data: Record, axis: Axis) -> Axis:
-    """With a cutoff: if none is given, one after whose filters a part of the record can be predicted."""
+    """The configuration with a cutoff. If none is given: one after whose filters a part of the record can be
+    predicted."""
     found, least = (
         Drives().prepare_axis(data, axis),
         choose_cutoff(data.u.size // ESTIMATOR_TUNING.adequacy_parts, data.dt),
@@ -441,7 +442,7 @@ def _assemble_search(
 
 
 def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:
-    """As on an estimate."""
+    """Judge the chosen model as an estimate is judged."""
     trial = chosen.trial
     if chosen.fit is None:
         return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),), True

@@ -46,7 +46,7 @@ class Polynomial:
     def _interpolate_at(
         self, u: Floats, places: NDArray[np.intp], rows: NDArray[np.intp], at: NDArray[np.intp]
     ) -> Floats:
-        """Values (t,) at places (t,), by the samples in rows (t, 2 half)."""
+        """Values (t,) at places (t,), interpolated from the samples in rows (t, 2 half)."""
         apart = (places[rows] - at[:, None]).astype(np.float64)
         weight = np.where(np.abs(apart) <= TUNING.gaps_near * self.half, 1.0, TUNING.far_weight)
         powers = (apart / np.max(np.abs(apart), axis=1, keepdims=True))[..., None] ** np.arange(self.degree + 1)

@@ -235,7 +235,7 @@ def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
 
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     """Samples of the input (n,) that are spikes: the counts (n,) do not follow them."""
-    size = np.abs(np.nan_to_num(u))  # in a gap nobody knows it
+    size = np.abs(np.nan_to_num(u))  # unknown in a gap
     large = np.flatnonzero(size > TUNING.outliers_spike * np.quantile(size, 1 - TUNING.most_inputs, method="lower"))
     if large.size == 0 or counts.size < 4 * TUNING.answer_samples:
         return large[:0]

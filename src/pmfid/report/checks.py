@@ -136,7 +136,7 @@ def _means(axes: Axes, found: Binned, mean: Floats) -> None:
 
 
 def _limits(axes: Axes, y: Floats) -> None:
-    """So that a few wild samples do not flatten the rest."""
+    """Limits of an axis, chosen so that a few wild samples do not flatten the rest."""
     low, high = (float(limit) for limit in np.quantile(y, (0.002, 0.998)))
     margin = 0.1 * (high - low) or 1e-6
     axes.set_ylim(low - margin, high + margin)

@@ -265,7 +265,7 @@ def rounds_table(state: Commissioning) -> Rows:
 
 
 def _with_std(value: float, std: float) -> str:
-    """To two digits of the standard deviation."""
+    """A number to two digits of its standard deviation."""
     digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 

@@ -298,7 +298,7 @@ def _wandering(found: History) -> Section | None:
 
 
 def _strength(score: float) -> str:
-    """In multiples of what chance would name."""
+    """The strength of a finding, in multiples of what chance would name."""
     return f"{score:.1f} ×" if score < 10 else f"{score:.0f} ×" if score < 100 else "over 100 ×"
 
 

@@ -253,7 +253,7 @@ def _verdict(setup: Setup, run: MonitoredRun) -> Section:
 
 
 def _alarm_row(run: MonitoredRun, alarm: Notice) -> list[str]:
-    """With the value that the parameter settled on before the next alarm, if it did."""
+    """The row of an alarm, with the value on which the parameter settled before the next alarm, if it did."""
     later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
     found = later[0]["parameters"].get(alarm["parameter"]) if later and later[0]["event"] == "settled" else None
     return [

@@ -53,7 +53,7 @@ SAMPLES = "sample [-]"
 
 
 def with_samples(figure: Figure) -> Figure:
-    """A figure over numbers of samples, where nobody said how far apart they are."""
+    """A figure over sample numbers, for results without a sample period."""
     for axes in figure.axes:
         if axes.get_xlabel() == "time [s]":
             axes.set_xlabel(SAMPLES)
@@ -111,7 +111,7 @@ def experiment_figure(experiment: Experiment) -> Figure:
 
 
 class Drawing(Figure):
-    """A figure that a notebook shows by itself, also where nobody has imported pyplot."""
+    """A figure that a notebook shows by itself, also without an import of pyplot."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -129,7 +129,7 @@ def figure_of(shown: object, **options: object) -> Drawing:
         if "unexpected keyword" in str(error):
             raise UsageError(f"the figure of {type(shown).__name__} has no such option: {error}") from None
         raise
-    figure.__class__ = Drawing  # whoever made it
+    figure.__class__ = Drawing  # also of a figure that another function made
     return cast(Drawing, figure)
 
 

@@ -173,7 +173,7 @@ def output_figure(result: ProcessResult) -> Figure:
 
 
 def bode_figure(result: ProcessResult) -> Figure:
-    """Of a result; see `bode_of`."""
+    """The Bode figure of a result; see `bode_of`."""
     return bode_of(result.process, result.estimator.dt)
 
 

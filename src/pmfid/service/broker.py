@@ -28,7 +28,7 @@ def is_here(host: str) -> bool:
 
 
 def secret(env: str | None, file: str | None, folder: Path) -> str | None:
-    """A password or token from the environment or from a file in `folder`; None where neither is given. Raises
+    """A password or token from the environment or from a file in `folder`; None if neither is given. Raises
     UsageError where there is none, and for a file that everybody can read."""
     if env is not None:
         if env not in os.environ:

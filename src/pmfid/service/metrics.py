@@ -84,7 +84,7 @@ class _Counted(Collector):
 
 
 class _Process(ProcessCollector):
-    """With the threads of the process; a system without /proc tells its CPU time alone."""
+    """Metrics of the process, with its threads; a system without /proc reports the CPU time alone."""
 
     def collect(self) -> Iterable[Metric]:
         found = list(super().collect())

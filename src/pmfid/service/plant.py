@@ -113,7 +113,7 @@ class Plant:
     page: Mapping[str, Any] | None = None
 
     def with_page(self, page: Mapping[str, Any] | None) -> Plant:
-        """With these keys of [page] before its own; None: as it is."""
+        """The plant with these keys of [page] before its own; None: unchanged."""
         return self if page is None else replace(self, page={**(self.page or {}), **page})
 
     @property

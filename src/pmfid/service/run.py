@@ -415,7 +415,7 @@ class Service:
         self._engine.ask(lambda: self._adopt(plant, axes))
 
     def _adopt(self, plant: Plant, axes: dict[str, Prepared]) -> None:
-        """By the engine's thread, between two ticks."""
+        """Adopt a new plant, in the engine's thread, between two ticks."""
         before, self._axes = self._axes, axes
         fresh = self._arrange(self._engine.groups)
         tell_configurations(self._engine)

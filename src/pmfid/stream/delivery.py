@@ -42,7 +42,7 @@ class Block:
 
 
 def join_arrays(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
-    """For each name the concatenation of the parts' arrays of that name."""
+    """The concatenation of the parts' arrays, by name."""
     return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
 
 

@@ -91,7 +91,7 @@ def _most(encoder: Encoder, dt: float) -> float:
 
 
 def _freeze(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """A copy that nobody can write to: several cases share it."""
+    """A read-only copy, which several cases share."""
     copy = array.copy()
     copy.setflags(write=False)
     return copy
@@ -258,12 +258,12 @@ class Case:
 
     @cached_property
     def result(self) -> Fit | Track:
-        """On the fine record."""
+        """The result on the fine record."""
         return result_of(self.configured, self.fine.u, self.fine.counts)
 
     @cached_property
     def short_result(self) -> Fit | Track:
-        """On its first part, where the bits alone matter."""
+        """The result on the first part of the fine record, if the bits alone matter."""
         return result_of(self.configured, *self.short)
 
     @property
@@ -272,7 +272,7 @@ class Case:
 
     @cached_property
     def coarse_result(self) -> Fit | Track:
-        """On the coarse record."""
+        """The result on the coarse record."""
         return result_of(self.endless, self.coarse.u, self.coarse.counts)
 
     @property
@@ -295,7 +295,7 @@ class Case:
 
 
 def result_of(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Fit | Track:
-    """What an estimator at its start makes of a record, of which it gets a copy."""
+    """The result of an estimator in its start state, on a copy of a record."""
     return call(estimator, copy.deepcopy(u), copy.deepcopy(counts))
 
 

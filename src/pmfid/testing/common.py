@@ -33,7 +33,7 @@ def configuration_is_a_value(case: Case) -> None:
 
 
 def wrong_arguments_are_refused(case: Case) -> None:
-    """At construction, with a UsageError: what no configuration can be."""
+    """Impossible configurations are refused at construction, with a UsageError."""
     wrong: dict[str, tuple[object, ...]] = {
         "dt": (0.0, float("nan")),
         "cutoff": (-1.0, 2.1 / case.estimator.dt),
@@ -50,14 +50,14 @@ def wrong_arguments_are_refused(case: Case) -> None:
 
 
 def wrong_arrays_are_refused(case: Case) -> None:
-    """With a UsageError: two lengths, and counts that are no whole numbers."""
+    """Two lengths, and counts that are no whole numbers, are refused with a UsageError."""
     u, counts = case.fine.u, case.fine.counts
     require_refusal(UsageError, "a count less than inputs", lambda: result_of(case.configured, u, counts[:-1]))
     require_refusal(UsageError, "counts of 0.5", lambda: result_of(case.configured, u, counts + 0.5))
 
 
 def names_are_of_the_parameters(case: Case) -> None:
-    """As many as parameters and units, no two the same; a result is asked by them."""
+    """The names are as many as parameters and units, and all differ; a result is asked by them."""
     names, result = case.configured.names, case.result
     require(len(set(names)) == len(names), f"names are twice in {names}")
     require(len(names) == len(case.configured.units) == case.theta.size, "there are not as many names as parameters")
@@ -79,7 +79,7 @@ def inputs_stay_untouched(case: Case) -> None:
 
 
 def finds_the_truth(case: Case) -> None:
-    """On a fine record of its own model."""
+    """The estimator finds the truth on a fine record of its own model."""
     if case.fine.theta is None:
         return
     known = case.fine.theta != 0
@@ -133,14 +133,14 @@ def _mirror_theta(estimator: Estimator, theta: Floats) -> Floats:
 
 
 def _factors(estimator: Estimator) -> Floats:
-    """By which a parameter grows when position and force have a thousandth of their unit."""
+    """The factors by which parameters grow when position and force have a thousandth of their unit."""
     return _each(
         estimator, lambda term: 1.0 if term.facts.measured or term.signal == "input" else TUNING.common_thousand
     )
 
 
 def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
-    """Of each parameter that of its term; 1 for the coefficients of a pre-filter and a dead time."""
+    """The value of each parameter's term; 1 for the coefficients of a pre-filter and a dead time."""
     factors = [factor(term) for term in estimator.equation.unknown]
     return np.array(factors + [1.0] * (len(estimator.names) - len(factors)))
 

@@ -33,7 +33,7 @@ from pmfid.types import Counts, Floats
 
 
 def copies_fit_alike(case: Case) -> None:
-    """Also one of an estimator that has been at work."""
+    """Copies fit alike, also a copy of an estimator that has been at work."""
     worker, expected = case.configured, case.short_result.theta
     for name, again in COPIES.items():
         found = result_of(again(worker), *case.short).theta
@@ -103,7 +103,8 @@ def reset_is_a_start(case: Case) -> None:
 
 
 def a_foreign_state_is_refused(case: Case) -> None:
-    """With a UsageError, and without a trace: one of another configuration, a damaged one, and no state at all."""
+    """A foreign state is refused with a UsageError, and without a trace: one of another configuration, a damaged one,
+    and no state at all."""
     estimator = _run_some(case)
     before = estimator.get_state()
     other = Case(replace(case.configured, dt=TUNING.other_dt * case.configured.dt)).start_estimator()
@@ -148,7 +149,7 @@ def precisions_agree(case: Case) -> None:
 
 
 def the_kernels_own(case: Case) -> None:
-    """Of what stands on the kernel: the public class of an estimate, runners that share nothing, axes side by side."""
+    """What stands on the kernel: the public class of an estimate, runners that share nothing, axes side by side."""
     estimator = _run_some(case)
     if not isinstance(estimator, RecursiveEstimator):
         return

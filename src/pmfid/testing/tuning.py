@@ -38,9 +38,9 @@ class TestingTuning:
     case_short: int = 1000
 
     # common
-    #: Of its own parameters an estimator may miss so much on a fine record.
+    #: Greatest relative error of the parameters on a fine record.
     common_near: float = 0.1
-    #: Of a change of units or signs a result may keep so much, for the counts are whole numbers.
+    #: Greatest relative difference after a change of units or signs, because counts are whole numbers.
     common_same: float = 1e-3
     common_mirrored: float = 5e-3
     #: Units of position in one of another choice.

@@ -33,7 +33,7 @@ NO_PYSPARK = "the engine spark needs PySpark 4.2 or later: pip install 'pmfid[sp
 NO_JAVA = (
     "Spark needs a Java runtime, 17 or later, and finds none: apt install openjdk-17-jre-headless, or set JAVA_HOME"
 )
-#: Of a session on this machine: nobody else can reach it, and it prints errors alone.
+#: Settings of a session on this machine: it is reachable from this machine alone, and prints errors alone.
 QUIET = {
     "spark.driver.bindAddress": LOOPBACK,
     "spark.driver.host": LOOPBACK,
@@ -48,7 +48,7 @@ QUIET = {
 
 
 def running() -> SparkSession | None:
-    """The session that runs already. Raises UsageError where PySpark is missing."""
+    """The session that runs already. Raises UsageError if PySpark is missing."""
     return _spark().getActiveSession()
 
 
@@ -57,7 +57,7 @@ def session_of(master: str | None = None, settings: Mapping[str, str] | None = N
     one of this machine, with all its processors, that nobody else can reach.
 
     master: as Spark has it, "local[2]", "spark://host:7077", "yarn", "sc://host" (Spark Connect). settings: of Spark;
-    of a session that runs already those that can still be changed. Raises UsageError where PySpark or Java is missing,
+    of a session that runs already those that can still be changed. Raises UsageError if PySpark or Java is missing,
     and where a session runs elsewhere than on `master`.
     """
     found, settings = running(), dict(settings or {})
@@ -84,7 +84,7 @@ def is_own(master: str | None) -> bool:
 
 
 def memory() -> int:
-    """Of this machine, or of the container that this process runs in [bytes]."""
+    """The memory of this machine, or of the container of this process [bytes]."""
     found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     with suppress(OSError, ValueError):  # there is no container, or it has no limit
         found = min(found, int(CONTAINER.read_text()))
@@ -167,14 +167,14 @@ def return_answers(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordB
 
 
 def collect_answers(frame: DataFrame) -> dict[int, object]:
-    """The answers of all executors, by number. Raises UsageError where they do not have the package."""
+    """The answers of all executors, by number. Raises UsageError if they do not have the package."""
     table = arrow_of(frame)
     pairs = zip(table.column(NUMBER).to_pylist(), table.column(FOUND).to_pylist(), strict=True)
     return {number: open_answer(packed) for number, packed in pairs}
 
 
 def arrow_of(frame: DataFrame) -> pa.Table:
-    """Of a frame, computed. Raises UsageError where the executors do not have the package."""
+    """Compute a frame and return it as an Arrow table. Raises UsageError if the executors do not have the package."""
     try:
         return frame.toArrow()
     except Exception as error:
@@ -212,7 +212,7 @@ class Spark:
     master: str | None = None
 
     def session(self) -> SparkSession:
-        """Taken or made. Raises UsageError where PySpark or Java is missing."""
+        """Taken or made. Raises UsageError if PySpark or Java is missing."""
         return session_of(self.master)
 
     def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:

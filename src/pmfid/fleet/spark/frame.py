@@ -121,7 +121,8 @@ class SparkRows:
         return Spark.name
 
     def survey(self, keep: Keep) -> Survey:
-        """In one pass, nothing kept: the stamps come from it. Raises UsageError for columns that are not there."""
+        """The survey in one pass, with nothing kept: the stamps come from it. Raises UsageError for columns that are
+        not there."""
         try:
             odd = self._part.other_types(self._columns)
             self._part.rows(self._columns)
@@ -149,7 +150,7 @@ class SparkRows:
             yield from islice(self._first_tables(shard, length), TRIED)
 
     def _first_tables(self, shard: RowShard, length: float) -> Iterator[Table]:
-        """Of its axes that have any, some at a time."""
+        """The first tables of the axes that have any, some at a time."""
         axes, work = sorted(shard.axes), partial(first_table, columns=self._columns, length=length)
         for start in range(0, len(axes), TRIED):
             some = [RowShard((axis,), shard.first, shard.last, shard.parts, 0) for axis in axes[start : start + TRIED]]
@@ -179,7 +180,7 @@ class SparkRows:
 
     @cached_property
     def _part(self) -> Part:
-        """Its columns without rows."""
+        """The part's columns without rows."""
         import polars as pl
 
         nothing = cast(pl.DataFrame, pl.from_arrow(arrow_of(self._whole.limit(0))))
@@ -187,7 +188,7 @@ class SparkRows:
 
     @cached_property
     def _counts(self) -> pl.DataFrame:
-        """Of each axis and day."""
+        """Counts of each axis and day."""
         import polars as pl
         from pyspark.sql import functions as sql
 
@@ -243,7 +244,7 @@ def _rows(table: pa.Table, columns: Columns) -> pl.LazyFrame:
 
 
 def _batches(frame: pl.DataFrame) -> Iterator[pa.RecordBatch]:
-    """With the types that Spark knows: it has one kind of text."""
+    """Record batches with the types that Spark knows: it has one kind of text."""
     import pyarrow as pa
 
     table = frame.to_arrow()

@@ -35,7 +35,7 @@ NO_MEMORY = (
 
 
 class SparkLog:
-    """Of a process that uses the checkpoint in `folder`."""
+    """The log of a process that uses the checkpoint in `folder`."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / NAME
@@ -138,7 +138,7 @@ def stream_files(
 ) -> None:
     """Watches what comes into a folder of Parquet files, or of files of blocks (.pmfb) that grow, until it is stopped.
 
-    begin: states of axes that go on here, for a new checkpoint. Raises UsageError where PySpark or Java is missing, a
+    begin: states of axes that go on here, for a new checkpoint. Raises UsageError if PySpark or Java is missing, a
     folder is not what it should be or another stream has it, the configuration is not that of the checkpoint, or the
     stream fails.
     """
@@ -247,7 +247,7 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
 
 
 def check_states(checkpoint: Path) -> None:
-    """Raises UsageError where no stream has kept its states."""
+    """Raises UsageError if no stream has kept its states."""
     if not (checkpoint / SPARK / "state").is_dir():
         raise UsageError(f"{checkpoint}: has no states yet; give the --checkpoint of a stream that has done a batch")
 

@@ -31,7 +31,7 @@ class FileSinkSection(SinkSection):
         return self
 
     def wants_rows(self) -> bool:
-        """As configured."""
+        """Does the sink want rows, as configured?"""
         return self.rows
 
     def wants_events(self) -> frozenset[str] | None:
@@ -55,10 +55,10 @@ class FileSink:
         self._path, self._file = path, -1
 
     def open(self) -> None:
-        """Raises OSError where the file cannot be made."""
+        """Raises OSError if the file cannot be made."""
         self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        # without O_NONBLOCK a named pipe that nobody reads could not be given up
+        # without O_NONBLOCK a named pipe without a reader could not be given up
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
         self._file = os.open(self._path, flags, 0o666)
         os.set_blocking(self._file, True)
@@ -75,7 +75,7 @@ class FileSink:
                     _write_all(self._file, b"\n")
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError where the lines cannot be written: then a regular file has none of them."""
+        """Raises OSError if the lines cannot be written: then a regular file has none of them."""
         if not self._is_there():
             self.open()
         state = os.fstat(self._file)

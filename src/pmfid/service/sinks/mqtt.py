@@ -82,7 +82,7 @@ class BrokerLink:
         return self._client
 
     def check(self) -> None:
-        """Raises OSError where the connection has ended, or a message was refused."""
+        """Raises OSError if the connection has ended, or a message was refused."""
         self._check()
 
     def publish(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
@@ -175,7 +175,7 @@ class MqttSink:
         self._link.flush()
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError where the connection has ended, or not all is acknowledged."""
+        """Raises OSError if the connection has ended, or not all is acknowledged."""
         self._link.check()
         for one in outcomes:
             if isinstance(one, Notice):

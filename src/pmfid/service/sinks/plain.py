@@ -24,7 +24,8 @@ def row_objects(rows: EstimateRows) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def notice_object(notice: Notice) -> dict[str, Any]:
-    """For JSON: what `pmfid monitor --json` prints for the event, with its axis, number and wall time in front."""
+    """The notice as an object for JSON: what `pmfid monitor --json` prints for the event, preceded by its axis, number
+    and wall time."""
     return {"axis": notice.axis, "number": notice.number, "wall": notice.wall} | {
         # an acknowledgement has a number of its own besides the number of its alarm
         {"number": "alarm"}.get(key, key): value
@@ -39,7 +40,7 @@ def alarm_of(notice: Notice) -> int | None:
 
 
 def as_json(value: object) -> str:
-    """On one line; a number that is not finite becomes null, which JSON has no other word for."""
+    """JSON on one line; a number that is not finite becomes null."""
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError):

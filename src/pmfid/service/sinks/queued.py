@@ -235,7 +235,7 @@ class Queued:
             return list(self._unwritten.values())
 
     def works(self, since: float) -> bool | None:
-        """As in `Taker` of `silence.py`: a sink that waits for a silent server does not work either."""
+        """Does the sink work? A sink that waits for a silent server does not."""
         trying = self._trying
         if trying is None:
             return self._proved or None

@@ -115,7 +115,7 @@ class SqliteSink:
         self._database: sqlite3.Connection | None = None
 
     def open(self) -> None:
-        """Raises OSError where the file cannot be used, or is not one of this kind."""
+        """Raises OSError if the file cannot be used, or is not one of this kind."""
         self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with _raise_os_errors(self._path):
@@ -128,7 +128,7 @@ class SqliteSink:
         self._database = database
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError where they cannot be written."""
+        """Raises OSError if they cannot be written."""
         if self._database is None:
             raise OSError(f"{self._path.name} is not open")
         with _raise_os_errors(self._path), closing(self._database.cursor()) as cursor, _transaction(self._database):

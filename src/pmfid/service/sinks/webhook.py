@@ -97,7 +97,7 @@ class Poster:
 
 
 def _cut(connection: http.client.HTTPConnection, late: list[bool]) -> None:
-    """Ends an exchange that takes too long, also where a byte comes now and then."""
+    """Ends an exchange that takes too long, even if single bytes still arrive."""
     late.append(True)
     socket = connection.sock
     if socket is not None:
@@ -214,7 +214,7 @@ class WebhookSink:
         """Nothing: it connects when there is something to say."""
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError where the server does not answer or has a problem, RefusedError where it will not take one."""
+        """Raises OSError if the server does not answer or has a problem, RefusedError where it will not take one."""
         try:
             for notice in outcomes:
                 if isinstance(notice, Notice):

@@ -227,7 +227,7 @@ class Follower:
             self._stop.wait(TUNING.file_look)
 
     def _follow(self, file: BinaryIO, take: Take, mark: Mark | None) -> bool:
-        """False once the service ends, True where another file took the place of this one."""
+        """False once the service ends, True if another file took the place of this one."""
         number, offset, header = os.fstat(file.fileno()).st_ino, 0, b""
         if mark is not None and mark["file"] == number and int(mark["offset"]) <= os.fstat(file.fileno()).st_size:
             offset, header = int(mark["offset"]), str(mark["header"]).encode("utf-8", "surrogateescape")

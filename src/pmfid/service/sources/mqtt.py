@@ -71,7 +71,7 @@ class MqttSourceSection(BrokerSection, SourceSection):
     largest: int = Field(LARGEST, ge=1024, le=2**28, description="the most bytes of a message")
 
     def make(self, name: str, context: Context) -> MqttSource:
-        """The source. Raises UsageError where the client cannot be made."""
+        """The source. Raises UsageError if the client cannot be made."""
         client = self.client or f"pmfid-{context.name}-{name}"
         new_client(self, context.folder, client, acknowledges=True)  # says now what would fail later
         return MqttSource(name, self, context.axis, context.tell, context.folder, client)
@@ -225,7 +225,8 @@ class MqttSource:
 
 
 def _acknowledge(client: Client, mid: int) -> None:
-    """Of a connection that is over it goes nowhere: there the message comes again, maybe under another number."""
+    """Acknowledge a message. On a closed connection this has no effect: the message comes again, maybe under another
+    number."""
     client.ack(mid, 1)
 
 

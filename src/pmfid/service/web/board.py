@@ -56,8 +56,8 @@ class Overview:
 
 @dataclass
 class Panel:
-    """Of one group. depth: rows kept of each axis; every: time between two of them [s]. Not safe from several threads:
-    the board holds its lock around every call."""
+    """The panel of one group. depth: rows kept of each axis; every: time between two of them [s]. Not safe from several
+    threads: the board holds its lock around every call."""
 
     group: Kindred
     depth: int
@@ -171,7 +171,7 @@ class Panel:
         return np.concatenate([self._kept[axis, start:], self._kept[axis, :start]])
 
     def overview(self, since: int) -> Overview:
-        """Of the axes that changed after version `since`; 0: of all that have ever had data."""
+        """The overview of the axes that changed after version `since`; 0: of all that have ever had data."""
         axis = np.flatnonzero(self._changed > since)
         rows = self.last[axis]
         lead = self.leading
@@ -342,7 +342,7 @@ class Board:
             return News(self._version, self._layout, overviews, notices, alarms)
 
     def list_referred(self) -> list[dict[int, list[float]]]:
-        """For each group the axes with a reference of their own, by number, and this reference."""
+        """The axes of each group with a reference of their own, by number, and this reference."""
         with self._lock:
             return [panel.list_referred() for panel in self._panels]
 
@@ -401,8 +401,8 @@ class Subscription:
         self._lock = Lock()
 
     def put(self, rows: Records) -> int:
-        """By the engine's thread: never waits for a reader, who holds the lock for the swap of a list only. Returns the
-        rows that had to go."""
+        """Put outcomes on the board, in the engine's thread. A reader never delays this, because it holds the lock for
+        the swap of a list only. Returns the rows that had to go."""
         with self._lock:
             self._pieces.append(rows)
             self._waiting += rows.size

@@ -123,8 +123,8 @@ def build_protocol(limits: ConnectionLimits, counters: Counters) -> type[Guarded
 
 
 def most_connections(wanted: int) -> int:
-    """As many as wanted, but at most half of the files that the process may open: sources, sinks and checkpoints need
-    theirs."""
+    """The number of connections: as many as wanted, but at most half of the files that the process may open. Sources,
+    sinks and checkpoints need theirs."""
     try:
         import resource
     except ImportError:  # a system without such a limit

@@ -33,7 +33,7 @@ READ, WRITE = "read", "write"
 
 @dataclass(frozen=True)
 class Tokens:
-    """write: may do everything; read: may look, None where there is none; made: by this start rather than configured,
+    """write: may do everything; read: may look, None if there is none; made: by this start rather than configured,
     so that the start line may show it. Neither is part of what is printed of this object."""
 
     write: str = field(repr=False)
@@ -145,7 +145,7 @@ class Brake:
 
 
 def _network(address: str) -> str:
-    """Of IPv6 the first 64 bits: whoever has one address there has them all."""
+    """The first 64 bits of an IPv6 address: an owner of one address there has them all."""
     try:
         parsed = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -123,7 +123,7 @@ class Page:
 
     @property
     def start_url(self) -> str:
-        """With the token where this start made it: for a terminal, never for a log."""
+        """The address with the token, if this start made the token: for a terminal, never for a log."""
         return f"{self.url}#token={self.made_token}" if self.made_token else self.url
 
     def stop(self) -> None:
@@ -208,7 +208,7 @@ def _listener(config: PageConfig) -> socket.socket:
 
 
 def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder: Path) -> Config:
-    """Without a log of requests, and with limits of its own on slow and stuck connections."""
+    """The configuration without a log of requests, and with limits on slow and stuck connections."""
     from uvicorn import Config
 
     from pmfid.service.web.connection import ConnectionLimits, build_protocol
@@ -243,7 +243,7 @@ def _only_failures(record: logging.LogRecord) -> bool:
 
 
 def _server(config: Config, hub: Hub, entrance: Entrance) -> Server:
-    """With an entrance of its own; ends the streams before it waits for them."""
+    """The server with an entrance of its own; it ends the streams before it waits for them."""
     from uvicorn import Server
 
     logging.getLogger("uvicorn.error").addFilter(_only_failures)

@@ -248,7 +248,7 @@ class Sender:
         return self._idle.wait(timeout)
 
     def close(self, timeout: float = 10.0) -> bool:
-        """As `flush`, and ends the connection."""
+        """Flush, and end the connection."""
         done = self.flush(timeout)
         self._closed = True
         self._events.put(lambda: None)
