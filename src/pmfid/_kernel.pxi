@@ -190,7 +190,7 @@ cdef class Kernel:
         pmf_gap(&self.config, &self.state, <uint32_t> count)
 
     def doubt(self, uint32_t samples):
-        """The last sample was a guess: nothing is learnt from so many samples, at most those in which filters settle."""
+        """The last sample was a guess: nothing is learnt from `samples` samples, at most those in which filters settle."""
         pmf_doubt(&self.config, &self.state, samples)
 
     cdef Estimate _snapshot(self):
@@ -294,7 +294,7 @@ cdef class Kernel:
         return blocks, lost
 
     def many(self, Py_ssize_t axes, bytes is_whole):
-        """So many axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
+        """`axes` axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
         return ManyKernel(self, axes, is_whole)
 
     def raw_config(self):
@@ -472,7 +472,7 @@ cdef class ManyKernel:
     def run(self, cnp.ndarray u, cnp.ndarray counts, Py_ssize_t first, Py_ssize_t end, uint64_t every, results, uint32_t way):
         """Axes `first` to `end` through u (float32 or float64) and counts (int32 or int64), both (axes, n) with any
         strides. results: theta, variance_factor, inflation (axes, kept, p), innovation, innovation_variance, status
-        (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile.
+        (axes, kept), to be filled with every `every`-th estimate and the last. Releases the interpreter meanwhile.
         Raises ValueError where an array has another shape or type than that: the C asks nothing."""
         cdef pmf_many_t many
         cdef unsigned char *states
@@ -499,7 +499,7 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
     parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), and the
     coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: inputs before the first (m,), m >= 1, the oldest of which has been there for ever;
     velocity, position: at the start; a spring is slack at position 0. shapes: the bytes of a `pmf_shapes_config_t`
-    (`pmfid.kernel.configuration` makes them), whose nodes are PMF_SIGNALS and the next. decay: (2, 3) of a lag behind the dead time, as
+    (`pmfid.kernel.configuration` makes them), whose nodes are PMF_SIGNALS and the next. decay: (2, 3) of a lag after the dead time, as
     `pmfid.kernel.configuration` makes them; on_top: (n,) an input that acts at once; steps: (n,) length of each interval [s], None: dt; then nothing acts late. Returns (n,) mean velocity, signed moving fraction and
     moving fraction of every interval, and the velocity at the end. Raises ValueError for too many parameters and impossible shapes.
     """

@@ -1,5 +1,5 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""Recursions beside the kernel: a first-order stage, the inputs of a monitored axis, and what is made of its blocks."""
+"""Recursions outside the kernel: a first-order stage, the inputs of a monitored axis, and what is made of its blocks."""
 
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
@@ -15,7 +15,7 @@ include "_watch.pxi"
 
 
 def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
-    """Answer (n,) of (b0 + b1 z^-1) / (1 - a z^-1) to a signal (n,), and its memory behind the last sample.
+    """Answer (n,) of (b0 + b1 z^-1) / (1 - a z^-1) to a signal (n,), and its memory after the last sample.
 
     memory: what b1 and a have left of the samples before, 0 from rest. The bits are those of `scipy.signal.lfilter`,
     which takes longer to import than most signals to filter.
@@ -133,7 +133,7 @@ cdef class Inputs:
         self._whole[ZERO] = _sum(self._whole[COUNTS], -read)
 
     def pass_over(self, int64_t samples):
-        """So many samples more, of which nothing is known."""
+        """Adds samples, of which nothing is known."""
         if samples <= 0:
             return
         self._whole[SAMPLES] += samples
@@ -141,12 +141,12 @@ cdef class Inputs:
         self._whole[RECENT + self._whole[SAMPLES] % KEPT] = self._whole[COUNTS]
 
     def before(self, int64_t samples):
-        """The counts so many samples before the last, fewer than `fresh`."""
+        """The counts a number of samples before the last, fewer than `fresh`."""
         return self._whole[RECENT + <uint64_t> (self._whole[SAMPLES] - samples) % KEPT]
 
     @property
     def fresh(self):
-        """So many counts are kept that follow one another, the last among them."""
+        """The number of kept counts that follow one another, the last among them."""
         return self._whole[FRESH]
 
     @property

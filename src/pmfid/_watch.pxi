@@ -8,7 +8,7 @@ cdef extern from "pmf.h":
 
 #: A block with less of the average information tells nothing.
 cdef double INFORMATIVE = 0.05
-#: Numbers of the states in which an axis is quiet, and why nothing can be told, by its place in `watching.REASONS`.
+#: Numbers of the states in which an axis is quiet, and the reason if nothing can be known, by its place in `watching.REASONS`.
 cdef enum:
     STARTING = 0
     WATCHING = 1
@@ -22,7 +22,7 @@ cdef enum:
 
 
 def waiting_after(bint lost, int64_t waiting, int64_t wait):
-    """Blocks that are still to wait, behind one in which the filters settled all the time (lost) or not: there the
+    """Blocks that are still to wait, after one in which the filters settled all the time (lost) or not: there the
     simulated motion has lost the plant. While there are any, blocks count for nothing."""
     return _waiting_after(lost, waiting, wait)
 
@@ -222,7 +222,7 @@ cdef inline bint _go_on(const Plan *plan, const Own *own, const Ring *ring, int6
 cdef class Watcher:
     """The numbers of a watch. norms, seen: of blocks and of units; work: None, or size, offset (p,) and limit (p,) of
     units of work; threshold: of the statistic; block_time [s]; silent_blocks: without information after which nothing
-    can be told. All arrays are those of `monitor.arrays`. Raises ValueError where the shapes do not fit."""
+    can be known. All arrays are those of `monitor.arrays`. Raises ValueError where the shapes do not fit."""
 
     cdef Plan plan
     cdef object _kept
@@ -305,7 +305,7 @@ cdef class Watcher:
     def run(self, watched, disturbed, index, scored, status, samples, filled, int64_t size, double dt):
         """Pieces of n samples of k quiet axes, the rows index (k,) of what is known of all. scored: blocks
         (k, most, width) and lost (k, most) of `ManyKernel.score`; status: (k, n); samples: (k,) before the piece;
-        filled: (k,) samples of the block under way then; size: of a block. Returns (k, most) the states behind each
+        filled: (k,) samples of the block under way then; size: of a block. Returns (k, most) the states after each
         block, the last one again where an axis has fewer, and why, as places in `watching.REASONS`; and (k,) which axes
         crossed the threshold: of these nothing that is known has changed. Releases the interpreter meanwhile."""
         blocks, lost = scored

@@ -79,7 +79,7 @@ cdef void step(const Body *body, State *state, double force, double h) noexcept 
 
 
 cdef void advance(const Body *body, State *state, double u, double noise, double lag, double time, int steps) noexcept nogil:
-    """`time` seconds under the input u behind its lag, and the force noise [N]."""
+    """`time` seconds under the input u after its lag, and the force noise [N]."""
     cdef double h = time / steps, mean = u, apart, left = exp(-h / lag) if lag > 0.0 else 0.0
     cdef int i
     for i in range(steps):

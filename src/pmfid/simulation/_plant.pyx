@@ -178,7 +178,7 @@ def simulate_position_control(cnp.ndarray[double, mode="c"] reference not None, 
 
 cdef Reader new_reader(Py_ssize_t n, double resolution, double phase, cnp.ndarray lines, cnp.ndarray shift,
                        double missed, uint64_t seed) except *:
-    """lines, shift: of doubles, one behind the other."""
+    """lines, shift: of doubles, one after the other."""
     if lines.shape[0] < 1 or shift.shape[0] not in (0, n):
         raise ValueError(f"lines must not be empty, shift must have length 0 or {n}, got {shift.shape[0]}")
     return make_reader(resolution, phase, <const double *>cnp.PyArray_DATA(lines), lines.shape[0],
@@ -190,7 +190,7 @@ def read_encoder(cnp.ndarray[double, mode="c"] x not None, double resolution, do
                  uint64_t seed):
     """Counts (n,) int64 of positions x (n,) [m], within 2**53 counts.
 
-    lines (m,): by how much each line of a turn lies beside its place [counts]; shift (n,) or (0,): of the whole
+    lines (m,): by how much each line of a turn lies off its place [counts]; shift (n,) or (0,): of the whole
     scale at a sample [counts]; missed: probability that an edge is not counted; seed: of that.
     """
     cdef Py_ssize_t n = x.shape[0], k

@@ -1,4 +1,4 @@
-"""An incremental encoder, read once per sample: lines beside their place, edges that jitter, edges that are missed."""
+"""An incremental encoder, read once per sample: lines off their place, edges that jitter, edges that are missed."""
 
 from libc.float cimport DBL_MAX
 from libc.math cimport fabs, floor, log, log1p
