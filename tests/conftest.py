@@ -50,9 +50,10 @@ def cart_run(seed: int, *, increments: float | None = 4096, samples: int = 3000,
     return Run(u, quantize(motion.x, resolution, phase=rng.uniform(0, resolution)), pmfid.Encoder(resolution))
 
 
-def long_unless(few: Callable[..., bool], cases: Iterable[tuple[Any, ...]]) -> list[Any]:
-    """Cases of a test, of which all but a few are left to `make test-long`; few: of the values of a case."""
-    return [case if few(*case) else pytest.param(*case, marks=pytest.mark.long) for case in cases]
+def long_unless(few: Callable[..., bool], cases: Iterable[Any]) -> list[Any]:
+    """Cases of a test, of which all but a few are left to `make test-long`; few: of the value or values of a case."""
+    values = [(case, case if isinstance(case, tuple) else (case,)) for case in cases]
+    return [case if few(*parts) else pytest.param(*parts, marks=pytest.mark.long) for case, parts in values]
 
 
 @pytest.fixture(scope="session")

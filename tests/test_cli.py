@@ -34,7 +34,7 @@ from tests.conftest import long_unless
 METHODS = ["auto", *methods_for(Drive(1.0))]
 #: One of each family: chosen, recursive with instruments, compensated least squares, likelihood.
 FAMILIES = ["auto", "riv", "bcls", "interval"]
-EVERY_METHOD = [one if one in FAMILIES else pytest.param(one, marks=pytest.mark.long) for one in METHODS]
+EVERY_METHOD = long_unless(FAMILIES.__contains__, METHODS)
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 TRUTH = {
     "mass": CART.mass,

@@ -156,7 +156,7 @@ def test_riv_under_position_control(late: float) -> None:
     assert track.flagged(WRONG_MODEL).any() == (late > 0)
 
 
-@pytest.mark.parametrize("method", [IV, OE])
+@pytest.mark.parametrize("method", [IV, pytest.param(OE, marks=pytest.mark.long)])
 def test_next_to_friction_of_a_given_form(method: type) -> None:
     gain, mass, viscous, coulomb, dt, size, step, cutoff = WHEEL
     rng = np.random.default_rng(5)

@@ -107,9 +107,7 @@ def sentences(result: DriveResult) -> dict[str, str]:
 
 @pytest.mark.parametrize(
     ("increments", "seed"),
-    long_unless(
-        lambda increments, seed: seed <= (2 if increments == 128 else 1), product([4096, 512, 128], [1, 2, 3, 4])
-    ),
+    long_unless(lambda increments, seed: seed == 1, product([4096, 512, 128], [1, 2, 3, 4])),
 )
 def test_the_right_model_is_left_in_peace(increments: int, seed: int) -> None:
     said = sentences(clean(increments=increments, seed=seed))
@@ -124,7 +122,12 @@ def test_a_result_with_all_its_flags_is_left_in_peace_as_well() -> None:
     assert sentences(result) == sentences(clean())
 
 
-@pytest.mark.parametrize("method", sorted(set(methods_for(pmfid.Drive(1.0))) - {"iv"}))
+@pytest.mark.parametrize(
+    "method",
+    long_unless(
+        lambda method: method in ("riv", "bcls", "interval"), sorted(set(methods_for(pmfid.Drive(1.0))) - {"iv"})
+    ),
+)
 def test_every_method_has_calm_checks_on_a_fine_encoder(method: str) -> None:
     said = sentences(clean(method, 16384))
     assert tuple(said) == HEADINGS

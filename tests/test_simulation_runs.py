@@ -33,6 +33,7 @@ from pmfid.simulation import (
     stop_and_go,
     trapezoid,
 )
+from tests.conftest import long_unless
 
 HEAVY = replace(CART, mass=1.44)
 
@@ -128,7 +129,9 @@ def run(*arguments: str) -> Result:
 CHANGING = {name for name, recipe in SCENARIOS.items() if recipe.change != "constant"}
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize(
+    "name", long_unless(lambda name: name in CHANGING or name in ("prbs", "stop-and-go"), SCENARIOS)
+)
 def test_identify_reads_every_scenario_and_finds_the_mass(name: str, tmp_path: Path) -> None:
     record = tmp_path / "run.csv"
     result = run(name, "--out", str(record), "--increments", "1024", "--bits", "12", "--seed", "2")
