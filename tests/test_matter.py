@@ -130,7 +130,7 @@ def doubts(findings: Iterable[Finding]) -> list[tuple[str, str]]:
     return [(finding.code, finding.text) for finding in findings if finding.severity != "note"]
 
 
-@pytest.mark.parametrize("friction", ["nothing", "quadratic 20 %"])
+@pytest.mark.parametrize("friction", [pytest.param("nothing", marks=pytest.mark.long), "quadratic 20 %"])
 def test_every_face_says_the_same(friction: str, tmp_path: Path) -> None:
     """Four commands gave four verdicts on one record."""
     record = record_of(TURRET, FRICTIONS[friction](TURRET), "multisine", 1024, 23)

@@ -68,8 +68,10 @@ def test_a_named_unit_is_converted_with_a_note(tmp_path: Path, name: str, step: 
     assert any(repr(name) in note and "0.01 s" in note for note in record.notes)
 
 
-@pytest.mark.parametrize("cutoff", [50.0, 2.0, 0.02])
-@pytest.mark.parametrize(("unit", "step"), [("ms", 10), ("us", 10_000), ("ns", 10_000_000)])
+@pytest.mark.parametrize(
+    ("unit", "step", "cutoff"),
+    [("ms", 10, 50.0), ("ms", 10, 0.02), ("us", 10_000, 2.0), ("ns", 10_000_000, 0.02), ("ns", 10_000_000, 50.0)],
+)
 def test_time_that_is_not_in_s_is_refused_and_the_remedy_followed_literally_helps(
     tmp_path: Path, unit: str, step: int, cutoff: float
 ) -> None:
