@@ -180,6 +180,7 @@ def test_auto_does_not_trust_instruments_where_the_counts_contradict_them():
     assert abs(found.fit["mass"] / HEAVY.mass - 1) < 0.03
 
 
+@pytest.mark.long
 def test_the_likelihood_leaves_local_maxima():
     drive, dt, resolution = ROTARY, 0.01, 2 * np.pi / 32
     from pmfid.simulation import position_control, random_moves

@@ -85,7 +85,7 @@ def test_missing_samples_are_no_zeros():
 # --- error bars -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [300, 1500])
+@pytest.mark.parametrize("samples", [300, pytest.param(1500, marks=pytest.mark.long)])
 def test_bars_hold_for_coloured_noise(samples):
     """Products of the scores under a window had bars of the gain a third short at 300 samples."""
     u, z = sweep(samples), []

@@ -108,6 +108,7 @@ def test_the_findings_hold_whether_plain_rls_is_fine_or_not(result: DemoResult) 
     assert "fine here too" in text if worst <= 1 else "biased here" in text
 
 
+@pytest.mark.long
 def test_same_seed_same_bytes(folder: Path, tmp_path: Path) -> None:
     write_demo(tmp_path / "b" / "deep", run_demo())
     for name in ("report.html", "cart.csv"):

@@ -144,6 +144,7 @@ def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:
     assert "survives" in result.stdout
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_motion(folder: tuple[Path, str], tmp_path: Path) -> None:
     run("design", EXAMPLE, *FEW, "--seed", "0", "--out", tmp_path)  # the example has 0
     for file in ("design.csv", "prbs.csv"):

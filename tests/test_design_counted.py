@@ -22,6 +22,7 @@ from pmfid.design.tuning import TUNING
 from pmfid.simulation.drive import Machine, drive_machine
 from studies.design_case import case
 from studies.design_machines import MACHINES, NAMES, Claims, claims
+from tests.conftest import long_unless
 
 FEW = 8
 
@@ -43,6 +44,7 @@ def test_errors_are_as_large_as_claimed(name: str) -> None:
     assert not found.unexplained.any()
 
 
+@pytest.mark.long
 def test_least_squares_on_these_counts_errs_by_more_than_what_they_leave_open() -> None:
     problem = MACHINES["40 kg"]
     noise = claims(
@@ -51,6 +53,7 @@ def test_least_squares_on_these_counts_errs_by_more_than_what_they_leave_open() 
     assert np.all(noise.scatter > 1.3 * usual_claims("40 kg").scatter)
 
 
+@pytest.mark.long
 def test_the_expected_deviation_is_that_of_the_estimates() -> None:
     problem = MACHINES["rotary"]
     covariance = encoder_covariance(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u)
@@ -72,7 +75,11 @@ def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float
 
 @pytest.mark.parametrize(
     "lacks",
-    [{"stribeck": 0.2}, pytest.param({"quadratic": 4.0}, marks=pytest.mark.long), {"dead_time": 0.004}],
+    [
+        {"stribeck": 0.2},
+        pytest.param({"quadratic": 4.0}, marks=pytest.mark.long),
+        pytest.param({"dead_time": 0.004}, marks=pytest.mark.long),
+    ],
     ids=lambda d: str(d),
 )
 def test_a_model_that_misses_counts_is_doubted_and_reaches_nothing(lacks: dict[str, float]) -> None:
@@ -124,7 +131,7 @@ def test_an_input_is_chosen_that_leaves_no_parameter_worse_than_the_trapezoid() 
     assert state.to_json()["next"]["expected_std"] == dict(state.choice.std)
 
 
-@pytest.mark.parametrize("name", ["40 kg", pytest.param("150 kg, slow", marks=pytest.mark.long), "rotary"])
+@pytest.mark.parametrize("name", long_unless("rotary".__eq__, ["40 kg", "150 kg, slow", "rotary"]))
 def test_a_motion_that_stops_on_a_machine_near_by_is_not_chosen(name: str) -> None:
     """Before, designs at the least speed stopped on one machine in ten: 0.30 of the trapezoid's information on F_c."""
     problem = MACHINES[name]

@@ -97,7 +97,7 @@ def test_runs_that_cannot_be_used_are_one_error() -> None:
         calibrate(CASE, [DesignedRun(good.u, -good.y, good.dt)])
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.2])
+@pytest.mark.parametrize("factor", [pytest.param(0.8, marks=pytest.mark.long), 1.2])
 def test_the_second_round_mends_a_wrong_mass(factor: float) -> None:
     problem = case("m")
     start = replace(problem, nominal={**NOMINAL, "mass": factor * NOMINAL["mass"]})

@@ -115,7 +115,9 @@ def test_a_step_of_what_would_be_seen_is_seen() -> None:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler for the integrator of the study")
-@pytest.mark.parametrize("effect", ["none", "stribeck", pytest.param("load", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "effect", ["stribeck", *(pytest.param(one, marks=pytest.mark.long) for one in ("none", "load"))]
+)
 def test_slow_moves_of_another_integrator_are_good_or_said_to_be_wrong(effect: str) -> None:
     """One in seven of such minutes had an estimate; single ones were good and 20 % off."""
     score = run(Kind("moves", effect, dwell=(10.0, 60.0), seconds=1800), axes=2, seed=3)

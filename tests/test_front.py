@@ -240,6 +240,7 @@ def test_an_interrupt_ends_the_command_even_inside_a_call_that_does_not_return(w
     assert text.endswith("\r\x1b[Kpmfid: interrupted\r\n")
 
 
+@pytest.mark.long
 def test_reproduce_tells_how_far_it_is(tmp_path: Path) -> None:
     done: list[float] = []
     paper.reproduce(["2"], tmp_path, seeds=1, jobs=1, done=done.append)

@@ -106,7 +106,7 @@ def test_a_bridge_leads_from_one_motion_to_the_other() -> None:
 # --- estimates --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("part", "burst"), [(0.3, 1), (0.1, 50)])
+@pytest.mark.parametrize(("part", "burst"), [(0.3, 1), pytest.param(0.1, 50, marks=pytest.mark.long)])
 def test_instrumental_variables_with_missing_samples(part: float, burst: int) -> None:
     u, counts = run()
     clean = identify(u, counts, method="iv", **SETTINGS)

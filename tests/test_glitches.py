@@ -235,6 +235,7 @@ def test_firmware_has_the_same_bits(cls: Any, guard: bool, target: Target, tmp_p
     assert f"#define PMF_WITH_GUARD {int(guard)}" in (folder / "pmf_sizes.h").read_text()
 
 
+@pytest.mark.long
 def test_without_the_guard_firmware_is_as_small_as_before(tmp_path: Path) -> None:
     if M4F.missing:
         pytest.skip(M4F.missing)

@@ -64,6 +64,7 @@ def test_riv_tracks_a_mass_step(drive):
     assert mass[-300:].mean() == pytest.approx(1.44, rel=0.005)
 
 
+@pytest.mark.long
 def test_error_bars_of_iv(drive):
     """The claimed standard deviation of the mass is the observed one within a third."""
     fits = [

@@ -114,7 +114,7 @@ def test_where_there_is_none_none_is_found() -> None:
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.01)
 
 
-@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV, OE])
+@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV, pytest.param(OE, marks=pytest.mark.long)])
 def test_a_known_lag_leaves_nothing_of_its_bias(method: type) -> None:
     run = run_lagged("cart", 1.2)
     known, none = (made(method, "cart", lag=lag).fit(run.u, run.counts).theta for lag in (0.012, 0.0))
@@ -175,6 +175,7 @@ def test_from_arrays_to_json() -> None:
     assert set(result.status) <= {"model_spread"}
 
 
+@pytest.mark.long
 def test_windows_know_the_inputs_before_them() -> None:
     run = run_lagged("cart", 2.5)
     method = OE(Drive(2.0, lag="estimate"), Encoder(CART[6]), 0.01, 20.0, window=2.0)
@@ -183,6 +184,7 @@ def test_windows_know_the_inputs_before_them() -> None:
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.005)
 
 
+@pytest.mark.long
 def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
     for dead_time, lag in ((0.02, 0.0), (0.0, 0.004)):
         folder = tmp_path / f"{lag}"

@@ -75,7 +75,7 @@ def end(process: Any) -> tuple[str, str]:
     return (out or b"").decode(), (error or b"").decode()
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
+@pytest.mark.parametrize("kind", [pytest.param("csv", marks=pytest.mark.long), "parquet"])
 def test_kill_and_restart_lose_no_row(folder: Path, kind: str) -> None:
     out = folder / f"killed.{kind}"
     rows = out if kind == "csv" else rows_path(out)
@@ -126,7 +126,7 @@ def limited() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
+@pytest.mark.parametrize("kind", ["csv", pytest.param("parquet", marks=pytest.mark.long)])
 def test_a_full_disk_does_not_end_the_watch(folder: Path, kind: str) -> None:
     out = folder / f"small.{kind}"
     process = start(folder, "--out", str(out), before=limited)

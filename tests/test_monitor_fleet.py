@@ -22,6 +22,7 @@ from pmfid.monitor.scores import make_scale, scores
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing, normal_work
+from tests.conftest import long_unless
 
 AXES = 4
 SECONDS = 25.0
@@ -173,7 +174,7 @@ def together(fleet: MonitorFleet, calls: list[Any]) -> list[Report]:
     return reported
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", long_unless(lambda case: not case.startswith("riv, glr"), CASES))
 def test_every_axis_has_the_bits_of_a_monitor_alone(
     case: str, normal: tuple[Floats, Counts], records: tuple[Floats, Counts]
 ) -> None:

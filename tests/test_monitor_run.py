@@ -290,7 +290,12 @@ def test_estimates_come_out_one_by_one(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "number"), [("csv", signal.SIGINT), ("parquet", signal.SIGTERM), ("parquet", signal.SIGHUP)]
+    ("kind", "number"),
+    [
+        ("csv", signal.SIGINT),
+        ("parquet", signal.SIGTERM),
+        pytest.param("parquet", signal.SIGHUP, marks=pytest.mark.long),
+    ],
 )
 def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal.Signals) -> None:
     out, n = folder / f"killed-{number}.{kind}", 1500

@@ -150,7 +150,9 @@ def test_an_unstable_process_under_control():
     assert np.all(np.abs(fit.theta - truth) < 4 * fit.theta_std)
 
 
-@pytest.mark.parametrize("name", ["m = n = 2", "two integrators, controlled", "dead time 2.5 samples"])
+@pytest.mark.parametrize(
+    "name", ["m = n = 2", "two integrators, controlled", pytest.param("dead time 2.5 samples", marks=pytest.mark.long)]
+)
 def test_cases_of_the_study_reach_the_bound(name):
     runs = [work(name, seed) for seed in range(4)]
     assert np.sqrt(np.mean(np.square([run["bound"] for run in runs]))) < 2.0

@@ -62,7 +62,7 @@ def test_true_stamps_are_resampled_and_flagged(tmp_path: Path, clock: str) -> No
     assert "uneven_clock" in result.status
 
 
-@pytest.mark.parametrize("delay", [0.2, 1.0, 3.0])
+@pytest.mark.parametrize("delay", [0.2, pytest.param(1.0, marks=pytest.mark.long), 3.0])
 def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: float) -> None:
     even, late = identified(tmp_path, *run("even")), identified(tmp_path, *run("even", delay))
     np.testing.assert_allclose(late.theta, even.theta, rtol=2e-3)

@@ -105,7 +105,7 @@ def test_directional_friction_is_named_with_its_size(directional: TermSearch) ->
         pytest.param("prbs", {"dead_time": 1e-3}, {"dead_time": "estimate"}, marks=pytest.mark.long),
         ("stop-and-go", {"stribeck": 0.02, "stribeck_speed": 0.6}, {"stribeck": "estimate"}),
         pytest.param("stop-and-go", {"dead_time": 1e-3}, {"dead_time": "estimate"}, marks=pytest.mark.long),
-        ("stop-and-go", {"stiffness": 0.01}, {"spring": True}),
+        pytest.param("stop-and-go", {"stiffness": 0.01}, {"spring": True}, marks=pytest.mark.long),
     ],
 )
 def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[str, object]) -> None:
@@ -158,6 +158,7 @@ def test_what_would_not_be_seen_is_reported_with_its_size(directional: TermSearc
     assert all(one.size > 0 for one in directional.hidden)
 
 
+@pytest.mark.long
 def test_a_coarser_encoder_sees_less() -> None:
     record = made()
     coarse = searched(replace(record, counts=record.counts // 16), encoder=pmfid.Encoder(16 * STEP))

@@ -117,6 +117,7 @@ def test_a_load_is_no_directional_friction(loaded: TermSearch) -> None:
     assert size_of(loaded, "offset")[0] == pytest.approx(0.01, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_term_that_predicts_worse_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Within half as much again as chance alone would give, it was."""
     record = made(samples=1800, asymmetry=0.15)
@@ -176,6 +177,7 @@ def test_a_term_that_was_as_good_is_compared_again_in_the_end(lag: TermSearch, l
     assert under_way._resolve_alternatives(found).either == ()
 
 
+@pytest.mark.long
 def test_a_pitch_whose_quick_fit_goes_astray_is_fitted_as_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """With Stribeck friction that was missing as well, no pitch was gone on from, and cogging was not found."""
     record = made(samples=1800, cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
@@ -255,6 +257,7 @@ def test_a_search_says_how_far_it_is() -> None:
 # --- the machines of the study ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_machines_of_the_study_have_their_terms_alone() -> None:
     assert [len(one) for one in truths()].count(2) == 24
     assert set().union(*truths()) == set(TERMS)

@@ -62,7 +62,7 @@ def off_by(window: float | str) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("window", [0.5, 2.0])
+@pytest.mark.parametrize("window", [pytest.param(0.5, marks=pytest.mark.long), 2.0])
 def test_bars_hold_where_the_model_is_right(window: float) -> None:
     z = np.abs(off_by(window))
     assert np.mean(z < 2) > 0.85, z
@@ -163,6 +163,7 @@ def test_the_choice_says_what_it_found() -> None:
     )
 
 
+@pytest.mark.long
 def test_windows_so_long_that_the_motion_is_lost_are_not_chosen() -> None:
     """With friction that differs by direction a symmetric model drifts away: over the whole record it is no fit."""
     run = moved(11, machine=Machine(AXIS, asymmetry=0.2), samples=1500)
