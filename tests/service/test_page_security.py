@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import socket
 import sys
 import time
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from pmfid.errors import UsageError
+from pmfid.service.plant import Plant, ServiceSection
+from pmfid.service.run import Service
+from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.tuning import TUNING
 from pmfid.service.web import connection, security
 from pmfid.service.web.board import Board
@@ -34,7 +37,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     file.write_text(READER + "\n")
     file.chmod(0o600)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connection, "ConnectionLimits", partial(connection.ConnectionLimits, request=0.6, stuck=0.3))
+        set_tuning(patch, connection, connection_request=0.6, connection_stuck=0.3)
         set_tuning(patch, security, security_free=10_000)  # test_page_guesses.py is about more wrong tokens
         plant = FakePlant(12)
         plant.run(5)
@@ -235,7 +238,7 @@ def test_a_connection_that_says_nothing_ends(page: Served) -> None:
 
 def test_a_browser_that_stops_reading_is_dropped_and_counted() -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connection, "ConnectionLimits", partial(connection.ConnectionLimits, stuck=0.2))
+        set_tuning(patch, connection, connection_stuck=0.2)
         with served(FakePlant(2)) as page, socket.socket() as line:
             line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             line.connect(page.address)
@@ -399,5 +402,9 @@ def test_a_certificate_that_is_none_is_reported(tmp_path: Path) -> None:
 
 def test_without_the_extra_it_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
+    for name in ("pmfid.service.web.server", "pmfid.service.web.connection"):
+        monkeypatch.delitem(sys.modules, name)
+    plant = Plant(tmp_path, ServiceSection(), {}, {})
+    service = Service(lambda: plant, NoticeLog(io.StringIO()))
     with pytest.raises(UsageError, match=r"pip install 'pmfid\[serve\]'"):
-        start(PageConfig(port=0), tmp_path)
+        service._serve_page(plant)

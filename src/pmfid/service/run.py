@@ -8,32 +8,35 @@ import signal
 import socket
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from threading import Event, Thread
 from time import monotonic
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pmfid.config.axis import Axis
 from pmfid.errors import PmfidError, UsageError
 from pmfid.pipeline.monitored.stream import catch_signals
 from pmfid.records.record import Record, read_record
 from pmfid.service.arrangement import Configurations, arrange_groups, remember, tell_configurations
-from pmfid.service.context import Context, Source
+from pmfid.service.context import Context, Source, Tell
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.plant import Plant, page_config
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.board import Board
-from pmfid.service.web.server import Page
 from pmfid.stream.checkpoint import Snapshot, Vault, read_snapshot
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.engine import Inbox, StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice, Outlet
+
+if TYPE_CHECKING:
+    from pmfid.service.web.server import Page
 
 
 @dataclass
@@ -43,13 +46,8 @@ class SignalRequests:
     stop: bool = False
     reload: bool = False
 
-    @contextmanager
-    def catch(self) -> Iterator[SignalRequests]:
+    def handle(self, number: int, frame: FrameType | None) -> None:
         """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
-        with catch_signals(self._handle):
-            yield self
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
         if number in (signal.SIGINT, signal.SIGTERM):
             self.stop = True
         else:
@@ -84,9 +82,6 @@ def notify(state: str) -> None:
         channel.send(state.encode())
 
 
-Tell = Callable[[dict[str, Any]], None]
-
-
 @dataclass
 class Running:
     """A source in its thread. failed: the reported error that ended it; ended: no further delivery will come."""
@@ -102,7 +97,6 @@ class Running:
     _stopped: Event = field(default_factory=Event, init=False)
 
     def start(self) -> None:
-        """Starts the thread."""
         self._thread = Thread(target=self._run, name=f"source {self.source.name}", daemon=True)
         self._thread.start()
 
@@ -139,42 +133,9 @@ class Running:
         self._stopped.set()
         self.source.stop()
 
-    def join(self, timeout: float) -> None:
-        """Waits for its end, at most `timeout` [s]."""
-        self._thread.join(timeout)
-
-
-@dataclass
-class Sources:
-    """All sources that run, by name."""
-
-    inbox: Inbox
-    tell: Tell
-    marks: Mapping[str, Mark]
-    running: dict[str, Running] = field(default_factory=dict, init=False)
-
-    def start(self, source: Source) -> None:
-        """Starts a source."""
-        self.running[source.name] = Running(source, self.inbox, self.tell, self.marks)
-        self.running[source.name].start()
-
-    @property
-    def ended(self) -> bool:
-        """Whether none of them will hand over anything more."""
-        return all(one.ended for one in self.running.values())
-
-    @property
-    def failed(self) -> PmfidError | None:
-        """The first error, where every one of them ended with one."""
-        errors = [one.failed for one in self.running.values()]
-        return errors[0] if errors and all(errors) else None
-
-    def stop(self, within: float) -> None:
-        """Ends all of them."""
-        for one in self.running.values():
-            one.stop()
-        for one in self.running.values():
-            one.join(within)
+    def join(self) -> None:
+        """Waits for its end, not for ever."""
+        self._thread.join(TUNING.run_ending)
 
 
 @dataclass
@@ -195,7 +156,7 @@ class Service:
         self._signals = SignalRequests()
         self._reloading: Thread | None = None
         self._prepare(plant)  # may take minutes: a signal ends it at once, for nothing runs yet
-        with self._signals.catch():
+        with catch_signals(self._signals.handle):
             try:
                 self._start(plant)
                 gc.freeze()  # what is there stays: not to be looked through again and again
@@ -205,8 +166,14 @@ class Service:
             finally:
                 notify("STOPPING=1")
                 self._end()
-        if (failed := self._sources.failed) is not None:
+        if (failed := self._failed) is not None:
             raise failed
+
+    @property
+    def _failed(self) -> PmfidError | None:
+        """The first error of the sources, if every one of them ended with one."""
+        errors = [one.failed for one in self._sources]
+        return errors[0] if errors and all(errors) else None
 
     # --- start --------------------------------------------------------------------------------------------------------
 
@@ -220,7 +187,7 @@ class Service:
         self._sinks: list[Queued] = []
         self._engine.silence.limit, self._engine.silence.sources = plant.service.silence, tuple(plant.sources)
         self._unwritten: dict[str, list[Notice]] = {}
-        self._sources = Sources(self._engine.inbox, self._engine.tell, self._engine.marks)
+        self._sources: list[Running] = []
         self._pace = Pace(plant.service.window, plant.service.every)
         self._configurations = Configurations(self._tell_now, self.record)
         vault: Vault | None = None
@@ -264,13 +231,9 @@ class Service:
         fresh = self._arrange(groups)
         known = set(saved.axes())
         changed = [name for name in fresh if name in known]
-        restored = {
-            "event": "checkpoint",
-            "restored": len(self._axes) - len(fresh),
-            "fresh": len(fresh),
-            "made": saved.wall,
-        }
-        self._tell_now({**restored, "changed": changed[: TUNING.most_names]} if changed else restored)
+        restored = {"event": "checkpoint", "restored": len(self._axes) - len(fresh), "fresh": len(fresh)}
+        more = {"changed": changed[: TUNING.most_names]} if changed else {}
+        self._tell_now({**restored, "made": saved.wall, **more})
 
     def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
         """A checkpoint and its groups that are still configured so. Raises ValueError for what is none."""
@@ -293,7 +256,8 @@ class Service:
         return fresh
 
     def _start(self, plant: Plant) -> None:
-        context = self._context(plant)
+        tell, find = self._engine.tell, self._find_axis
+        context = Context(plant.service.name, plant.folder, plant.state, self.counters, tell, find)
         self._sinks = [section.outlet(name, context) for name, section in plant.sinks.items()]
         self._engine.silence.sinks = self._sinks
         self._engine.unwritten = lambda: {sink.name: sink.unwritten() for sink in self._sinks}
@@ -310,14 +274,14 @@ class Service:
         self._thread = Thread(target=self._run_engine, name="engine", daemon=True)
         self._problem: BaseException | None = None
         self._thread.start()
-        for source in sources:
-            self._sources.start(source)
+        self._sources = [
+            Running(source, self._engine.inbox, self._engine.tell, self._engine.marks) for source in sources
+        ]
+        for running in self._sources:
+            running.start()
 
-    def _context(self, plant: Plant) -> Context:
-        return Context(plant.service.name, plant.folder, plant.state, self.counters, self._engine.tell, self._config_of)
-
-    def _config_of(self, axis: str) -> Axis | None:
-        prepared = self._axes.get(axis)
+    def _find_axis(self, name: str) -> Axis | None:
+        prepared = self._axes.get(name)
         return None if prepared is None else prepared.axis
 
     def _say_started(self, plant: Plant) -> None:
@@ -343,7 +307,14 @@ class Service:
         config = page_config(plant)
         if not config.enabled:
             return
-        from pmfid.service.web.server import serve
+        try:
+            from pmfid.service.metrics import exposition
+            from pmfid.service.web.server import serve
+        except ImportError:
+            raise UsageError(
+                "the page needs an extra: pip install 'pmfid[serve]'; or serve none: --no-page, or [page] "
+                "enabled = false"
+            ) from None
 
         self._page = serve(
             config,
@@ -353,14 +324,9 @@ class Service:
             self._engine,
             folder=plant.folder,
             reference=self._reference,
-            metrics=self._metrics,
+            metrics=partial(exposition, self.counters),
             alive=self._alive,
         )
-
-    def _metrics(self) -> str:
-        from pmfid.service.metrics import exposition
-
-        return exposition(self.counters)
 
     def _alive(self) -> bool:
         """Whether the engine still ticks."""
@@ -390,7 +356,7 @@ class Service:
             if self._signals.reload:
                 self._signals.reload = False
                 self._reload()
-            if self._sources.ended and (self.until_end or self._sources.failed):
+            if all(one.ended for one in self._sources) and (self.until_end or self._failed):
                 return
             if time.monotonic() - alive > 1 and self._alive():
                 alive = time.monotonic()
@@ -424,15 +390,19 @@ class Service:
         reload = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}
         if left := plant.unlike(self._plant):
             rest = ", ".join(left[: TUNING.most_names])
-            problem = f"{rest} as before: only axes and fleets are read again; start the service again for that"
-            reload["problem"] = problem
+            reload["problem"] = (
+                f"{rest} as before: only axes and fleets are read again; start the service again for that"
+            )
         self._engine.tell(reload)
 
     # --- end ----------------------------------------------------------------------------------------------------------
 
     def _end(self) -> None:
         """Ends the sources first, then the engine after their last delivery, then the outlets."""
-        self._sources.stop(TUNING.run_ending)
+        for running in self._sources:
+            running.stop()
+        for running in self._sources:
+            running.join()
         self._engine.inbox.close()
         if hasattr(self, "_thread"):
             self._thread.join()

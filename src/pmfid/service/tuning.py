@@ -122,6 +122,9 @@ class ServiceTuning:
     # web.connection
     #: Time for a TLS handshake [s], and a pause where the system has no file left for a connection [s].
     connection_handshake: float = 5.0
+    #: Time for a whole request [s], and time without a byte read by a browser that something waits for [s].
+    connection_request: float = 10.0
+    connection_stuck: float = 10.0
     no_file: float = 0.1
 
     # web.hub

@@ -64,16 +64,17 @@ def read_alike_blocks(data: bytes) -> Table | None:
     rows = np.frombuffer(data, form)
     whole = rows.view(np.uint8).reshape(rows.size, form.itemsize)
     same = (whole[:, _COMMON] == whole[0, _COMMON]).all() and (whole[:, _LETTERS] == letters).all()
-    if not (same and _sums_fit(data, rows) and _are_in_range(rows, samples)):
+    view, size = memoryview(data), form.itemsize
+    sums = (zlib.crc32(view[place : place + size - 4]) for place in range(0, len(data), size))
+    if not (same and list(sums) == rows["crc"].tolist() and _are_in_range(rows, samples)):
         return None
     names = (_read_names if rows.size <= NAMES else _read_names.__wrapped__)(rows["name"].tobytes(), letters)
-    return None if names is None else _build_table(rows, names)
-
-
-def _sums_fit(data: bytes, rows: np.ndarray) -> bool:
-    view, size = memoryview(data), rows.itemsize
-    sums = [zlib.crc32(view[place : place + size - 4]) for place in range(0, len(data), size)]
-    return bool(sums == rows["crc"].tolist())
+    if names is None:
+        return None
+    # copies: they are aligned, and do not keep the whole message
+    epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
+    time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
+    return Table(names, epoch, first, time, dt, u, counts)
 
 
 def _are_in_range(rows: np.ndarray, samples: int) -> bool:
@@ -97,13 +98,6 @@ def _read_names(text: bytes, letters: int) -> tuple[str, ...] | None:
     # what ends in zeros is shorter than it says
     whole = all(map(str.isprintable, names)) and all(len(name.encode()) == letters for name in names)
     return names if whole else None
-
-
-def _build_table(rows: np.ndarray, names: tuple[str, ...]) -> Table:
-    # copies: they are aligned, and do not keep the whole message
-    epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
-    time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
-    return Table(names, epoch, first, time, dt, u, counts)
 
 
 #: How often in one message a block is looked for by MAGIC alone: each may cost the checksum of a whole block.
@@ -174,7 +168,8 @@ def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
         end, item = _block(data, view, place)
         if item is None and not whole:
             break
-        if isinstance(item, Block) or (item and _begins(data, end)):
+        # the length of a damaged block is trusted if another block may begin at its end
+        if isinstance(item, Block) or (item and end and (end == len(data) or data.startswith(MAGIC, end))):
             found.append(item)
             place = end
             continue
@@ -184,11 +179,6 @@ def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
         searches += 1
         place = _next(data, place + 1, whole) if searches <= _MOST_SEARCHES or not whole else len(data)
     return found, place
-
-
-def _begins(data: bytes, end: int) -> bool:
-    """Whether a block may begin at the end of another one: then the length of that other block is trusted."""
-    return end > 0 and (end == len(data) or data.startswith(MAGIC, end))
 
 
 def _next(data: bytes, start: int, whole: bool) -> int:

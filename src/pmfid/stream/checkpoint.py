@@ -26,16 +26,8 @@ _LENGTH = struct.Struct("<Q")
 #: State of the numbers and the clock of each axis.
 SEAT = np.dtype(
     [
-        ("epoch", "<i8"),
-        ("expected", "<i8"),
-        ("time", "<f8"),
-        ("number", "<i8"),
-        ("start", "<f8"),
-        ("first", "<i8"),
-        ("seat", "<i8"),
-        ("notices", "<i8"),
-        ("wrong_rate", "u1"),
-        ("wrong_period", "u1"),
+        *(("epoch", "<i8"), ("expected", "<i8"), ("time", "<f8"), ("number", "<i8"), ("start", "<f8")),
+        *(("first", "<i8"), ("seat", "<i8"), ("notices", "<i8"), ("wrong_rate", "u1"), ("wrong_period", "u1")),
     ]
 )
 #: Fields of SEAT that are columns of `Positions`.
@@ -114,17 +106,15 @@ def state_size(engine: StreamEngine) -> int:
 def draft(engine: StreamEngine, room: StateBuffer) -> Draft:
     """The checkpoint of the engine between two ticks, to be completed by another thread while the engine goes on."""
     states = room.copy_states([group.fleet.unsealed_state() for group in engine.groups])
-    others, groups = (
-        [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups],
-        list[dict[str, Any]](),
-    )
+    others = [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups]
+    groups = list[dict[str, Any]]()
     for group, state, own in zip(engine.groups, states, others, strict=True):
-        names = [seat.name for seat in group.seats]
-        groups.append({"digest": group.prepared.digest, "config": group.kindred.config, "axes": names})
-        groups[-1]["seats"] = {str(seat.index): rare for seat in group.seats if (rare := _collect_rare(seat))}
+        seats = {str(seat.index): rare for seat in group.seats if (rare := _collect_rare(seat))}
         for index in np.flatnonzero(group.positions.alarm).tolist():
-            groups[-1]["seats"].setdefault(str(index), {})["silent"] = int(group.positions.alarm[index])
-        groups[-1]["parts"] = [sum(map(len, state)), *map(len, own)]
+            seats.setdefault(str(index), {})["silent"] = int(group.positions.alarm[index])
+        names, parts = [seat.name for seat in group.seats], [sum(map(len, state)), *map(len, own)]
+        head = {"digest": group.prepared.digest, "config": group.kindred.config, "axes": names}
+        groups.append({**head, "seats": seats, "parts": parts})
     text = json.dumps(
         {
             "wall": time.time(),
@@ -154,16 +144,9 @@ def _pack_seats(group: Group) -> NDArray[np.void]:
 
 def _collect_rare(seat: Seat) -> dict[str, Any]:
     """Data that only some axes have."""
-    found: dict[str, Any] = {}
-    if seat.order.gaps:
-        found["gaps"] = seat.order.gaps
-    if seat.notice_counts:
-        found["told"] = seat.notice_counts
-    if seat.timed is not None:
-        found["timed"] = seat.timed.save_state()
-    if seat.referred is not None:
-        found["referred"] = seat.referred
-    return found
+    timed = None if seat.timed is None else seat.timed.save_state()
+    found = {"gaps": seat.order.gaps, "told": seat.notice_counts, "timed": timed, "referred": seat.referred}
+    return {name: value for name, value in found.items() if value}
 
 
 def _pack_held(group: Group) -> bytes:
@@ -198,11 +181,10 @@ class Saved:
             for name in _COLUMNS:
                 getattr(group.positions, name)[:] = self.seats[name]
             numbers = self.seats["seat"].tolist(), self.seats["notices"].tolist()
-            for index, (seat, *own) in enumerate(zip(group.seats, *numbers, strict=True)):
+            for seat, *own in zip(group.seats, *numbers, strict=True):
                 seat.number, seat.notices = own
-                if str(index) in self.rare:
-                    _restore_rare(seat, self.rare[str(index)])
-                    group.positions.fall_silent(index, int(self.rare[str(index)].get("silent", 0)))
+                if str(seat.index) in self.rare:
+                    _restore_rare(seat, self.rare[str(seat.index)])
             _restore_held(group.seats, self.held)
         except (UsageError, KeyError, TypeError, IndexError, AttributeError, struct.error, OverflowError) as error:
             raise ValueError(str(error)) from None
@@ -251,17 +233,12 @@ def read_snapshot(body: bytes) -> Snapshot:
         if place != len(body):
             raise ValueError("its parts do not fill it")
         marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
-        alarms = [_read_alarm(alarm) for alarm in raw["alarms"]]
+        alarms = [AlarmRecord(**alarm) for alarm in raw["alarms"]]
         unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
         history = list(raw["history"])
         return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, history, alarms, unwritten, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
         raise ValueError(f"it is no checkpoint of this version: {error!r}") from None
-
-
-def _read_alarm(raw: Mapping[str, Any]) -> AlarmRecord:
-    keys = ("axis", "number", "wall", "what", "note", "acknowledged", "settled")
-    return AlarmRecord(**{key: raw[key] for key in keys}, cleared=raw.get("cleared"))
 
 
 def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
@@ -271,6 +248,7 @@ def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
         seat.referred = tuple(map(float, rare["referred"]))
     if "timed" in rare:
         seat.lines(bool(rare["timed"]["timed"])).restore(rare["timed"])
+    seat.group.positions.fall_silent(seat.index, int(rare.get("silent", 0)))
 
 
 def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
@@ -325,12 +303,6 @@ def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
     return b"".join([_LENGTH.pack(number), *(part[k] for k in range(3) for part in parts)]) if parts else b""
 
 
-def keep_axes(group: Group, names: Collection[str]) -> Group:
-    """Removes all other axes from the group, and returns the group."""
-    group.remove([seat.index for seat in group.seats if seat.name not in names])
-    return group
-
-
 def body_of(
     saved: Saved, prepared: Prepared, pace: Pace, names: Collection[str], alarms: Sequence[AlarmRecord], numbered: int
 ) -> bytes:
@@ -339,7 +311,9 @@ def body_of(
     engine = StreamEngine(Counters())
     here = [alarm for alarm in alarms if alarm.axis in names]
     Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
-    engine.set_groups([keep_axes(saved.restore_group(prepared, pace), names)])
+    group = saved.restore_group(prepared, pace)
+    group.remove([seat.index for seat in group.seats if seat.name not in names])
+    engine.set_groups([group])
     return b"".join(snapshot(engine))
 
 

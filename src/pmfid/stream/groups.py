@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from hashlib import blake2b, sha256
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from pmfid.errors import UsageError
 from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.setup import Setup, set_up
-from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Found, Line, Metronome, Sample, Saved, Timeline
+from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
 from pmfid.records.record import Record
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Positions, SamplePiece
@@ -27,10 +28,6 @@ from pmfid.stream.outcome import Kindred
 from pmfid.stream.tuning import TUNING
 
 _LINE = struct.Struct("<ddq")
-
-
-def _get_time(line: Line) -> float:
-    return line.time
 
 
 class Timed:
@@ -85,7 +82,7 @@ class Timed:
             return self._take_late(line)
         self._late_in_row = 0
         self._newest = max(self._newest, line.time)
-        insort(self._held, line, key=_get_time)
+        insort(self._held, line, key=attrgetter("time"))
         due = 0
         while due < len(self._held) and (
             self._held[due].time <= self._newest - self.window or len(self._held) - due > TUNING.groups_most
@@ -113,11 +110,14 @@ class Timed:
             verdict.refused += 1
             return []
         samples = [one for one in found if isinstance(one, Sample)]
-        self._count_skipped(found, verdict)
+        for one in found:
+            if not isinstance(one, Sample) and one.kind != COMMENT:
+                verdict.lines[one.kind] = verdict.lines.get(one.kind, 0) + 1
+                verdict.events.append({"event": one.kind, "time": one.time, "problem": one.problem})
         return self._check_probation(samples, verdict) if self._doubtful and samples else samples
 
     def _check_probation(self, samples: list[Sample], verdict: ItemReport) -> list[Sample]:
-        """Refuses samples after lines of another period, until groups_probation samples fit."""
+        """Refuses samples after lines of another period, until enough samples fit."""
         verdict.refused += len(samples)
         self._doubtful = max(0, self._doubtful - len(samples))
         if self._doubtful:
@@ -125,12 +125,6 @@ class Timed:
         last = samples[-1]
         verdict.refused -= 1
         return [Sample(last.time, last.u, last.counts, 0, math.inf)]
-
-    def _count_skipped(self, found: list[Found], verdict: ItemReport) -> None:
-        for one in found:
-            if not isinstance(one, Sample) and one.kind != COMMENT:
-                verdict.lines[one.kind] = verdict.lines.get(one.kind, 0) + 1
-                verdict.events.append({"event": one.kind, "time": one.time, "problem": one.problem})
 
     def save_state(self) -> Saved:
         """The state, for JSON with NaN and infinity."""
@@ -225,11 +219,11 @@ class Seat:
     hand, None: the reference of its configuration.
     """
 
-    __slots__ = ("_place", "group", "name", "notice_counts", "notices", "number", "order", "referred", "timed")
+    __slots__ = ("group", "name", "notice_counts", "notices", "number", "order", "place", "referred", "timed")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
-        self.group, self.name, self._place = group, name, PositionRow(group.positions, index)
-        self.order = Order(group.dt, round(group.pace.window / group.dt), self._place)
+        self.group, self.name, self.place = group, name, PositionRow(group.positions, index)
+        self.order = Order(group.dt, round(group.pace.window / group.dt), self.place)
         self.timed: Timed | None = None
         self.number, self.notices = 0, 0
         self.notice_counts: dict[str, int] = {}
@@ -238,11 +232,7 @@ class Seat:
     @property
     def index(self) -> int:
         """Number of the axis in the group."""
-        return self._place.index
-
-    def move(self, index: int) -> None:
-        """Changes the number after the removal of other axes."""
-        self._place.index = index
+        return self.place.index
 
     def lines(self, timed: bool) -> Timed:
         """The converter of its lines to samples; timed: the first lines have a time."""
@@ -254,8 +244,8 @@ class Seat:
         """Accepts any next number as the first one, after a gap of unknown length. Returns the number of waiting
         samples, which are dropped, and the events of the monitor."""
         dropped = sum(block.counts.size for block in self.order.held)
-        self._place.positions.forget(self.index)
-        self.order = Order(self.group.dt, self.order.window, self._place)
+        self.place.positions.forget(self.index)
+        self.order = Order(self.group.dt, self.order.window, self.place)
         if not self.group.numbers[self.index]:
             return dropped, []
         self.group.numbers[self.index] += 1
@@ -308,7 +298,7 @@ class Group:
         self.numbers = np.delete(self.numbers, list(gone))
         self.positions.remove(gone)
         for k, seat in enumerate(self.seats):
-            seat.move(k)
+            seat.place.index = k
         self.kindred = self._build_kindred()
 
     def restore(self, names: Sequence[str], state: bytes) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,42 +15,14 @@ from pmfid.stream.order import ItemReport, Positions, SamplePiece, clock_runs, p
 from pmfid.stream.outcome import Counters
 from pmfid.stream.stepping import Batch, FoundEvent, GroupQueue
 from pmfid.stream.tuning import TUNING
-from pmfid.types import Flags, Floats
+from pmfid.types import Flags
 
 #: The groups of the blocks of a table, and the numbers (k,) of their axes in the group, -1 for axes of other groups.
 Seating = list[tuple[Group, NDArray[np.int64]]]
 
 
-@dataclass
-class Tables:
-    """Tables of blocks of the same length that follow one another, and the deliveries that brought them."""
-
-    tables: list[Table] = field(default_factory=list)
-    deliveries: list[Delivery] = field(default_factory=list)
-
-    def may_put(self, table: Table) -> bool:
-        """Whether the blocks of the table have the same length."""
-        return not self.tables or self.tables[0].counts.shape[1] == table.counts.shape[1]
-
-    def put(self, table: Table, delivery: Delivery) -> None:
-        """Appends a table."""
-        self.tables.append(table)
-        self.deliveries.append(delivery)
-
-    @property
-    def size(self) -> int:
-        """Number of blocks."""
-        return sum(len(table.axes) for table in self.tables)
-
-    def list_block_deliveries(self) -> list[Delivery]:
-        """The delivery of each block."""
-        pairs = zip(self.tables, self.deliveries, strict=True)
-        return [delivery for table, delivery in pairs for _ in table.axes]
-
-    def split(self) -> Iterator[Tables]:
-        """Each table by itself."""
-        for table, delivery in zip(self.tables, self.deliveries, strict=True):
-            yield Tables([table], [delivery])
+#: Tables of blocks of the same length that follow one another, and the deliveries that brought them.
+Tables = list[tuple[Table, Delivery]]
 
 
 @dataclass
@@ -112,17 +84,14 @@ class Ordered:
 
     def put(self, group: Group, batch: Batch) -> None:
         """Appends blocks of a table, each of another axis."""
-        waiting = self._get_waiting(group)
+        waiting = self.get_waiting(group)
         if not waiting.may_put(batch.index):
             del self._last[id(group)]
-            waiting = self._get_waiting(group)
+            waiting = self.get_waiting(group)
         waiting.put(batch)
 
-    def queue(self, seat: Seat, pieces: list[SamplePiece]) -> None:
-        """Appends pieces of an axis."""
-        self._get_waiting(seat.group).queue(seat, pieces)
-
-    def _get_waiting(self, group: Group) -> GroupQueue:
+    def get_waiting(self, group: Group) -> GroupQueue:
+        """The last queue of a group."""
         if id(group) not in self._last:
             self._last[id(group)] = GroupQueue(group)
             self.rounds.append(self._last[id(group)])
@@ -150,13 +119,11 @@ class Intake:
         ordered, tables = Ordered(), Tables()
         for delivery in deliveries:
             for item in delivery.items:
-                if isinstance(item, Table) and tables.may_put(item):
-                    tables.put(item, delivery)
-                    continue
-                self._settle(tables, ordered)
-                tables = Tables()
+                if not isinstance(item, Table) or (tables and tables[0][0].counts.shape[1] != item.counts.shape[1]):
+                    self._settle(tables, ordered)
+                    tables = []
                 if isinstance(item, Table):
-                    tables.put(item, delivery)
+                    tables.append((item, delivery))
                 else:
                     self._turn += 1
                     self._single(item, delivery, self._turn, ordered)
@@ -167,29 +134,33 @@ class Intake:
 
     def _settle(self, tables: Tables, ordered: Ordered) -> None:
         """Orders consecutive tables, all at once if no axis occurs twice."""
-        if not tables.tables:
+        if not tables:
             return
-        seating = self._seatings.seat_tables([table.axes for table in tables.tables])
-        if seating is not None or len(tables.tables) == 1:
+        seating = self._seatings.seat_tables([table.axes for table, _ in tables])
+        if seating is not None or len(tables) == 1:
             self._table(tables, seating or [], ordered)
             return
-        for one in tables.split():
-            self._settle(one, ordered)
+        for one in tables:
+            self._settle([one], ordered)
 
     def _table(self, tables: Tables, seating: Seating, ordered: Ordered) -> None:
         """Takes the expected blocks at once, the others one by one; each block counts as an item."""
-        table, size = Table.join(tables.tables), tables.size
+        table = Table.join([table for table, _ in tables])
+        size = len(table.axes)
         turns = np.arange(self._turn + 1, self._turn + 1 + size)
-        received = np.repeat([one.received for one in tables.deliveries], [len(one.axes) for one in tables.tables])
+        received = np.repeat([one.received for _, one in tables], [len(one.axes) for one, _ in tables])
         self._turn += size
         rest = np.ones(size, np.bool_)
         for group, index in seating:
             taken = take_expected(group.positions, group.dt, index, table)
             if taken.any():
-                ordered.put(group, _batch(table, taken, index, turns, received))
+                rows = slice(None) if taken.all() else np.flatnonzero(taken)
+                at, offset = index[rows], np.zeros(np.count_nonzero(taken), np.int64)
+                u, counts, time = table.u[rows], table.counts[rows], table.time[rows]
+                ordered.put(group, Batch(at, u, counts, time, offset, turns[rows], received[rows]))
                 rest &= ~taken
         left = np.flatnonzero(rest).tolist()
-        deliveries = tables.list_block_deliveries() if left else []
+        deliveries = [delivery for one, delivery in tables for _ in one.axes] if left else []
         for row in left:
             self._single(table.block(row), deliveries[row], int(turns[row]), ordered)
 
@@ -213,10 +184,15 @@ class Intake:
             return
         pieces = list[SamplePiece]()
         try:
-            verdict = _order_item(seat, item, delivery.received, turn, pieces)
+            if isinstance(item, Block):
+                verdict = seat.order.take(item, delivery.received, turn, pieces)
+            else:
+                timed = any(line.time == line.time for line in item.lines)
+                lines = seat.lines(timed or bool(seat.group.prepared.axis.record.time))
+                verdict = lines.take(item, delivery.received, turn, pieces)
         finally:  # an order gives out each piece once
             if pieces:
-                ordered.queue(seat, pieces)
+                ordered.get_waiting(seat.group).queue(seat, pieces)
         if verdict is not None:
             self._judge(seat, verdict, turn, ordered.found)
 
@@ -246,24 +222,6 @@ class Intake:
                 found.append(FoundEvent(turn, -1, seat, what))
 
 
-def _order_item(
-    seat: Seat, item: Block | Lines, received: float, turn: int, pieces: list[SamplePiece]
-) -> ItemReport | None:
-    if isinstance(item, Block):
-        return seat.order.take(item, received, turn, pieces)
-    timed = any(line.time == line.time for line in item.lines)
-    lines = seat.lines(timed or bool(seat.group.prepared.axis.record.time))
-    return lines.take(item, received, turn, pieces)
-
-
-def _batch(table: Table, taken: Flags, index: NDArray[np.int64], turns: NDArray[np.int64], received: Floats) -> Batch:
-    """Some blocks of a table."""
-    rows = slice(None) if taken.all() else np.flatnonzero(taken)
-    at = index[rows]
-    offset = np.zeros(at.size, np.int64)
-    return Batch(at, table.u[rows], table.counts[rows], table.time[rows], offset, turns[rows], received[rows])
-
-
 # --- expected blocks of many axes: taken at once ----------------------------------------------------------------------
 
 
@@ -272,25 +230,18 @@ def take_expected(positions: Positions, dt: float, index: NDArray[np.int64], tab
 
     index: (k,) their axes, each once, -1 for none. Returns (k,) whether each block was taken.
     """
-    n, known = table.counts.shape[1], positions
-    samples, time = table.first - known.first[index], table.time - known.start[index]
+    n, known, first = table.counts.shape[1], positions, table.first
+    samples, time = first - known.first[index], table.time - known.start[index]
+    off = table.time - known.time[index] - (first - known.number[index]) * dt
     with np.errstate(invalid="ignore", divide="ignore"):
         measured = rate_is_due(samples, time)
         at_rate = np.logical_not(measured) | (rate_fits(time / (samples * dt)) & ~known.wrong_rate[index])
-        taken = _find_expected(known, dt, index, table) & (np.isnan(table.time) | at_rate)
+        quiet = np.isnan(table.time) | (clock_runs(off) & at_rate)
+    next_one = (table.epoch == known.epoch[index]) & (first == known.expected[index]) & ~known.waits[index]
+    taken: Flags = np.logical_and((index >= 0) & next_one & quiet, period_fits(table.dt, dt))
     known.expected[index[taken]] = table.first[taken] + n
     timed = taken & ~np.isnan(table.time)
     known.time[index[timed]], known.number[index[timed]] = table.time[timed] + n * dt, table.first[timed] + n
     renewed = timed & measured
     known.start[index[renewed]], known.first[index[renewed]] = table.time[renewed], table.first[renewed]
     return taken
-
-
-def _find_expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
-    """(k,) whether each block is expected next, apart from the rate of its clock."""
-    known, first, time = positions, table.first, table.time
-    off = time - known.time[index] - (first - known.number[index]) * dt
-    quiet = np.logical_or(np.isnan(time), clock_runs(off))
-    next_one = (table.epoch == known.epoch[index]) & (first == known.expected[index]) & ~known.waits[index]
-    expected: Flags = np.logical_and((index >= 0) & next_one & quiet, period_fits(table.dt, dt))
-    return expected

@@ -244,15 +244,9 @@ class Order:
 
     def take(self, block: Block, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport | None:
         """Appends the samples that can be stepped to `pieces`; returns None for the expected block without a notice."""
-        n = block.counts.size
-        if (
-            n
-            and block.epoch == self.epoch
-            and block.first == self.expected
-            and not self._held
-            and period_fits(block.dt, self.dt)
-        ):
-            self.expected = block.first + n
+        next_one = block.epoch == self.epoch and block.first == self.expected and not self._held
+        if next_one and block.counts.size and period_fits(block.dt, self.dt):
+            self.expected = block.end
             pieces.append(SamplePiece(0, False, block.u, block.counts, block.time, 0, received, turn))
             event = self.clock.look(block.first, self.expected, block.time)
             return None if event is None else ItemReport(events=[event])
@@ -262,7 +256,8 @@ class Order:
         verdict = ItemReport()
         n = block.counts.size
         if not period_fits(block.dt, self.dt):
-            return self._refuse(block, verdict)
+            self._refuse(block, verdict)
+            return verdict
         if n == 0:
             return verdict
         if block.epoch < self.epoch:
@@ -277,7 +272,7 @@ class Order:
             self._release(received, turn, pieces, verdict)
         return verdict
 
-    def _refuse(self, block: Block, verdict: ItemReport) -> ItemReport:
+    def _refuse(self, block: Block, verdict: ItemReport) -> None:
         verdict.refused += block.counts.size
         if not self.wrong_period:
             self.wrong_period = True
@@ -286,7 +281,6 @@ class Order:
                 "or take a reference with this one"
             )
             verdict.events.append({"event": "period", "problem": problem})
-        return verdict
 
     def _count_old(self, first: int, end: int, verdict: ItemReport) -> None:
         """Counts old samples: samples of a gap are late, the others are repeated."""

@@ -113,17 +113,15 @@ class Alarms:
 
     def take(self, notice: Notice) -> list[AlarmRecord]:
         """Applies a notice. Returns the changed alarms; a repeated notice changes none."""
-        what = notice.what
-        if what.get("event") == "alarm":
+        what, event = notice.what, notice.what.get("event")
+        if event == "alarm":
             return self._raise(notice)
-        if what.get("event") == "acknowledged":
+        if event == "acknowledged":
             known = what.get("alarm", what.get("number"))
             return self._change(known, note=str(what.get("note", "")), acknowledged=notice.wall)
-        if what.get("event") == "cleared":
+        if event == "cleared":
             return self._change(what.get("alarm"), cleared=notice.wall)
-        if what.get("event") == "settled":
-            return self._settle(notice)
-        return []
+        return self._settle(notice) if event == "settled" else []
 
     def _raise(self, notice: Notice) -> list[AlarmRecord]:
         if notice.number in self._all:

@@ -31,15 +31,12 @@ class FileSinkSection(SinkSection):
         return self
 
     def wants_rows(self) -> bool:
-        """Does the sink want rows, as configured?"""
         return self.rows
 
     def wants_events(self) -> frozenset[str] | None:
-        """All, or none."""
         return None if self.events else frozenset()
 
     def make(self, name: str, context: Context) -> FileSink:
-        """The sink, not yet open."""
         return FileSink(name, context.folder / self.path)
 
 
@@ -75,8 +72,12 @@ class FileSink:
                     _write_all(self._file, b"\n")
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError if the lines cannot be written: then a regular file has none of them."""
-        if not self._is_there():
+        """Raises OSError where the lines cannot be written: then a regular file has none of them."""
+        try:
+            there = os.path.samestat(os.stat(self._path), os.fstat(self._file))
+        except FileNotFoundError:
+            there = False
+        if not there:
             self.open()
         state = os.fstat(self._file)
         try:
@@ -86,15 +87,7 @@ class FileSink:
                 os.ftruncate(self._file, state.st_size)
             raise
 
-    def _is_there(self) -> bool:
-        """Whether the file that is open is still the one of that name."""
-        try:
-            return os.path.samestat(os.stat(self._path), os.fstat(self._file))
-        except FileNotFoundError:
-            return False
-
     def close(self) -> None:
-        """The file can be opened again."""
         file, self._file = self._file, -1
         if file >= 0:
             os.close(file)

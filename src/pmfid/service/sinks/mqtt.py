@@ -54,7 +54,7 @@ class BrokerLink:
             client.loop_start()
             if not self._connected.wait(TUNING.mqtt_answer):
                 raise OSError("the broker does not answer")
-            self._check()
+            self.check()
         except BaseException:
             self.drop()
             raise
@@ -76,18 +76,15 @@ class BrokerLink:
         if client is self._client and reason.is_failure:
             self._problem = f"the broker refuses a message: {reason}"
 
-    def _check(self) -> Client:
+    def check(self) -> Client:
+        """The client. Raises OSError if the connection has ended, or a message was refused."""
         if self._problem or self._client is None or self._ended.is_set():
             raise OSError(self._problem or "there is no connection to the broker")
         return self._client
 
-    def check(self) -> None:
-        """Raises OSError if the connection has ended, or a message was refused."""
-        self._check()
-
     def publish(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
         """Hands over a message; `flush` reports its result."""
-        info = self._check().publish(topic, payload, qos, retain)
+        info = self.check().publish(topic, payload, qos, retain)
         if info.rc != 0:
             raise OSError(self._problem or "the connection to the broker ended")
         self._last = info
@@ -100,12 +97,12 @@ class BrokerLink:
         end = time.monotonic() + TUNING.mqtt_answer
         for info in [*waiting, *([self._last] if self._last is not None else [])]:
             while not info.is_published():
-                self._check()
+                self.check()
                 if time.monotonic() > end:
                     raise OSError(f"the broker has not taken all within {TUNING.mqtt_answer:g} s")
                 info.wait_for_publish(0.05)
         self._last = None
-        self._check()
+        self.check()
 
     def drop(self) -> None:
         """Ends the connection; the broker then knows that it was meant, and publishes no will."""
@@ -136,11 +133,9 @@ class MqttSinkSection(SinkSection, BrokerSection):
     )
 
     def wants_rows(self) -> bool:
-        """Unless estimates are off."""
         return self.estimates != "off"
 
     def wants_events(self) -> frozenset[str] | None:
-        """All, or what concerns alarms."""
         return None if self.events else URGENT
 
     def make(self, name: str, context: Context) -> MqttSink:
@@ -181,25 +176,18 @@ class MqttSink:
             if isinstance(one, Notice):
                 self._notice(one)
             elif self._section.estimates == "batch":
-                self._batches(one)
+                for batch in batches_of(one):
+                    topic = self._topic("batches", one.group.config)
+                    self._link.publish(topic, as_json(batch).encode(), self._section.qos)
             else:
-                self._rows(one)
+                for axis, row in row_objects(one):
+                    topic, payload = self._topic("estimates", axis), as_json(row).encode()
+                    self._link.publish(topic, payload, self._section.qos, self._section.retain)
         self._link.flush()
 
     def _topic(self, what: str, of: str) -> str:
         """One level for a name, whatever is in it."""
         return f"{self._base}/{what}/{quote(of, safe='')}"
-
-    def _rows(self, rows: EstimateRows) -> None:
-        section = self._section
-        for axis, row in row_objects(rows):
-            payload = as_json(row).encode()
-            self._link.publish(self._topic("estimates", axis), payload, section.qos, section.retain)
-
-    def _batches(self, rows: EstimateRows) -> None:
-        topic = self._topic("batches", rows.group.config)
-        for batch in batches_of(rows):
-            self._link.publish(topic, as_json(batch).encode(), self._section.qos)
 
     def _notice(self, notice: Notice) -> None:
         payload, topic = as_json(notice_object(notice)).encode(), self._alarm_topic(notice)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from threading import Condition, Event, Thread
 from typing import NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from pmfid.config.toml_file import FileSection
@@ -61,8 +62,7 @@ def is_urgent(notice: Notice) -> bool:
 
 def size_of(rows: EstimateRows) -> int:
     """Bytes of the arrays."""
-    arrays = (rows.axis, rows.number, rows.time, rows.u, rows.counts, rows.theta, rows.std)
-    return sum(array.nbytes for array in (*arrays, rows.innovation, rows.status, rows.state))
+    return sum(value.nbytes for value in vars(rows).values() if isinstance(value, np.ndarray))
 
 
 @dataclass
@@ -82,7 +82,6 @@ class OutcomeQueue:
 
     @property
     def notices(self) -> int:
-        """How many wait."""
         return len(self._urgent) + len(self._other)
 
     def __bool__(self) -> bool:
@@ -98,9 +97,10 @@ class OutcomeQueue:
         """Appends an outcome. Returns the dropped outcomes."""
         self._serial += 1
         if isinstance(outcome, EstimateRows):
-            self._add_rows(Entry(self._serial, outcome, outcome.axis.size, size_of(outcome)))
+            entry = Entry(self._serial, outcome, outcome.axis.size, size_of(outcome))
         else:
-            self._line_of(outcome).append(Entry(self._serial, outcome))
+            entry = Entry(self._serial, outcome)
+        self._count(entry).append(entry)
         return self._drop_excess()
 
     def take(self, most: int = MOST_ENTRIES) -> list[Entry]:
@@ -121,22 +121,16 @@ class OutcomeQueue:
     def give_back(self, taken: Sequence[Entry]) -> Lost:
         """Puts the last taken outcomes in front again. Returns the dropped outcomes."""
         for entry in reversed(taken):
-            if isinstance(entry.outcome, EstimateRows):
-                self._add_rows(entry, front=True)
-            else:
-                self._line_of(entry.outcome).appendleft(entry)
+            self._count(entry).appendleft(entry)
         return self._drop_excess()
 
-    def _line_of(self, notice: Notice) -> Line:
-        return self._urgent if is_urgent(notice) else self._other
-
-    def _add_rows(self, entry: Entry, front: bool = False) -> None:
+    def _count(self, entry: Entry) -> Line:
+        """Counts an entry. Returns its line."""
         self.rows += entry.rows
         self.size += entry.size
-        if front:
-            self._rows.appendleft(entry)
-        else:
-            self._rows.append(entry)
+        if isinstance(entry.outcome, EstimateRows):
+            return self._rows
+        return self._urgent if is_urgent(entry.outcome) else self._other
 
     def _drop_excess(self) -> Lost:
         rows = notices = 0
@@ -249,7 +243,6 @@ class Queued:
                     self._unwritten.pop(entry.outcome.number, None)
 
     def start(self) -> None:
-        """Begins to write."""
         self._thread.start()
 
     def close(self, within: float) -> bool:
@@ -295,15 +288,12 @@ class Queued:
     def _next(self) -> list[Entry] | None:
         """Waits for the next outcomes, an empty list after queued_idle; None at the end."""
         with self._changed:
-            while not (self._closing.is_set() or self._due()):
+            while not (self._closing.is_set() or self._waiting.crowded or self._compute_wait() == 0):
                 self._changed.wait(self._compute_wait())
             self._taken_at = time.monotonic()
             if self._taken_at >= self._deadline or (self._closing.is_set() and not self._waiting):
                 return None
             return self._waiting.take(1 if self._alone else MOST_ENTRIES)
-
-    def _due(self) -> bool:
-        return self._waiting.crowded or self._compute_wait() == 0
 
     def _compute_wait(self) -> float:
         """Seconds until there is something to write, or until the sink is to be looked after."""
@@ -316,15 +306,9 @@ class Queued:
             if not self._open:
                 self._sink.open()
                 self._open = True
-        except Exception as error:
-            self._note_failure(error, batch)
-            return
-        try:
             self._sink.put([entry.outcome for entry in batch])
-        except OSError as error:
-            self._note_failure(error, batch)
         except Exception as error:
-            if batch:
+            if self._open and batch and not isinstance(error, OSError):
                 self._drop_refused(error, batch)
             else:
                 self._note_failure(error, batch)
@@ -348,11 +332,8 @@ class Queued:
     def _note_failure(self, error: Exception, batch: Sequence[Entry]) -> None:
         """Reports a passing error once; the outcomes wait in front of all others."""
         steady = not self._failing and time.monotonic() - self._working_since > TUNING.queued_steady
-        self._pause = (
-            TUNING.queued_first_pause
-            if steady or not self._pause
-            else min(2 * self._pause, TUNING.queued_longest_pause)
-        )
+        again = min(2 * self._pause, TUNING.queued_longest_pause)
+        self._pause = TUNING.queued_first_pause if steady or not self._pause else again
         self._counters.add("pmfid_sink_errors_total", sink=self.name)
         if self._trying is None:
             self._trying = time.monotonic()
@@ -406,8 +387,8 @@ class SinkSection(FileSection):
     queue_notices: int = Field(10_000, ge=1, description="the number of notices that may wait")
 
     def make(self, name: str, context: Context) -> Sink:
-        """The sink, not yet open. Raises UsageError for what can be known to be wrong before, as a library that is not
-        installed or a secret that is not there."""
+        """The sink, not yet open. Raises UsageError for what is known to be wrong before, as a missing library or
+        secret."""
         raise NotImplementedError
 
     def wants_rows(self) -> bool:

@@ -84,11 +84,9 @@ class SqliteSection(SinkSection):
     )
 
     def wants_rows(self) -> bool:
-        """Events alone."""
         return False
 
     def make(self, name: str, context: Context) -> SqliteSink:
-        """The sink, not yet open."""
         kept = context.state or context.folder
         return SqliteSink(name, kept / f"{name}.sqlite" if self.path is None else context.folder / self.path)
 

@@ -81,7 +81,12 @@ class Poster:
             raise _build_os_error(error, bool(late), self._timeout) from None
         finally:
             watch.cancel()
-        _judge(answer.status)
+        if 300 <= answer.status < 400:
+            redirected = f"the server answers {answer.status} and another address, which is not followed"
+            raise OSError(f"{redirected}; give that address")
+        if not 200 <= answer.status < 300:
+            kind = RefusedError if answer.status in ABOUT_CONTENT else OSError
+            raise kind(f"the server answers {answer.status}")
 
     def _connect(self) -> http.client.HTTPConnection:
         host, port = str(self._address.hostname), self._address.port
@@ -115,32 +120,10 @@ def _build_os_error(error: OSError | http.client.HTTPException, late: bool, time
     return OSError(f"the connection ended without an answer ({type(error).__name__})")
 
 
-def _judge(status: int) -> None:
-    if 200 <= status < 300:
-        return
-    if 300 <= status < 400:
-        raise OSError(f"the server answers {status} and another address, which is not followed; give that address")
-    if status in ABOUT_CONTENT:
-        raise RefusedError(f"the server answers {status}")
-    raise OSError(f"the server answers {status}")
-
-
 #: All events of a service: a misspelt event would never be sent.
 EVENTS = (
-    *(
-        "alarm",
-        "acknowledged",
-        "settled",
-        "cleared",
-        "state",
-        "outlier",
-        "gap",
-        "clock",
-        "epoch",
-        "period",
-        "late",
-        "duplicate",
-    ),
+    *("alarm", "acknowledged", "settled", "cleared", "state", "outlier", "gap", "clock", "epoch", "period", "late"),
+    "duplicate",
     *("unusable", "bad line", "repeated line", "reference", "anew", "source", "sink", "dropped", "checkpoint"),
     *("configuration", "calibration", "reload", "serving", "paused", "ended"),
 )
@@ -181,11 +164,9 @@ class WebhookSection(SinkSection):
         return self
 
     def wants_rows(self) -> bool:
-        """Events alone."""
         return False
 
     def wants_events(self) -> frozenset[str] | None:
-        """Those that are configured."""
         return frozenset(self.events)
 
     def make(self, name: str, context: Context) -> WebhookSink:
@@ -211,7 +192,7 @@ class WebhookSink:
         self._delivered: dict[str, None] = {}
 
     def open(self) -> None:
-        """Nothing: it connects when there is something to say."""
+        """It connects when there is something to say."""
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Raises OSError if the server does not answer or has a problem, RefusedError where it will not take one."""
@@ -233,5 +214,4 @@ class WebhookSink:
             del self._delivered[next(iter(self._delivered))]
 
     def close(self) -> None:
-        """Ends the connection."""
         self._poster.close()

@@ -7,7 +7,6 @@ import contextlib
 import socket
 import ssl
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import h11
@@ -20,19 +19,9 @@ from pmfid.stream.outcome import Counters
 WHOLE = (h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR)
 
 
-@dataclass(frozen=True)
-class ConnectionLimits:
-    """request: time for a whole request [s]; stuck: time without a byte read by a browser that something waits for
-    [s]."""
-
-    request: float = 10.0
-    stuck: float = 10.0
-
-
 class Guarded(H11Protocol):
     """uvicorn's protocol within limits; what they end is counted. gone: set at the end of the connection."""
 
-    limits: ClassVar[ConnectionLimits]
     counters: ClassVar[Counters]
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -70,7 +59,7 @@ class Guarded(H11Protocol):
 
     def _expect(self) -> None:
         """The whole request, not its next byte: a byte every few seconds is what holds connections open."""
-        self._deadline = self.loop.call_later(self.limits.request, self._end, "slow")
+        self._deadline = self.loop.call_later(TUNING.connection_request, self._end)
 
     def _forget_deadline(self) -> None:
         if self._deadline is not None:
@@ -87,7 +76,7 @@ class Guarded(H11Protocol):
 
     def _watch(self) -> None:
         size = self.transport.get_write_buffer_size()
-        self._stuck = self.loop.call_later(self.limits.stuck, self._look, size)
+        self._stuck = self.loop.call_later(TUNING.connection_stuck, self._look, size)
 
     def _look(self, before: int) -> None:
         """A slow line is no stuck one: what waits must have become less."""
@@ -106,8 +95,8 @@ class Guarded(H11Protocol):
         self.counters.add("pmfid_page_refused_total", reason="invalid")
         super().send_400_response(msg)
 
-    def _end(self, reason: str) -> None:
-        self.counters.add("pmfid_page_refused_total", reason=reason)
+    def _end(self) -> None:
+        self.counters.add("pmfid_page_refused_total", reason="slow")
         self.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -115,11 +104,6 @@ class Guarded(H11Protocol):
         self._forget_stuck()
         super().connection_lost(exc)
         self.gone.set()
-
-
-def build_protocol(limits: ConnectionLimits, counters: Counters) -> type[Guarded]:
-    """The protocol for uvicorn: a class, from which uvicorn makes an object for each connection."""
-    return type("Guarded", (Guarded,), {"limits": limits, "counters": counters})
 
 
 def most_connections(wanted: int) -> int:
@@ -166,7 +150,7 @@ class Entrance:
             guest = make()
             self._guests[line] = guest, asyncio.create_task(self._host(line, guest, tls))
         else:
-            self._count_refusal()
+            self._counters.add("pmfid_page_refused_total", reason="connections")
             line.close()
 
     async def _host(self, line: socket.socket, guest: Guarded, tls: ssl.SSLContext | None) -> None:
@@ -188,13 +172,10 @@ class Entrance:
         if line is None:
             return False
         guest, _ = self._guests.pop(line)
-        self._count_refusal()
+        self._counters.add("pmfid_page_refused_total", reason="connections")
         if guest.transport is not None:
             guest.transport.abort()
         else:
             with contextlib.suppress(OSError):  # the other side was faster
                 line.shutdown(socket.SHUT_RDWR)
         return True
-
-    def _count_refusal(self) -> None:
-        self._counters.add("pmfid_page_refused_total", reason="connections")

@@ -5,60 +5,41 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import mimetypes
 import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
-from starlette.routing import Route
+from starlette.routing import Mount
+from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
+from uvicorn import Config, Server
 
 from pmfid.errors import UsageError
 from pmfid.records.record import Record
 from pmfid.service.tuning import TUNING
-from pmfid.service.web.api import Api
+from pmfid.service.web.api import Api, Hub
 from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
-from pmfid.service.web.security import Guard, Tokens, load_tokens
+from pmfid.service.web.connection import Entrance, Guarded, most_connections
+from pmfid.service.web.security import Guard, Tokens, hosts_of, load_tokens
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.outcome import Counters
-
-if TYPE_CHECKING:
-    from uvicorn import Config, Server
-
-    from pmfid.service.web.api import Hub
-    from pmfid.service.web.connection import Entrance, Guarded
-
-
-KINDS = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
-    ".txt": "text/plain; charset=utf-8",
-}
 
 
 def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
     """The application inside the guard: files of the page, and the API."""
-    files = page_files()
-
-    async def file(request: Request) -> Response:
-        found = files.get(request.url.path)
-        if found is None:
-            raise HTTPException(404, "there is no such file")
-        known = request.headers.get("if-none-match") == found.tag
-        headers = {"etag": found.tag}
-        return Response(None, 304, headers) if known else Response(found.content, 200, headers, found.kind)
+    mimetypes.add_type("text/javascript", ".js")  # whatever the system says
+    files = StaticFiles(directory=Path(__file__).parent / "static", html=True)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -67,46 +48,18 @@ def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
         running.cancel()
 
     inner = Starlette(
-        routes=[*api.routes(), Route("/{path:path}", file)],
-        exception_handlers={HTTPException: _problem, Exception: _failure},
+        routes=[*api.routes(), Mount("/", files)],
+        exception_handlers={HTTPException: _answer_error, Exception: _answer_error},
         lifespan=lifespan,
     )
     return Guard(inner, hosts, tokens, api.counters)
 
 
-async def _problem(request: Request, error: Exception) -> Response:
+async def _answer_error(request: Request, error: Exception) -> Response:
     """A sentence; nothing of the request is in it."""
-    if not isinstance(error, HTTPException):
-        return await _failure(request, error)
-    return JSONResponse({"problem": error.detail}, error.status_code, error.headers)
-
-
-async def _failure(request: Request, error: Exception) -> Response:
+    if isinstance(error, HTTPException):
+        return JSONResponse({"problem": error.detail}, error.status_code, error.headers)
     return JSONResponse({"problem": "the service could not answer; its log says why"}, 500)
-
-
-@dataclass(frozen=True)
-class PageFile:
-    """content, its media type, and the tag by which a browser knows that it has it already."""
-
-    content: bytes
-    kind: str
-    tag: str
-
-
-def page_files() -> dict[str, PageFile]:
-    """Name, as "/style.css", -> file; "/" is the page. Links that lead out of the folder are left out."""
-    root = (Path(__file__).parent / "static").resolve()
-    found = {}
-    for path in sorted(root.rglob("*")):
-        inside = path.resolve().is_relative_to(root) and path.is_file()
-        if inside and path.suffix in KINDS:
-            content = path.read_bytes()
-            tag = f'"{sha256(content).hexdigest()[:16]}"'
-            found["/" + path.relative_to(root).as_posix()] = PageFile(content, KINDS[path.suffix], tag)
-    if "/index.html" in found:
-        found["/"] = found["/index.html"]
-    return found
 
 
 @dataclass
@@ -148,49 +101,27 @@ def serve(
     PLANT.toml; reference: record of normal work of an axis, by its name, read when someone asks, in a thread of its own
     (it may raise UsageError); metrics: text for Prometheus; alive: whether the engine is, for health checks. Raises
     UsageError where the address cannot be had, a token is missing, or the extra is not installed."""
-    _check_extra()
-    from pmfid.service.web.api import Api, Hub
-    from pmfid.service.web.connection import Entrance, most_connections
-    from pmfid.service.web.security import hosts_of
-
     tokens = load_tokens(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
     port, most = listener.getsockname()[1], most_connections(config.browsers + TUNING.server_further)
-    hub = Hub(board, counters)
-    api = Api(
-        name,
-        board,
-        counters,
-        hub,
-        engine,
-        reference,
-        metrics,
-        alive,
-        min(config.browsers, max(1, most - TUNING.server_further)),
-    )
+    hub, streams = Hub(board, counters), min(config.browsers, max(1, most - TUNING.server_further))
+    api = Api(name, board, counters, hub, engine, reference, metrics, alive, streams)
     app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
     try:
         server = _server(_uvicorn_config(app, config, counters, folder), hub, Entrance(listener, most, counters))
     except UsageError:
         listener.close()
         raise
-    thread = Thread(target=_run, args=(server,), name="page", daemon=True)
+    thread = Thread(target=lambda: asyncio.run(server.serve([])), name="page", daemon=True)
     thread.start()
-    _wait(server, thread)
+    end = time.monotonic() + TUNING.server_started
+    while not server.started and thread.is_alive() and time.monotonic() < end:
+        time.sleep(0.01)
+    if not server.started:
+        raise UsageError("the page did not start; the log says why")
     url = f"{'https' if config.certificate else 'http'}://{_shown_host(config, port)}/"
     return Page(url, tokens.write if tokens.made else None, _notes(config, tokens), server, api, thread)
-
-
-def _check_extra() -> None:
-    try:
-        import prometheus_client  # noqa: F401
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ImportError:
-        raise UsageError(
-            "the page needs an extra: pip install 'pmfid[serve]'; or serve none: --no-page, or [page] enabled = false"
-        ) from None
 
 
 def _listener(config: PageConfig) -> socket.socket:
@@ -208,16 +139,12 @@ def _listener(config: PageConfig) -> socket.socket:
 
 
 def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder: Path) -> Config:
-    """The configuration without a log of requests, and with limits on slow and stuck connections."""
-    from uvicorn import Config
-
-    from pmfid.service.web.connection import ConnectionLimits, build_protocol
-
+    """Without a log of requests, and with limits of its own on slow and stuck connections."""
     certificate, key = ((folder / str(path)) if path else None for path in (config.certificate, config.key))
     try:
         made = Config(
             app,  # type: ignore[arg-type]
-            http=build_protocol(ConnectionLimits(), counters),
+            http=type("Guarded", (Guarded,), {"counters": counters}),
             loop="asyncio",
             ws="none",
             lifespan="on",
@@ -243,9 +170,7 @@ def _only_failures(record: logging.LogRecord) -> bool:
 
 
 def _server(config: Config, hub: Hub, entrance: Entrance) -> Server:
-    """The server with an entrance of its own; it ends the streams before it waits for them."""
-    from uvicorn import Server
-
+    """With an entrance of its own; ends the streams before it waits for them."""
     logging.getLogger("uvicorn.error").addFilter(_only_failures)
 
     class Own(Server):
@@ -262,18 +187,6 @@ def _server(config: Config, hub: Hub, entrance: Entrance) -> Server:
             await super().shutdown(sockets)
 
     return Own(config)
-
-
-def _run(server: Server) -> None:
-    asyncio.run(server.serve([]))
-
-
-def _wait(server: Server, thread: Thread) -> None:
-    end = time.monotonic() + TUNING.server_started
-    while not server.started and thread.is_alive() and time.monotonic() < end:
-        time.sleep(0.01)
-    if not server.started:
-        raise UsageError("the page did not start; the log says why")
 
 
 def _shown_host(config: PageConfig, port: int) -> str:
