@@ -15,8 +15,8 @@ from threading import Condition
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.fleet.plan import Places, RowShard, Survey, content, join_surveys, survey_part
-from pmfid.fleet.rows import Aside, RecordPiece, find_mixed_parts, pieces_of, read_rows, rows_of
+from pmfid.fleet.plan import Places, RowProblem, RowShard, Survey, content, join_surveys, survey_part
+from pmfid.fleet.rows import Aside, RecordPiece, ShardRows, find_mixed_parts, pieces_of, read_rows, rows_of
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Columns, Part
@@ -54,7 +54,8 @@ class Local:
 
     def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
         """No more is under way than there are workers, and one result that waits for each."""
-        many = self.workers or _processors()
+        processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        many = self.workers or processors or 1
         with ThreadPoolExecutor(many) as pool:
             waiting: deque[Future[B]] = deque()
             try:
@@ -91,10 +92,6 @@ class RowBudget:
                 self._freed.notify_all()
 
 
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 #: Shards whose first axes are looked at for one that tells the configuration.
 TRIED = 5
 
@@ -109,41 +106,23 @@ class Work:
 
     def shard(self, shard: RowShard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
         """The segments of a shard, from the files that have its rows, or from where these are put aside."""
-        rows, problems = read_rows(shard, parts, self.columns, self.length, aside)
-        found = solve(pieces_of(rows, self.columns, self.length), self.settings)
-        return Segments(found.rows, (*problems, *found.problems))
+        return self._solve(*read_rows(shard, parts, self.columns, self.length, aside))
 
     def frame(self, frame: pl.DataFrame) -> Segments:
         """The segments of rows that an engine has brought together, in any order: all those of a slice of an axis must
         be there. frame: with the columns of `source`."""
-        rows, problems = rows_of(frame, self.columns)
+        return self._solve(*rows_of(frame, self.columns))
+
+    def _solve(self, rows: ShardRows, problems: tuple[RowProblem, ...]) -> Segments:
         found = solve(pieces_of(rows, self.columns, self.length), self.settings)
         return Segments(found.rows, (*problems, *found.problems))
 
 
-def samples_of(
-    shards: Sequence[RowShard], parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
-) -> Iterator[Table]:
-    """The longest piece of the first slice of each of the first axes, a table for each."""
-    for shard in shards[:TRIED]:
-        rows, _ = read_rows(shard, parts, columns, length, aside)
-        slices: dict[str, dict[int, list[RecordPiece]]] = defaultdict(lambda: defaultdict(list))
-        for piece in pieces_of(rows, columns, length):
-            slices[piece.axis][math.floor(piece.start / length)].append(piece)
-        for axis in sorted(slices)[:TRIED]:
-            first = slices[axis][min(slices[axis])]
-            yield longest(first, columns)
-
-
 def first_table(frame: pl.DataFrame, columns: Columns, length: float) -> Table | None:
     """The table of the longest first piece in rows of one axis that an engine has gathered; None: there is no piece."""
-    rows, _ = rows_of(frame, columns)
-    pieces = list(pieces_of(rows, columns, length))
-    return (
-        longest([one for one in pieces if one.start // length == pieces[0].start // length], columns)
-        if pieces
-        else None
-    )
+    pieces = list(pieces_of(rows_of(frame, columns)[0], columns, length))
+    first = [one for one in pieces if one.start // length == pieces[0].start // length]
+    return longest(first, columns) if pieces else None
 
 
 def longest(pieces: Sequence[RecordPiece], columns: Columns) -> Table:
@@ -211,25 +190,23 @@ class Parts:
 
     @property
     def engine(self) -> str:
-        """Name of what does the work."""
         return self._engine.name
 
     def survey(self, keep: Keep) -> Survey:
         """The survey of all parts; unreadable parts are problems. Raises UsageError if none can be read."""
         if keep.lasting:
-            self._parts = {name: self._stamp_part(part) for name, part in self._parts.items()}
+            # a frame has no date, so its content is its stamp
+            frames = {name: part for name, part in self._parts.items() if not part.stamp}
+            stamped = {name: replace(part, stamp=content(part, self._columns)) for name, part in frames.items()}
+            self._parts = {name: stamped.get(name, part) for name, part in self._parts.items()}
         parts = list(self._parts.values())
         keys = [digest("survey", part.name, part.stamp, self._columns) for part in parts]
-        work = partial(_survey_part, self._columns)
+        work = partial(survey_part, columns=self._columns)
         kept = keep.fetch(keys, lambda missing: self._engine.map(work, [parts[k] for k in missing]), here=True)
         found = join_surveys([Survey(one.rows(), one.problems) for one in kept])
         check_columns(self._columns, parts, found)
         self._places = Places({part.name for part in parts if part.sliced}, found.rows)
         return found
-
-    def _stamp_part(self, part: Part) -> Part:
-        """The part with a stamp: a frame has no date, so its content is the stamp."""
-        return part if part.stamp else replace(part, stamp=content(part, self._columns))
 
     @contextmanager
     def prepare_shards(
@@ -252,7 +229,12 @@ class Parts:
     def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
         """Read here, one by one."""
         for shard in shards[:TRIED]:
-            yield from samples_of([shard], self._select_rows(shard, length), self._columns, length, self._aside)
+            rows, _ = read_rows(shard, self._select_rows(shard, length), self._columns, length, self._aside)
+            slices: dict[str, dict[int, list[RecordPiece]]] = defaultdict(lambda: defaultdict(list))
+            for piece in pieces_of(rows, self._columns, length):
+                slices[piece.axis][math.floor(piece.start / length)].append(piece)
+            for axis in sorted(slices)[:TRIED]:
+                yield longest(slices[axis][min(slices[axis])], self._columns)
 
     def _select_rows(self, shard: RowShard, length: float) -> dict[str, Part]:
         """The parts of a shard, each limited to the rows among which the shard may have some."""
@@ -268,10 +250,6 @@ class Parts:
             self._aside.only(shards)
         room = RowBudget(FULL * TUNING.plan_budget) if isinstance(self._engine, Local) else None
         return self._engine.map(partial(_solve_shard, work, self._aside, room), items)
-
-
-def _survey_part(columns: Columns, part: Part) -> Survey:
-    return survey_part(part, columns)
 
 
 def _solve_shard(

@@ -33,6 +33,7 @@ from pmfid.fleet.verdicts import (
     sentence,
     sorts_by_type,
 )
+from pmfid.presentation import plain_dict
 
 if TYPE_CHECKING:
     import polars as pl
@@ -85,7 +86,9 @@ def outcome_of(
     problems += _others(follows.values())
     missing = [axis for axis in sorted(types) if axis not in follows]
     frames.append(pl.DataFrame(_nothing(missing, types, codes), schema=_period_schema(names)))
-    everyone = [follows.get(axis) or _unknown(axis, types[axis], len(names)) for axis in sorted(types)]
+    nan, infinite = np.full(len(names), np.nan), np.full(len(names), np.inf)
+    follows |= {axis: Follow(axis, types[axis], 0, nan, infinite, None, None) for axis in missing}
+    everyone = [follows[axis] for axis in sorted(types)]
     problems += _sorts(everyone, names, tolerance)
     axes = _axes(everyone, judge_axes(everyone, names, tolerance), names)
     whole = pl.concat(frames).sort(AXIS, "period")
@@ -133,10 +136,6 @@ def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) ->
             )
             found.append(RowProblem("", f"type {kind}" if kind else "all axes", "several_sorts", text))
     return found
-
-
-def _unknown(axis: str, kind: str, parameters: int) -> Follow:
-    return Follow(axis, kind, 0, np.full(parameters, np.nan), np.full(parameters, np.inf), None, None)
 
 
 def _nothing(
@@ -274,8 +273,8 @@ class History:
             "shards": self.shards,
             "reused": self.reused,
             "units": dict(zip(self.names, self.units, strict=True)),
-            "attention": [_plain(row) for row in named.iter_rows(named=True)],
-            "problems": [_plain(row) for row in self.problems.iter_rows(named=True)],
+            "attention": [plain_dict(row) for row in named.iter_rows(named=True)],
+            "problems": [plain_dict(row) for row in self.problems.iter_rows(named=True)],
         }
 
 
@@ -291,11 +290,6 @@ def data_of(data: object, columns: Columns, engine: Engine | None, out: Path | N
             "the engine, or give a folder of files or a Spark DataFrame"
         )
     return Parts(parts_of(data, out), columns, engine or Local())
-
-
-def _plain(row: Mapping[str, object]) -> dict[str, object]:
-    """The row with None in place of numbers that JSON does not know."""
-    return {key: None if isinstance(value, float) and value - value != 0 else value for key, value in row.items()}
 
 
 def estimate(
@@ -363,6 +357,8 @@ class _Run:
     def _outcome(
         self, shards: Sequence[RowShard], length: float, periods: Periods, segment: float | None, tolerance: float
     ) -> History:
+        import polars as pl
+
         chosen = self._choose_filters(shards, length)
         most = min(length / 2, periods.length or length)
         settings = make_settings(self.axis, chosen, most, segment)
@@ -373,7 +369,9 @@ class _Run:
         lost = (problem for one in solved for problem in one.problems)
         problems = [*self.survey.problems, *self._several(), *lost]
         groups = self._groups(shards, solved)
-        found: Outcome = outcome_of(groups, self._types(), problems, names, periods, settings.segment, tolerance)
+        # of several types of an axis the first by name
+        types = dict(self.survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
+        found: Outcome = outcome_of(groups, types, problems, names, periods, settings.segment, tolerance)
         if self.store is not None:
             self.store.keep(self.keep.keys)
         units = settings.estimator.units
@@ -435,9 +433,3 @@ class _Run:
         kinds = self.survey.rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
         for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
             yield RowProblem(axis, "", "types", f"of the types {', '.join(types)}: it is judged with the first")
-
-    def _types(self) -> dict[str, str]:
-        """The type of each axis; of several the first by name."""
-        import polars as pl
-
-        return dict(self.survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part, other_unit
+from pmfid.fleet.source import AXIS, TIME, TYPE, Columns, Part, other_unit
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 
@@ -52,20 +52,19 @@ def survey_part(part: Part, columns: Columns) -> Survey:
 
     try:
         with readable("data"):
-            found = _together(pl.concat([_count_window(one, columns) for one in part.windows()]))
-            odd = part.other_types(columns)
+            place, windows = pl.col(_PLACE).cast(pl.Int64), list[pl.DataFrame]()
+            for one in part.windows():
+                rows = one.rows(columns).with_row_index(_PLACE, offset=one.first)
+                counted = count_rows(rows, columns, place.min().alias(START), place.max().alias(_END))
+                windows.append(counted.collect(engine="streaming"))
+            found, odd = _together(pl.concat(windows)), part.other_types(columns)
     except UsageError as error:
         return Survey(_empty(), (RowProblem("", part.name, "unreadable", " ".join(str(error).split())),))
-    return survey_of(part.name, found, [*odd, *_otherwise(part, columns, found)], columns.factor)
-
-
-def _count_window(part: Part, columns: Columns) -> pl.DataFrame:
-    """Numbers of rows in a window, with the places of the first and the last row in the file."""
-    import polars as pl
-
-    place = pl.col(_PLACE).cast(pl.Int64)
-    rows = part.rows(columns).with_row_index(_PLACE, offset=part.first)
-    return count_rows(rows, columns, place.min().alias(START), place.max().alias(_END)).collect(engine="streaming")
+    said = part.constants.get(columns.axis)
+    others = found.filter(found[AXIS] != said)[AXIS] if said else found[AXIS][:0]
+    if others.len():
+        odd.append(f"its folder says {columns.axis} = {said}, its own column {others[0]}: the column is taken")
+    return survey_of(part.name, found, odd, columns.factor)
 
 
 def _together(windows: pl.DataFrame) -> pl.DataFrame:
@@ -96,14 +95,6 @@ def count_rows(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyF
     )
 
 
-def _otherwise(part: Part, columns: Columns, found: pl.DataFrame) -> Iterator[str]:
-    """Where the names of its folders and its own column tell the axis differently."""
-    said = part.constants.get(columns.axis)
-    others = found.filter(found[AXIS] != said)[AXIS] if said else found[AXIS][:0]
-    if others.len():
-        yield f"its folder says {columns.axis} = {said}, its own column {others[0]}: the column is taken"
-
-
 def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float) -> Survey:
     """Of what was counted in the part of this name, where it has no order without how far each axis reaches; odd: what
     is odd of its columns; factor: seconds per unit of its times."""
@@ -130,7 +121,7 @@ def mixture(columns: Columns) -> pl.Expr:
     order; 32 bits, so that a sum of rows stays whole."""
     import polars as pl
 
-    names = [AXIS, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else []), *([TYPE] if columns.type else [])]
+    names = [*columns.carried, *([TYPE] if columns.type else [])]
     return (pl.struct(names).hash() // 2**32).cast(pl.Int64)
 
 

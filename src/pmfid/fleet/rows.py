@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.fleet.plan import EXTENT, PART, ROWS, RowProblem, RowShard
-from pmfid.fleet.source import AXIS, INPUT, MASK, OUTPUT, TIME, Columns, Part
-from pmfid.fleet.store import ASIDE
+from pmfid.fleet.source import AXIS, TIME, Columns, Part
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 from pmfid.io.tables import Table
@@ -25,6 +24,10 @@ from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+#: Begin of the names of folders in which rows are put aside during a call.
+ASIDE = "aside-"
 
 
 def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]:
@@ -66,7 +69,7 @@ class Aside:
         folder: Path | None,
     ) -> None:
         self._parts, self._columns, self._length = parts, columns, length
-        self._kind = _kind(columns)
+        self._kind = np.dtype([(AXIS, np.uint32), *((name, np.float64) for name in columns.carried[1:])])
         self._lock = Lock()
         self._laid: dict[str, _Laid] = {}
         self._waiting: dict[str, list[RowShard]] = defaultdict(list)
@@ -77,7 +80,6 @@ class Aside:
         self._folder = Path(tempfile.mkdtemp(prefix=ASIDE, dir=folder))
 
     def close(self) -> None:
-        """Removes all that lies aside."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def __contains__(self, name: str) -> bool:
@@ -162,22 +164,16 @@ class Aside:
         return rows
 
 
-def _kind(columns: Columns) -> np.dtype[np.void]:
-    names = [TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
-    return np.dtype([(AXIS, np.uint32), *((name, np.float64) for name in names)])
-
-
-def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[dict[str, NDArray[np.generic]]]:
+def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[_Columns]:
     """The rows of a part, of known axes, some at a time. Raises UsageError for a damaged part."""
     import polars as pl
 
     number = pl.col(AXIS).cast(pl.Enum(list(axes)), strict=False).to_physical().cast(pl.UInt32).alias(AXIS)
-    names = list(_kind(columns).names or ())
     with readable("data"):
         for window in part.windows():
-            frame = window.rows(columns).select(number, *names[1:]).drop_nulls([AXIS, TIME])
+            frame = window.rows(columns).select(number, *columns.carried[1:]).drop_nulls([AXIS, TIME])
             for batch in frame.collect_batches(chunk_size=TUNING.aside_batch, engine="streaming"):
-                yield {name: batch[name].to_numpy() for name in names}
+                yield _columns(batch)
 
 
 class _Target:
@@ -245,18 +241,13 @@ def read_rows(
                 frames.append(aside.read(name, shard))
             else:
                 with readable("data"):
-                    frames += _read(parts[name], shard, columns, length)
+                    frames += [_columns(_window(one, shard, columns, length)) for one in parts[name].windows()]
         except UsageError as error:
             problems.append(RowProblem("", name, "unreadable", " ".join(str(error).split())))
         if parts[name].rewritten:
             problems.append(RowProblem("", name, "rewritten", REWRITTEN))
     rows, found = unique(_sort_rows(_arrays(frames, shard.axes, columns)))
     return rows, (*problems, *found)
-
-
-def _read(part: Part, shard: RowShard, columns: Columns, length: float) -> list[_Columns]:
-    """Whole or not at all."""
-    return [_columns(_window(one, shard, columns, length)) for one in part.windows()]
 
 
 def _window(part: Part, shard: RowShard, columns: Columns, length: float) -> pl.DataFrame:
@@ -268,8 +259,7 @@ def _window(part: Part, shard: RowShard, columns: Columns, length: float) -> pl.
     if columns.axis not in part.constants:
         frame = frame.filter(axis.is_in(list(shard.axes)))
     named = axis.cast(pl.Enum(list(shard.axes)), strict=False).to_physical().alias(AXIS)
-    wanted = [named, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
-    return frame.select(wanted).drop_nulls(AXIS).collect(engine="streaming")
+    return frame.select(named, *columns.carried[1:]).drop_nulls(AXIS).collect(engine="streaming")
 
 
 def _columns(frame: pl.DataFrame) -> _Columns:
@@ -282,7 +272,7 @@ def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: Columns)
         return np.asarray(np.concatenate(parts) if parts else np.empty(0))
 
     named = columns.named
-    others = {named[own]: join(own) for own in (INPUT, OUTPUT, *([MASK] if columns.mask else []))}
+    others = {named[own]: join(own) for own in columns.carried[2:]}
     return ShardRows(axes, join(AXIS).astype(np.uint32), join(TIME), others)
 
 

@@ -26,7 +26,7 @@ from pmfid.monitor.events import STATES
 from pmfid.stream import blocks
 from pmfid.stream.blocks import HEADER, MAGIC
 from pmfid.stream.checkpoint import Saved, Snapshot, Vault, body_from, body_of, join_groups, read_snapshot, snapshot
-from pmfid.stream.delivery import Block, Delivery, Item, Table, Unusable
+from pmfid.stream.delivery import Block, Delivery, Item, Table, Unusable, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
@@ -105,8 +105,15 @@ class StreamShard:
         wrong = {name for name in _names(items) if shard_of(name, self.plan.shards) != self.number}
         if not wrong:
             return list(items)
-        single = [block for item in items for block in (item.blocks() if isinstance(item, Table) else [item])]
-        return [_refuse_name(one) if isinstance(one, Block) and one.axis in wrong else one for one in single]
+        checked = list[Item]()
+        for one in split_tables(items):
+            if isinstance(one, Block) and one.axis in wrong:
+                name = one.axis[:64]
+                problem = f"a block of {name!r} came in a row of another axis; write its own name into the column axis"
+                checked.append(Unusable("name", problem, name))
+            else:
+                checked.append(one)
+        return checked
 
     def _add(self, items: Sequence[Item]) -> None:
         """Adds new axes, with numbers that no other shard gives."""
@@ -151,11 +158,6 @@ def _names(items: Sequence[Item]) -> set[str]:
     for item in items:
         found.update(item.axes if isinstance(item, Table) else [item.axis] if isinstance(item, Block) else [])
     return found
-
-
-def _refuse_name(block: Block) -> Unusable:
-    problem = f"a block of {block.axis[:64]!r} came in a row of another axis; write its own name into the column axis"
-    return Unusable("name", problem, block.axis[:64])
 
 
 def _sort_messages(messages: Iterable[bytes]) -> list[bytes]:
@@ -412,9 +414,7 @@ def _begin_stream(checkpoint: Path, settings: StreamSettings) -> str:
 def _read(path: Path) -> dict[str, object] | None:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except NotADirectoryError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: cannot be read: {error}; give another folder") from None

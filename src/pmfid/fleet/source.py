@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
+import numpy as np
+
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.fleet.tuning import TUNING
@@ -165,13 +167,6 @@ def other_unit(first: float, last: float, factor: float) -> str:
     )
 
 
-def too_coarse(first: float) -> float:
-    """What a time [s] of 32 bits can tell apart there [s]."""
-    import numpy as np
-
-    return float(np.spacing(np.float32(first)))
-
-
 #: Names of the columns of every frame that leaves this module.
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"
 #: Name of a part that is no file.
@@ -208,6 +203,11 @@ class Columns:
                 "[record] exclude is of one record; of a fleet leave out rows by a column, mask, or drop it"
             )
         return cls(by, record.time, record.input, record.output, record.mask, kind, time_factor(record))
+
+    @property
+    def carried(self) -> list[str]:
+        """Own names of the columns that an estimate needs."""
+        return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if self.mask else [])]
 
     @property
     def named(self) -> dict[str, str]:
@@ -270,9 +270,8 @@ class Part:
                 made.append(_cast(own, name, pl.String(), columns.factor, pl.lit(self.constants[name])))
             else:
                 known = [*schema, *self.constants]
-                listed = ", ".join(known[: TUNING.source_listed]) + (
-                    ", ..." if len(known) > TUNING.source_listed else ""
-                )
+                more = ", ..." if len(known) > TUNING.source_listed else ""
+                listed = ", ".join(known[: TUNING.source_listed]) + more
                 raise UsageError(f"there is no column {name!r}; it has {listed}{did_you_mean(name, known)}")
         return frame.select(made)
 
@@ -287,10 +286,8 @@ class Part:
             for name in texts
         ]
         if schema.get(columns.time) == pl.Float32:
-            notes.append(
-                f"{columns.time} has 32 bits, of a date {too_coarse(RECORD_TUNING.clock_epochs[0]):.0f} s: "
-                "write it as float64"
-            )
+            step = np.spacing(np.float32(RECORD_TUNING.clock_epochs[0]))
+            notes.append(f"{columns.time} has 32 bits, of a date {step:.0f} s: write it as float64")
         return notes
 
 
@@ -336,11 +333,8 @@ def parts_of(source: object, out: Path | None = None) -> list[Part]:
 
     if isinstance(source, str | Path):
         return _files(Path(source), out)
-    if isinstance(source, pl.LazyFrame):
-        lazy = source
-        return [Part(FRAME, "", lambda: lazy)]
-    whole = pl.DataFrame(dict(table_of(source)))
-    return [Part(FRAME, "", whole.lazy)]
+    lazy = source if isinstance(source, pl.LazyFrame) else pl.DataFrame(dict(table_of(source))).lazy()
+    return [Part(FRAME, "", lambda: lazy)]
 
 
 def _files(source: Path, out: Path | None) -> list[Part]:
@@ -357,15 +351,11 @@ def _files(source: Path, out: Path | None) -> list[Part]:
     data = (
         path for path in paths if path.suffix.lower() in known and (own is None or own not in path.resolve().parents)
     )
-    found = sorted(path for path in data if not _is_hidden(path.relative_to(source)))
+    # names that begin so are files that engines write in addition to the data
+    found = sorted(path for path in data if not any(part[:1] in "._" for part in path.relative_to(source).parts))
     if not found and not closed:
         raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")
     return [_part(path, source) for path in (*found, *closed)]
-
-
-def _is_hidden(path: Path) -> bool:
-    """Is it a file that engines write in addition to the data?"""
-    return any(part.startswith((".", "_")) for part in path.parts)
 
 
 def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part:
@@ -405,14 +395,12 @@ def _open_file(path: Path) -> pl.LazyFrame:
     kind = _kind(path)
     if kind == ".parquet":
         return pl.scan_parquet(path, hive_partitioning=False, glob=False)
-    if kind == ".arrow" and _begins(path, ARROW):
-        return pl.scan_ipc(path, hive_partitioning=False, glob=False)
+    if kind == ".arrow":
+        with path.open("rb") as file:
+            indexed = file.read(len(ARROW)) == ARROW
+        if indexed:
+            return pl.scan_ipc(path, hive_partitioning=False, glob=False)
     return pl.DataFrame(dict(read_table(path))).lazy()
-
-
-def _begins(path: Path, opening: bytes) -> bool:
-    with path.open("rb") as file:
-        return file.read(len(opening)) == opening
 
 
 def seconds(text: str) -> float:

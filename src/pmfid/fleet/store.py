@@ -10,13 +10,15 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from pmfid import __version__
 from pmfid.durable import NAME as LOCK
 from pmfid.durable import hold
 from pmfid.errors import UsageError
 from pmfid.fleet.plan import RowProblem, Survey
+from pmfid.fleet.rows import ASIDE
+from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import RESULTS
 
 if TYPE_CHECKING:
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
 
 #: To be raised with every change of what a segment is, or of these files.
 VERSION = 4
-#: Of the folders in which rows are put aside during a call.
-ASIDE = "aside-"
 
 
 def digest(*parts: object) -> str:
@@ -45,7 +45,6 @@ class Store:
             remove(left)
 
     def close(self) -> None:
-        """Another call may have the folder."""
         self._lock.close()
 
     def get(self, key: str) -> Survey | None:
@@ -70,7 +69,6 @@ class Store:
         return self.folder / f"{key}.json"
 
     def path(self, key: str) -> Path:
-        """Where the table lies."""
         return self.folder / f"{key}.parquet"
 
     def keep(self, keys: Iterable[str]) -> None:
@@ -124,20 +122,6 @@ def whole(path: Path, write: Callable[[Path], object]) -> None:
         raise UsageError(f"{path}: {reason}; make room, or choose another folder") from None
 
 
-class TableWithProblems(Protocol):
-    """A table and its problems."""
-
-    @property
-    def rows(self) -> pl.DataFrame:
-        """The table."""
-        ...
-
-    @property
-    def problems(self) -> tuple[RowProblem, ...]:
-        """What could not be used."""
-        ...
-
-
 @dataclass(frozen=True)
 class Kept:
     """A table, here or on the disk, and its problems."""
@@ -171,7 +155,7 @@ class Keep:
         return self._store is not None
 
     def fetch(
-        self, keys: Sequence[str], make: Callable[[Sequence[int]], Iterator[TableWithProblems]], *, here: bool = False
+        self, keys: Sequence[str], make: Callable[[Sequence[int]], Iterator[Survey | Segments]], *, here: bool = False
     ) -> Iterator[Kept]:
         """The table of each key, in their order. make: called once with the indices of the missing keys, yields their
         tables in order, which are stored one by one. here: in memory, too. Raises UsageError if the disk is full."""
@@ -188,7 +172,7 @@ class Keep:
         self.reused += 1
         return Kept(found.rows if here else None, self._store.path(key), found.problems)
 
-    def _put(self, key: str, found: TableWithProblems, here: bool) -> Kept:
+    def _put(self, key: str, found: Survey | Segments, here: bool) -> Kept:
         if self._store is None:
             return Kept(found.rows, None, found.problems)
         self._store.put(key, found.rows, found.problems)

@@ -132,31 +132,22 @@ NOT_THERE = (
 )
 
 
-@dataclass(frozen=True)
-class Answer:
-    """found: by the work; refused: what it raised on purpose."""
-
-    found: object = None
-    refused: PmfidError | None = None
-
-
 def answer_task(work: Callable[[], object], version: str) -> bytes:
     """The answer of an executor, packed; version: of the package where the answer goes."""
     try:
         if version != __version__:
             raise UsageError(f"the executors have pmfid {__version__}, the driver {version}: install the same on both")
-        answer = Answer(work())
+        return pickle.dumps((work(), None))
     except PmfidError as error:
-        answer = Answer(refused=error)
-    return pickle.dumps(answer)
+        return pickle.dumps((None, error))
 
 
 def open_answer(packed: bytes) -> object:
     """The result of an executor. Raises the error with which the executor refused the work."""
-    answer = pickle.loads(packed)
-    if answer.refused is not None:
-        raise answer.refused
-    return answer.found
+    found, refused = pickle.loads(packed)
+    if refused is not None:
+        raise refused
+    return found
 
 
 def return_answers(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordBatch:

@@ -71,15 +71,10 @@ class RowPlan:
         """The rows that are in a shard, with its number; rows: of `Part.rows`."""
         import polars as pl
 
-        known = rows.select(list_carried_columns(columns)).drop_nulls([AXIS, TIME]).collect()
+        known = rows.select(columns.carried).drop_nulls([AXIS, TIME]).collect()
         place = np.searchsorted(self.edges, known[TIME].to_numpy(), side="right") - 1
         joined = known.with_columns(pl.Series(_PLACE, place, pl.Int64)).join(self.places, on=[AXIS, _PLACE])
-        return joined.select(NUMBER, *list_carried_columns(columns))
-
-
-def list_carried_columns(columns: Columns) -> list[str]:
-    """Columns that an estimate needs, by the names of `source`."""
-    return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if columns.mask else [])]
+        return joined.select(NUMBER, *columns.carried)
 
 
 def jobs_of(shards: Sequence[RowShard]) -> list[list[RowShard]]:
@@ -117,7 +112,6 @@ class SparkRows:
 
     @property
     def engine(self) -> str:
-        """Name of what does the work."""
         return Spark.name
 
     def survey(self, keep: Keep) -> Survey:
@@ -174,9 +168,8 @@ class SparkRows:
         """The columns that are needed, under their own names: Spark takes a dot in a name for something else."""
         from pyspark.sql import functions as sql
 
-        return self._whole.select(
-            [sql.col(_quote_column(name)).alias(own) for own, name in self._columns.named.items()]
-        )
+        quoted = {own: "`" + name.replace("`", "``") + "`" for own, name in self._columns.named.items()}
+        return self._whole.select([sql.col(name).alias(own) for own, name in quoted.items()])
 
     @cached_property
     def _part(self) -> Part:
@@ -207,9 +200,7 @@ class SparkRows:
             return []
         plan = RowPlan.from_shards(shards, length)
         near = self._frame.where(self._bound_times(plan.edges[0], plan.edges[-1]))
-        kinds = ", ".join(
-            f"{name} {'string' if name == AXIS else 'double'}" for name in list_carried_columns(self._columns)
-        )
+        kinds = ", ".join(f"{name} {'string' if name == AXIS else 'double'}" for name in self._columns.carried)
         tagged = near.mapInArrow(_tagger(self._own, plan), f"{NUMBER} int, {kinds}")
         together = tagged.repartitionById(len(shards), NUMBER)
         found = collect_answers(together.mapInArrow(_worker(work, __version__), RETURNED))
@@ -229,11 +220,6 @@ class SparkRows:
         if isinstance(kind, TimestampType) and abs(first) < 1e11 and abs(last) < 1e11:
             return time.between(sql.timestamp_seconds(sql.lit(first - 1)), sql.timestamp_seconds(sql.lit(last + 1)))
         return sql.lit(True)
-
-
-def _quote_column(name: str) -> str:
-    """The name of a column in quotes, because it may have dots in it."""
-    return "`" + name.replace("`", "``") + "`"
 
 
 def _rows(table: pa.Table, columns: Columns) -> pl.LazyFrame:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,7 +110,10 @@ def watch_blocks(blocks: DataFrame, plan: StreamPlan, begin: States | None = Non
 
     spark = blocks.sparkSession
     keys = _find_keys(spark, plan.shards)
-    initial = None if begin is None else _initial(spark, begin, plan, keys).groupBy("shard")
+    initial = None
+    if begin is not None:
+        rows = [(keys[shard], bytearray(body)) for shard, body in begin.bodies(plan).items()]
+        initial = spark.createDataFrame(rows, "shard int, body binary").groupBy("shard")
     shard = f.element_at(f.lit(keys), f.expr(f"cast(pmod(crc32(encode(axis, 'UTF-8')), {plan.shards}) as int) + 1"))
     schema = ", ".join(f"`{name}` {kind}" for name, kind in columns_of(plan).items())
     # a row without one of them, as of a file with other columns, is no block, and counted as such
@@ -155,7 +158,13 @@ def stream_files(
 
         try:
             blocks = _read(spark, source, kind, pacing)
-            _wait(_start_query(watch_blocks(blocks, plan, begin), folder, checkpoint / SPARK, pacing))
+            query = _start_query(watch_blocks(blocks, plan, begin), folder, checkpoint / SPARK, pacing)
+            try:
+                query.awaitTermination()
+            except KeyboardInterrupt:
+                with suppress(Exception):
+                    query.stop()
+                raise
         except (PySparkException, Py4JError) as error:
             raise UsageError(log.problem(error)) from None
 
@@ -197,11 +206,6 @@ def _read(spark: SparkSession, source: Path, kind: str, pacing: Pacing) -> DataF
     return reader.parquet(str(source))
 
 
-def _initial(spark: SparkSession, begin: States, plan: StreamPlan, keys: Sequence[int]) -> DataFrame:
-    rows = [(keys[shard], bytearray(body)) for shard, body in begin.bodies(plan).items()]
-    return spark.createDataFrame(rows, "shard int, body binary")
-
-
 def _start_query(outcomes: DataFrame, folder: Folder, checkpoint: Path, pacing: Pacing) -> StreamingQuery:
     def write(batch: DataFrame, number: int) -> None:
         import polars as pl
@@ -213,15 +217,6 @@ def _start_query(outcomes: DataFrame, folder: Folder, checkpoint: Path, pacing: 
     if pacing.once:
         return writer.trigger(availableNow=True).start()
     return writer.trigger(processingTime=f"{round(1000 * pacing.interval)} milliseconds").start()
-
-
-def _wait(query: StreamingQuery) -> None:
-    try:
-        query.awaitTermination()
-    except KeyboardInterrupt:
-        with suppress(Exception):
-            query.stop()
-        raise
 
 
 def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None) -> States:
