@@ -90,17 +90,13 @@ class BrokerSection(FileSection):
             raise ValueError("there is a password without a user; give user")
         if bool(self.cert) != bool(self.key):
             raise ValueError("cert and key belong together; give both, or neither")
-        if self._sends_password_in_the_clear and not self.allow_plain_password:
+        clear = (self.password_env or self.password_file) and not (self.encrypted or is_here(self.host))
+        if clear and not self.allow_plain_password:
             raise ValueError(
                 f"the password would reach {self.host} unencrypted; set tls = true, or ca to the broker's certificate "
                 "authority; allow_plain_password = true accepts the risk"
             )
         return self
-
-    @property
-    def _sends_password_in_the_clear(self) -> bool:
-        password = self.password_env or self.password_file
-        return bool(password) and not (self.encrypted or is_here(self.host))
 
     @property
     def encrypted(self) -> bool:

@@ -14,7 +14,7 @@ from pmfid.stream.checkpoint import Draft, StateBuffer, Vault, draft, state_size
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.outcome import Counters
 
-Done = Callable[[], None]
+Done = Callable[[], object]
 
 
 @dataclass
@@ -54,10 +54,8 @@ class Checkpoints:
     def call_when_kept(self, done: Done) -> None:
         """Has `done` called after the next durable checkpoint."""
         self._undone.append(done)
-        if self._failing or len(self._undone) > TUNING.keeping_most:
-            self._let_go()
-
-    def _let_go(self) -> None:
+        if not self._failing and len(self._undone) <= TUNING.keeping_most:
+            return
         if not self._failing and not self._too_slow:
             self._too_slow = True
             problem = "the disk is too slow: what comes is acknowledged before it is in a checkpoint"

@@ -122,7 +122,7 @@ class Delivery:
 
     source: str
     items: Sequence[Item]
-    done: Callable[[], None] | None = None
+    done: Callable[[], object] | None = None
     mark: Mark | None = field(default=None)
     received: float = 0.0
 

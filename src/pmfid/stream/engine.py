@@ -97,7 +97,7 @@ class Keeper(Protocol):
         """Between two ticks: makes a checkpoint if one is due; last: at once, and waits until it is written."""
         ...
 
-    def call_when_kept(self, done: Callable[[], None]) -> None:
+    def call_when_kept(self, done: Callable[[], object]) -> None:
         """Has `done` called once all samples stepped so far are in a durable checkpoint."""
         ...
 
@@ -108,7 +108,7 @@ class _Forgetful:
     def offer(self, engine: StreamEngine, last: bool = False) -> None:
         pass
 
-    def call_when_kept(self, done: Callable[[], None]) -> None:
+    def call_when_kept(self, done: Callable[[], object]) -> None:
         done()
 
 

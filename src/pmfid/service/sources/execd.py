@@ -30,7 +30,6 @@ class ExecdSection(SourceSection):
     precision: Precision = Field("ns", description='the unit of timestamps, which Telegraf has in "ns"')
 
     def make(self, name: str, context: Context) -> ExecdSource:
-        """The source, not yet running."""
         return ExecdSource(name, self, context.axis, context.tell)
 
 
@@ -64,7 +63,6 @@ class ExecdSource:
                 return
 
     def stop(self) -> None:
-        """Ends `run` after what it is reading."""
         self._stopped.set()
 
     def _pass_on(self, text: bytes) -> bool:

@@ -22,7 +22,7 @@ from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.stream import Beginning
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
-from pmfid.records.record import Record
+from pmfid.records.record import Record, read_record
 from pmfid.service.context import CHUNK, Context, Source, SourceSection, Take
 from pmfid.service.tuning import TUNING
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
@@ -48,7 +48,7 @@ class FileSource(SourceSection):
     )
 
     def make(self, name: str, context: Context) -> Source:
-        """The source, not yet running. Raises UsageError for an axis that is not in the plant."""
+        """Raises UsageError for an axis that is not in the plant."""
         axis, path = _axis(context, self.axis), context.folder / self.path
         if self.speed is not None:
             return Player(name, self.axis, path, axis, self.speed)
@@ -62,7 +62,6 @@ class StdinSource(SourceSection):
     axis: Name = Field(description="the name of the axis that the lines are of")
 
     def make(self, name: str, context: Context) -> Source:
-        """The source, not yet running. Raises UsageError for an axis that is not in the plant."""
         return Piped(name, self.axis, _axis(context, self.axis), sys.stdin.buffer)
 
 
@@ -87,8 +86,9 @@ class Player:
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Hands over all samples, or the samples after the mark."""
-        record = self._read()
-        version, epoch, start = self._version(), 0, 0
+        record = read_record(self.path, self.config) if self.record is None else self.record
+        status = os.stat(self.path)
+        version, epoch, start = f"{status.st_size} {status.st_mtime_ns}", 0, 0
         if mark is not None:
             same = mark.get("version") == version
             epoch, start = int(mark["epoch"]) + (not same), int(mark["sample"]) if same else 0
@@ -104,18 +104,7 @@ class Player:
             if self._stop.is_set() or not take(Delivery(self.name, (block,), None, position, time.monotonic())):
                 return
 
-    def _read(self) -> Record:
-        from pmfid.records.record import read_record
-
-        return read_record(self.path, self.config) if self.record is None else self.record
-
-    def _version(self) -> str:
-        """A text that changes with the file."""
-        status = os.stat(self.path)
-        return f"{status.st_size} {status.st_mtime_ns}"
-
     def stop(self) -> None:
-        """Ends `run`."""
         self._stop.set()
 
 
@@ -197,7 +186,6 @@ class Piped:
         return os.read(number, CHUNK)
 
     def stop(self) -> None:
-        """Ends `run`."""
         self._stop.set()
 
 
@@ -266,5 +254,4 @@ class Follower:
             self.context.tell({"event": "source", "source": self.name, "problem": text})
 
     def stop(self) -> None:
-        """Ends `run`."""
         self._stop.set()

@@ -37,21 +37,11 @@ _TAKEN_OVER, _BRIEF = 3, 1.0
 def _check_topics(texts: tuple[str, ...]) -> tuple[str, ...]:
     for text in texts:
         levels = text.split("/")
-        if (
-            levels.count(AXIS_LEVEL) != ("{" in text)
-            or "#" in levels[:-1]
-            or any(map(_mixes_signs, levels))
-            or not text
-        ):
-            example = f"hall/{AXIS_LEVEL}/#"
-            raise ValueError(
-                f"{text!r} is no topic: + and {AXIS_LEVEL} are whole levels, # is the last, as {example!r}"
-            )
+        mixed = (set("+#{}\0") & set(level) for level in levels if len(level) > 1 and level != AXIS_LEVEL)
+        if not text or levels.count(AXIS_LEVEL) != ("{" in text) or "#" in levels[:-1] or any(mixed):
+            signs = f"+ and {AXIS_LEVEL} are whole levels, # is the last"
+            raise ValueError(f"{text!r} is no topic: {signs}, as {f'hall/{AXIS_LEVEL}/#'!r}")
     return texts
-
-
-def _mixes_signs(level: str) -> bool:
-    return len(level) > 1 and level != AXIS_LEVEL and any(sign in level for sign in "+#{}\0")
 
 
 class MqttSourceSection(BrokerSection, SourceSection):
@@ -98,10 +88,8 @@ class MqttSource:
     _had_session: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        section = self.section
-        self._messages = Messages(
-            Readers(self.axis), section.format, section.axis_tag, section.precision, section.largest
-        )
+        section, readers = self.section, Readers(self.axis)
+        self._messages = Messages(readers, section.format, section.axis_tag, section.precision, section.largest)
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Takes messages until `stop`. Raises UsageError for a section that cannot work."""
@@ -117,7 +105,8 @@ class MqttSource:
             brief = brief + (0 < lasted < _BRIEF) if lasted < _BRIEF else 0
             if lasted > 0 and brief < _TAKEN_OVER:
                 waiting = pauses()
-            self._say(self._problem + (self._hint() if brief >= _TAKEN_OVER else ""))
+            hint = f"; if another service has the session {self._session!r}, too, give each its own client"
+            self._say(self._problem + (hint if brief >= _TAKEN_OVER else ""))
             self._stopped.wait(next(waiting))
 
     def stop(self) -> None:
@@ -129,7 +118,7 @@ class MqttSource:
         """One connection, from its beginning to its end."""
         section, self._problem = self.section, ""
         self._over.clear()
-        client = new_client(section, self.folder, section.client or self.client, acknowledges=True)
+        client = new_client(section, self.folder, self._session, acknowledges=True)
         client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
         client.on_disconnect = self._on_disconnect
         client.on_message = partial(self._on_message, take)
@@ -173,11 +162,8 @@ class MqttSource:
     def _on_subscribe(
         self, client: Client, _: object, mid: int, reasons: list[ReasonCode], properties: Properties | None
     ) -> None:
-        refused = [
-            f"{topic} ({reason})"
-            for topic, reason in zip(self.section.topics, reasons, strict=False)
-            if reason.is_failure
-        ]
+        pairs = zip(self.section.topics, reasons, strict=False)
+        refused = [f"{topic} ({reason})" for topic, reason in pairs if reason.is_failure]
         if refused:
             self._end(f"the broker refuses the topic {refused[0]}")
         else:
@@ -192,7 +178,8 @@ class MqttSource:
     def _on_message(self, take: Take, client: Client, _: object, message: MQTTMessage) -> None:
         try:
             items = self._messages.items(bytes(message.payload), self._axis_of(message.topic))
-            done = partial(_acknowledge, client, message.mid) if message.qos == 1 else None
+            # on a connection that is over it goes nowhere: the message comes again, maybe under another number
+            done = partial(client.ack, message.mid, 1) if message.qos == 1 else None
             if not take(Delivery(self.name, items, done, None, time.monotonic())):
                 self.stop()
         except BaseException as error:  # paho's thread would end without a word
@@ -208,9 +195,9 @@ class MqttSource:
                 return levels[parts.index(AXIS_LEVEL)]
         return ""
 
-    def _hint(self) -> str:
-        name = self.section.client or self.client
-        return f"; if another service has the session {name!r}, too, give each its own client"
+    @property
+    def _session(self) -> str:
+        return self.section.client or self.client
 
     def _end(self, problem: str) -> None:
         """Ends the connection; the first problem is reported."""
@@ -222,12 +209,6 @@ class MqttSource:
         if problem != self._reported:
             self._reported = problem
             self.tell({"event": "source", "source": self.name, "problem": problem})
-
-
-def _acknowledge(client: Client, mid: int) -> None:
-    """Acknowledge a message. On a closed connection this has no effect: the message comes again, maybe under another
-    number."""
-    client.ack(mid, 1)
 
 
 def _matches(parts: list[str], levels: list[str]) -> bool:

@@ -46,7 +46,6 @@ class SerialSection(SourceSection):
         return self
 
     def make(self, name: str, context: Context) -> SerialSource:
-        """The source, not yet running."""
         return SerialSource(name, self, context.axis, context.tell)
 
 
@@ -117,10 +116,14 @@ class SerialSource:
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Reads until `stop`. Raises UsageError for a section that cannot work, and without pyserial."""
+        try:
+            import serial
+        except ImportError:
+            raise UsageError("a serial port needs pyserial: pip install 'pmfid[serve]'") from None
         reader, waiting = self._reader(), pauses()
         while not self._stopped.is_set():
             try:
-                with self._open_port() as port:
+                with serial.Serial(self.section.port, self.section.baud, timeout=TUNING.serial_silence) as port:
                     self._say("")
                     waiting = pauses()
                     reader.begin()
@@ -132,7 +135,6 @@ class SerialSource:
                 self._stopped.wait(next(waiting))
 
     def stop(self) -> None:
-        """Ends `run` after what it is reading."""
         self._stopped.set()
 
     def _reader(self) -> _ItemReader:
@@ -143,13 +145,6 @@ class SerialSource:
         if axis is None:
             raise UsageError(f"[sources.{self.name}] axis = {section.axis!r}: there is no such axis; correct the name")
         return _Csv(section.axis, axis, section.header)
-
-    def _open_port(self) -> Serial:
-        try:
-            from serial import Serial
-        except ImportError:
-            raise UsageError("a serial port needs pyserial: pip install 'pmfid[serve]'") from None
-        return Serial(self.section.port, self.section.baud, timeout=TUNING.serial_silence)
 
     def _read(self, port: Serial, reader: _ItemReader, take: Take) -> None:
         while not self._stopped.is_set():

@@ -28,7 +28,7 @@ from pmfid.service.web.board import Board, News, Overview, Records, Subscription
 from pmfid.service.web.security import json_body
 from pmfid.status import ADVICE, Status
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.outcome import Counters, Kindred
+from pmfid.stream.outcome import Counters
 
 
 def pack_array(array: NDArray[np.generic], kind: str) -> str:
@@ -39,26 +39,16 @@ def pack_array(array: NDArray[np.generic], kind: str) -> str:
 def pack_rows(rows: Records) -> dict[str, object]:
     """Columns of rows by name; of theta and std a list with one for each parameter. Whole numbers are f8, exact to
     2^53, which is what a browser computes with."""
-    columns: dict[str, object] = {
-        name: pack_array(rows[name], "f8") for name in ("number", "time", "u", "counts", "innovation")
-    }
-    for name in ("theta", "std"):
-        columns[name] = [pack_array(column, "f8") for column in rows[name].T]
-    return {**columns, "status": pack_array(rows["status"], "u4"), "state": pack_array(rows["state"], "u1")}
+    kinds = dict.fromkeys(("number", "time", "u", "counts", "innovation"), "f8") | {"status": "u4", "state": "u1"}
+    columns = {name: [pack_array(column, "f8") for column in rows[name].T] for name in ("theta", "std")}
+    return {**columns, **{name: pack_array(rows[name], kind) for name, kind in kinds.items()}}
 
 
 def pack_overview(group: int, overview: Overview, start: float) -> dict[str, object]:
     """Changes in a group; received: in tenths of a second after `start`, by `time.monotonic()`."""
-    return {
-        "group": group,
-        "axis": pack_array(overview.axis, "i4"),
-        "received": pack_array(np.round(10 * (overview.received - start)), "i4"),
-        "value": pack_array(overview.value, "f4"),
-        "std": pack_array(overview.std, "f4"),
-        "deviation": pack_array(overview.deviation, "f4"),
-        "status": pack_array(overview.status, "u4"),
-        "state": pack_array(overview.state, "u1"),
-    }
+    kinds = {"axis": "i4", "value": "f4", "std": "f4", "deviation": "f4", "status": "u4", "state": "u1"}
+    packed = {name: pack_array(getattr(overview, name), kind) for name, kind in kinds.items()}
+    return {"group": group, "received": pack_array(np.round(10 * (overview.received - start)), "i4"), **packed}
 
 
 def json_line(content: Mapping[str, object]) -> bytes:
@@ -168,7 +158,9 @@ class Hub:
 
     async def axis(self, name: str) -> AsyncIterator[bytes]:
         """Lines of the stream of one axis: every row, and news without the other axes."""
-        feed = self._join(name)
+        feed = self._feeds.get(name) or Feed(self._board.follow(name))
+        self._feeds[name] = feed
+        feed.viewers += 1
         try:
             seen, version, turn = feed.rows, 0, 0
             while True:
@@ -185,20 +177,13 @@ class Hub:
                 if not await self._wait(1):
                     return
         finally:
-            self._leave(name, feed)
+            feed.viewers -= 1
+            if not feed.viewers:
+                feed.subscription.close()
+                self._feeds.pop(name, None)
 
-    def _join(self, name: str) -> Feed:
-        feed = self._feeds.get(name)
-        if feed is None:
-            feed = self._feeds[name] = Feed(self._board.follow(name))
-        feed.viewers += 1
-        return feed
 
-    def _leave(self, name: str, feed: Feed) -> None:
-        feed.viewers -= 1
-        if not feed.viewers:
-            feed.subscription.close()
-            self._feeds.pop(name, None)
+NO_AXIS = "there is no axis of that name; PLANT.toml may have changed"
 
 
 @dataclass
@@ -247,7 +232,7 @@ class Api:
     async def stream(self, request: Request) -> Response:
         axis = request.query_params.get("axis")
         if axis is not None:
-            self._find_group(axis)
+            self._find_axis(axis)
         if request.method == "HEAD":
             return Response(media_type=LineResponse.media_type)
         if self.hub.streams >= self.streams:
@@ -268,22 +253,21 @@ class Api:
         content = {"interval": interval, "points": trends.shape[1], "trends": pack_array(trends, "f4")}
         return Response(json_line(content), media_type="application/json")
 
-    def _find_group(self, axis: str) -> Kindred:
-        group = self.board.group_of(axis)
-        if group is None:
-            raise HTTPException(404, "there is no axis of that name; PLANT.toml may have changed")
-        return group
+    def _find_axis(self, axis: str) -> str:
+        """The name of the axis. Raises HTTPException if there is no such axis."""
+        if self.board.group_of(axis) is None:
+            raise HTTPException(404, NO_AXIS)
+        return axis
 
     async def history(self, request: Request) -> Response:
         rows = self.board.history(request.path_params["axis"])
         if rows is None:
-            raise HTTPException(404, "there is no axis of that name; PLANT.toml may have changed")
+            raise HTTPException(404, NO_AXIS)
         line = await run_in_threadpool(lambda: json_line({"kind": "history", **pack_rows(rows)}))
         return Response(line, media_type="application/json")
 
     async def reference_csv(self, request: Request) -> Response:
-        axis = request.path_params["axis"]
-        self._find_group(axis)
+        axis = self._find_axis(request.path_params["axis"])
         try:
             record = await run_in_threadpool(self.reference, axis)
         except (UsageError, OSError):  # the sentence names files of the machine
@@ -295,13 +279,11 @@ class Api:
         return Response(await run_in_threadpool(csv_of, record), media_type="text/csv")
 
     async def refer(self, request: Request) -> Response:
-        axis = request.path_params["axis"]
-        self._find_group(axis)
+        axis = self._find_axis(request.path_params["axis"])
         return _answer_command(self.engine.refer(axis))
 
     async def restart_numbers(self, request: Request) -> Response:
-        axis = request.path_params["axis"]
-        self._find_group(axis)
+        axis = self._find_axis(request.path_params["axis"])
         return _answer_command(self.engine.restart_numbers(axis))
 
     async def acknowledge(self, request: Request) -> Response:
@@ -342,7 +324,7 @@ class LineResponse(Response):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         self._hub.streams += 1
         writing = asyncio.create_task(self._write(send))
-        leaving = asyncio.create_task(_wait_for_leave(receive))
+        leaving = asyncio.create_task(self._wait_for_leave(receive))
         try:
             done, _ = await asyncio.wait({writing, leaving}, return_when=asyncio.FIRST_COMPLETED)
             if writing in done:
@@ -353,17 +335,16 @@ class LineResponse(Response):
                 task.cancel()
             await asyncio.gather(writing, leaving, return_exceptions=True)
 
+    async def _wait_for_leave(self, receive: Receive) -> None:
+        while (await receive())["type"] != "http.disconnect":
+            pass
+
     async def _write(self, send: Send) -> None:
         kind = [(b"content-type", b"application/x-ndjson"), (b"x-accel-buffering", b"no")]
         await send({"type": "http.response.start", "status": 200, "headers": kind})
         async for line in self._lines:
             await send({"type": "http.response.body", "body": line, "more_body": True})
         await send({"type": "http.response.body", "body": b"", "more_body": False})
-
-
-async def _wait_for_leave(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
 
 
 def csv_of(record: Record) -> bytes:

@@ -22,15 +22,9 @@ def row_type(parameters: int) -> np.dtype[np.void]:
     """A row as it is kept: the fields of `EstimateRows`, little endian as they are sent."""
     return np.dtype(
         [
-            ("number", "<i8"),
-            ("time", "<f8"),
-            ("u", "<f8"),
-            ("counts", "<i8"),
-            ("theta", "<f8", (parameters,)),
-            ("std", "<f8", (parameters,)),
-            ("innovation", "<f8"),
-            ("status", "<u4"),
-            ("state", "u1"),
+            *(("number", "<i8"), ("time", "<f8"), ("u", "<f8"), ("counts", "<i8")),
+            *(("theta", "<f8", (parameters,)), ("std", "<f8", (parameters,))),
+            *(("innovation", "<f8"), ("status", "<u4"), ("state", "u1")),
         ]
     )
 
@@ -84,15 +78,11 @@ class Panel:
         usable = np.flatnonzero(self.group.nominal)
         return int(usable[0]) if usable.size else 0
 
-    def refer(self, axis: int, normal: Sequence[float]) -> None:
-        """Sets the reference (q,) of an axis."""
-        self.nominal[axis] = normal
-
     def refer_only(self, referred: Mapping[str, Sequence[float]]) -> None:
         """Sets the references (q,) of these axes, and the reference of the group for all others."""
         self.nominal[:] = self.group.nominal
         for name in referred.keys() & self.place.keys():
-            self.refer(self.place[name], referred[name])
+            self.nominal[self.place[name]] = referred[name]
 
     def list_referred(self) -> dict[int, list[float]]:
         """Axes whose reference differs from the reference of the group, and their references."""
@@ -117,9 +107,7 @@ class Panel:
         self._trend[axis, self._bin] = self.deviation(axis, new)
         since = new["time"] - self._kept_at[axis]
         due = ~((since >= 0) & (since < 0.999 * self.every))
-        self._keep(axis[due], new[due])
-
-    def _keep(self, axis: NDArray[np.int64], new: Records) -> None:
+        axis, new = axis[due], new[due]
         self._kept[axis, self._rows[axis] % self.depth] = new
         self._rows[axis] += 1
         self._kept_at[axis] = new["time"]
@@ -283,14 +271,9 @@ class Board:
             panel.update(rows, records, self._version)
         for name in self._followed & panel.place.keys():
             own = records[rows.axis == panel.place[name]]
-            if own.size:
-                self._hand_over(name, own)
-
-    def _hand_over(self, axis: str, rows: Records) -> None:
-        for subscription in self._subscriptions.get(axis, ()):
-            dropped = subscription.put(rows)
-            if dropped:
-                self._counters.add("pmfid_page_rows_dropped_total", dropped)
+            for subscription in self._subscriptions.get(name, ()) if own.size else ():
+                if dropped := subscription.put(own):
+                    self._counters.add("pmfid_page_rows_dropped_total", dropped)
 
     def _panel_of(self, group: Kindred) -> Panel:
         """The panel of a group; an unknown group replaces the groups that share names of axes with it."""
@@ -306,13 +289,10 @@ class Board:
             self._notices.append((self._version, notice))
             self._changed.extend((self._version, alarm.number) for alarm in self._alarms.take(notice))
             if notice.what.get("event") == "reference" and "problem" not in notice.what:
-                self._refer(notice.axis, notice.what.get("nominal", {}))
-
-    def _refer(self, axis: str, normal: Mapping[str, float]) -> None:
-        panel = self._by_axis.get(axis)
-        if panel is not None and normal.keys() == set(panel.group.names):
-            panel.refer(panel.place[axis], [normal[name] for name in panel.group.names])
-            self._layout += 1
+                panel, normal = self._by_axis.get(notice.axis), notice.what.get("nominal", {})
+                if panel is not None and normal.keys() == set(panel.group.names):
+                    panel.nominal[panel.place[notice.axis]] = [normal[name] for name in panel.group.names]
+                    self._layout += 1
 
     def list_followed(self) -> frozenset[str]:
         """Names of the axes whose rows all have a viewer."""

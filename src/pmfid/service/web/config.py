@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 from typing import Self
 
 from pydantic import Field, model_validator
@@ -10,6 +9,7 @@ from pydantic import Field, model_validator
 from pmfid.config.model import Name, Positive
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
+from pmfid.service.broker import is_here
 
 #: Where the page is without [page].
 HERE, PORT = "127.0.0.1", 8127
@@ -37,10 +37,7 @@ class PageConfig(FileSection):
     @property
     def local(self) -> bool:
         """Can only this machine reach the address?"""
-        try:
-            return ipaddress.ip_address(self.address).is_loopback
-        except ValueError:
-            return self.address == "localhost"
+        return is_here(self.address)
 
     @model_validator(mode="after")
     def _check_access(self) -> Self:

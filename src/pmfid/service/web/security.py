@@ -45,14 +45,11 @@ class Tokens:
         tokens: digests of the same length are compared, all of them."""
         scheme, _, given = (header or "").partition(" ")
         found = None
+        digest = sha256(given.strip().encode()).digest()
         for scope, token in ((READ, self.read), (WRITE, self.write)):
-            if _equal(given.strip(), token or "") and token:
+            if compare_digest(digest, sha256((token or "").encode()).digest()) and token:
                 found = scope
         return found if scheme.lower() == "bearer" else None
-
-
-def _equal(a: str, b: str) -> bool:
-    return compare_digest(sha256(a.encode()).digest(), sha256(b.encode()).digest())
 
 
 def load_tokens(config: PageConfig, folder: Path) -> Tokens:
@@ -185,19 +182,18 @@ class Guard:
             return
         answer = _with_headers(send, scope["path"].startswith(self.closed))
         try:
-            self._check(scope)
+            headers = Headers(scope=scope)
+            self._check_origin(headers)
+            length = headers.get("content-length", "0")  # before a byte of the body is read
+            if not length.isdecimal() or int(length[:20]) > TUNING.largest_body:
+                raise Refusal("size", 413, f"a request may have {TUNING.largest_body} bytes")
+            if scope["path"].startswith(self.closed):
+                self._check_token(scope, headers)
         except Refusal as refusal:
             self.counters.add("pmfid_page_refused_total", reason=refusal.reason)
             await _build_answer(refusal)(scope, receive, answer)
             return
         await self.app(scope, receive, answer)
-
-    def _check(self, scope: Scope) -> None:
-        headers = Headers(scope=scope)
-        self._check_origin(headers)
-        _check_size(headers)
-        if scope["path"].startswith(self.closed):
-            self._check_token(scope, headers)
 
     def _check_origin(self, headers: Headers) -> None:
         """A name of someone else that leads here (DNS rebinding) is in Host; a page of someone else is in Origin."""
@@ -206,10 +202,9 @@ class Guard:
             raise Refusal("host", 421, "this page is not served under that name; see hosts in [page] of PLANT.toml")
         origins = headers.getlist("origin")
         own = {f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")}  # a proxy may speak TLS
-        if len(origins) > 1 or not {origin.lower() for origin in origins} <= own:
-            raise Refusal("origin", 403, "another page may not ask here")
+        foreign = len(origins) > 1 or not {origin.lower() for origin in origins} <= own
         from_here = headers.get("sec-fetch-site", "none") in ("same-origin", "none")  # same-site is another port
-        if not from_here and headers.get("sec-fetch-mode") != "navigate":
+        if foreign or not (from_here or headers.get("sec-fetch-mode") == "navigate"):
             raise Refusal("origin", 403, "another page may not ask here")
 
     def _check_token(self, scope: Scope, headers: Headers) -> None:
@@ -222,13 +217,6 @@ class Guard:
         if scope["method"] not in ("GET", "HEAD") and may != WRITE:
             raise Refusal("scope", 403, "this token may look, but not write")
         scope["may"] = may
-
-
-def _check_size(headers: Headers) -> None:
-    """Before a byte of the body is read."""
-    length = headers.get("content-length", "0")
-    if not length.isdecimal() or int(length[:20]) > TUNING.largest_body:
-        raise Refusal("size", 413, f"a request may have {TUNING.largest_body} bytes")
 
 
 def _build_answer(refusal: Refusal) -> JSONResponse:
@@ -258,8 +246,13 @@ async def json_body(request: Request) -> dict[str, Any]:
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise HTTPException(415, "write JSON, with content-type: application/json")
     try:
+        body = b""
         async with asyncio.timeout(TUNING.slowest_body):
-            body = await _body(request)
+            async for piece in request.stream():  # a body without a length is counted while it comes
+                body += piece
+                if len(body) > TUNING.largest_body:
+                    size = f"a request may have {TUNING.largest_body} bytes"
+                    raise HTTPException(413, size, {"connection": "close"})
         found = json.loads(body)
     except (TimeoutError, ClientDisconnect):
         raise HTTPException(408, "the request took too long") from None
@@ -268,13 +261,3 @@ async def json_body(request: Request) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise HTTPException(400, "the request is no JSON object")
     return found
-
-
-async def _body(request: Request) -> bytes:
-    """One without a length is counted while it comes."""
-    body = b""
-    async for piece in request.stream():
-        body += piece
-        if len(body) > TUNING.largest_body:
-            raise HTTPException(413, f"a request may have {TUNING.largest_body} bytes", {"connection": "close"})
-    return body

@@ -79,10 +79,10 @@ class Readers:
         """Lines of each axis, those that follow one another together."""
         found: list[Lines | Unusable] = []
         for axis, group in groupby(points, lambda point: None if isinstance(point, Unusable) else point.axis):
-            if axis is None:
-                found += (point for point in group if isinstance(point, Unusable))
-                continue
-            found.append(self._lines(axis, [point for point in group if not isinstance(point, Unusable)]))
+            some = list(group)
+            found += [point for point in some if isinstance(point, Unusable)]
+            if axis is not None:
+                found.append(self._lines(axis, [point for point in some if not isinstance(point, Unusable)]))
         return found
 
     def _lines(self, axis: str, points: list[Point | PointColumns]) -> Lines | Unusable:
@@ -200,18 +200,17 @@ class Messages:
             return [Unusable("error", f"{type(error).__name__}: {str(error)[:200]}; it is left out", axis[:64])]
 
     def _items(self, data: bytes, axis: str) -> Sequence[Item]:
-        form = self._form(data) if self.form == "auto" else self.form
+        form = self.form
+        if form == "auto" and data.startswith(MAGIC):
+            form = "block"
+        elif form == "auto":
+            form = "json" if data.lstrip()[:1] in (b"{", b"[") else "line"
         if form == "block":
             found = blocks.items(data)
             return [_check_axis(item, axis) for item in split_tables(found)] if axis else found
         if form == "json":
             return self.readers.items(decode_json(data, axis))
         return self.readers.items(decode_lines(data, axis, self.tag, self.precision))
-
-    def _form(self, data: bytes) -> Form:
-        if data.startswith(MAGIC):
-            return "block"
-        return "json" if data.lstrip()[:1] in (b"{", b"[") else "line"
 
 
 def _check_axis(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Unusable:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,7 +163,7 @@ class Outbox:
         self._forget()
 
     def _forget(self) -> None:
-        while self._log and (self._is_safe(self._log[0]) or self._bytes > self.most):
+        while self._log and (self._bytes > self.most or self._is_safe(self._log[0])):
             message = self._log.popleft()
             self._bytes -= len(message.payload)
             self._open -= message.open
@@ -221,7 +221,7 @@ class Sender:
         """Messages that went without an acknowledgement, for want of room."""
         return self._outbox.dropped
 
-    def __enter__(self) -> Sender:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
