@@ -22,7 +22,7 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
     thread = engine.running(hall)
     assert connected(hall)
     ended, sent = threading.Event(), {"x1": 0, "x2": 0}
-    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=2.5)
+    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=10.0)  # a loaded broker saves late
 
     def feed() -> None:
         while not ended.wait(0.02):
