@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from threading import Condition
-from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
+
+import polars as pl
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.fleet.plan import Places, RowProblem, RowShard, Survey, content, join_surveys, survey_part
@@ -23,9 +25,6 @@ from pmfid.fleet.source import Columns, Part
 from pmfid.fleet.store import Keep, digest
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
-
-if TYPE_CHECKING:
-    import polars as pl
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -126,7 +125,6 @@ def first_table(frame: pl.DataFrame, columns: Columns, length: float) -> Table |
 
 
 def longest(pieces: Sequence[RecordPiece], columns: Columns) -> Table:
-    """The table of the longest piece."""
     return max(pieces, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
 
 
@@ -223,11 +221,9 @@ class Parts:
         self._aside = None
 
     def stamp(self, shard: RowShard, length: float) -> object:
-        """The stamp of the parts that have its rows."""
         return [(name, self._parts[name].stamp) for name in shard.parts]
 
     def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
-        """Read here, one by one."""
         for shard in shards[:TRIED]:
             rows, _ = read_rows(shard, self._select_rows(shard, length), self._columns, length, self._aside)
             slices: dict[str, dict[int, list[RecordPiece]]] = defaultdict(lambda: defaultdict(list))

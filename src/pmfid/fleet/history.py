@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError, printable
@@ -34,10 +34,6 @@ from pmfid.fleet.verdicts import (
     sorts_by_type,
 )
 from pmfid.presentation import plain_dict
-
-if TYPE_CHECKING:
-    import polars as pl
-
 
 #: Said of an axis in which a step of this size might be overlooked.
 LITTLE, SOUGHT = "little_information", 0.1
@@ -64,8 +60,6 @@ def outcome_of(
 ) -> Outcome:
     """groups: the segments of some axes each; types: of every axis that there is; segment: [s]; others: as in
     `history.estimate`."""
-    import polars as pl
-
     codes: dict[str, set[tuple[float, str]]] = defaultdict(set)
     for problem in problems:
         if problem.axis:
@@ -157,8 +151,6 @@ def _nothing(
 
 
 def _period_schema(names: Sequence[str]) -> dict[str, pl.DataType]:
-    import polars as pl
-
     kinds: dict[str, pl.DataType] = {"axis": pl.String(), "type": pl.String(), "period": pl.Float64()}
     kinds |= {"first": pl.Float64(), "last": pl.Float64(), "samples": pl.Int64(), "segments": pl.Int64()}
     kinds |= {"lost": pl.Float64(), "dt": pl.Float64()}
@@ -169,8 +161,6 @@ def _period_schema(names: Sequence[str]) -> dict[str, pl.DataType]:
 
 def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Sequence[str]) -> pl.DataFrame:
     """Those that need attention first."""
-    import polars as pl
-
     rows = []
     for k in ranking(verdicts):
         one, verdict = follows[k], verdicts[k]
@@ -192,8 +182,6 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Seq
 
 def _problems(problems: Sequence[RowProblem]) -> pl.DataFrame:
     """Each kind once for an axis or a file, with how often and from when on."""
-    import polars as pl
-
     found: dict[tuple[str, str, str], list[RowProblem]] = defaultdict(list)
     for problem in problems:
         found[problem.axis, problem.part, problem.code].append(problem)
@@ -233,21 +221,15 @@ class History:
     engine: str
 
     def to_frame(self) -> pl.DataFrame:
-        """A row for each axis and period."""
         return self.periods
 
     @property
     def named(self) -> pl.DataFrame:
         """The axes that need attention, most clearly first."""
-        import polars as pl
-
         return self.axes.filter(pl.col("named"))
 
     @property
     def unknown(self) -> pl.DataFrame:
-        """The axes without an estimate."""
-        import polars as pl
-
         return self.axes.filter(pl.col("kind") == UNKNOWN)
 
     @property
@@ -347,7 +329,6 @@ class _Run:
         self.survey = data.survey(self.keep)
 
     def outcome(self, periods: Periods, segment: float | None, tolerance: float) -> History:
-        """All of it."""
         length = slice_length(self.survey.rows, periods.length)
         shards = shards_of(self.survey.rows, length)
         folder = None if self.store is None else self.store.folder
@@ -357,8 +338,6 @@ class _Run:
     def _outcome(
         self, shards: Sequence[RowShard], length: float, periods: Periods, segment: float | None, tolerance: float
     ) -> History:
-        import polars as pl
-
         chosen = self._choose_filters(shards, length)
         most = min(length / 2, periods.length or length)
         settings = make_settings(self.axis, chosen, most, segment)
@@ -413,8 +392,6 @@ class _Run:
 
     def _groups(self, shards: Sequence[RowShard], solved: Sequence[Kept]) -> Iterator[pl.DataFrame]:
         """The segments of some axes at a time, in the order of axes and time."""
-        import polars as pl
-
         places: dict[str, list[int]] = defaultdict(list)
         for k, shard in enumerate(shards):
             for name in shard.axes:
@@ -428,8 +405,6 @@ class _Run:
 
     def _several(self) -> Iterator[RowProblem]:
         """Axes that have other types in other files, or on other days."""
-        import polars as pl
-
         kinds = self.survey.rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
         for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
             yield RowProblem(axis, "", "types", f"of the types {', '.join(types)}: it is judged with the first")

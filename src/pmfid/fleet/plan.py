@@ -6,17 +6,15 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
+import polars as pl
 
 from pmfid.errors import UsageError
 from pmfid.fleet.source import AXIS, TIME, TYPE, Columns, Part, other_unit
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
-
-if TYPE_CHECKING:
-    import polars as pl
 
 PART, ROWS, LOST, FIRST, LAST, EXTENT = "part", "rows", "lost", "first", "last", "extent"
 #: First row in the part.
@@ -48,8 +46,6 @@ class Survey:
 
 def survey_part(part: Part, columns: Columns) -> Survey:
     """The survey of one part; a part that cannot be read has no rows and a problem."""
-    import polars as pl
-
     try:
         with readable("data"):
             place, windows = pl.col(_PLACE).cast(pl.Int64), list[pl.DataFrame]()
@@ -69,8 +65,6 @@ def survey_part(part: Part, columns: Columns) -> Survey:
 
 def _together(windows: pl.DataFrame) -> pl.DataFrame:
     """The rows of all windows of a file, by axis and day."""
-    import polars as pl
-
     kind = pl.col(TYPE).filter(pl.col(TYPE) != "").min().fill_null("")
     ends = (pl.min(FIRST), pl.max(LAST), pl.min(START))
     extent = (pl.max(_END) - pl.min(START) + 1).alias(EXTENT)
@@ -81,8 +75,6 @@ def _together(windows: pl.DataFrame) -> pl.DataFrame:
 def count_rows(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
     """Numbers of rows and of lost rows for each axis and day, with first and last time, type, and further columns
     `more`; rows: of `Part.rows`."""
-    import polars as pl
-
     known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
     kind = pl.col(TYPE).min() if columns.type else pl.lit("")
     return rows.group_by(AXIS, (pl.col(TIME) / TUNING.plan_day).floor().alias("day")).agg(
@@ -98,8 +90,6 @@ def count_rows(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyF
 def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float) -> Survey:
     """Of what was counted in the part of this name, where it has no order without how far each axis reaches; odd: what
     is odd of its columns; factor: seconds per unit of its times."""
-    import polars as pl
-
     problems = [RowProblem("", name, "type", text) for text in odd]
     if not found.height:
         problems.append(RowProblem("", name, "empty", "it has no rows"))
@@ -119,16 +109,12 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float)
 def mixture(columns: Columns) -> pl.Expr:
     """A number for each row of `Part.rows`, whose sum over rows changes with what stands in them, not with their
     order; 32 bits, so that a sum of rows stays whole."""
-    import polars as pl
-
     names = [*columns.carried, *([TYPE] if columns.type else [])]
     return (pl.struct(names).hash() // 2**32).cast(pl.Int64)
 
 
 def content(part: Part, columns: Columns) -> str:
     """The stamp of a part that has no date: of all its rows. Empty where it cannot be read."""
-    import polars as pl
-
     try:
         with readable("data"):
             found = part.rows(columns).select(pl.len(), mixture(columns).sum().alias("sum")).collect(engine="streaming")
@@ -138,16 +124,11 @@ def content(part: Part, columns: Columns) -> str:
 
 
 def join_surveys(surveys: Sequence[Survey]) -> Survey:
-    """One survey of all parts."""
-    import polars as pl
-
     rows = pl.concat([_empty(), *(one.rows for one in surveys)])
     return Survey(rows, tuple(problem for one in surveys for problem in one.problems))
 
 
 def _empty() -> pl.DataFrame:
-    import polars as pl
-
     kinds = {PART: pl.String, AXIS: pl.String, ROWS: pl.Int64, FIRST: pl.Float64, LAST: pl.Float64}
     return pl.DataFrame(schema=kinds | {TYPE: pl.String, START: pl.Int64, EXTENT: pl.Int64})
 
@@ -166,8 +147,6 @@ class RowShard:
 def slice_length(rows: pl.DataFrame, period: float | None) -> float:
     """Length of a slice [s]: a part or a multiple of the period [s], None: of any; by the rate at which most axes are
     sampled, and short enough for the rows of the fastest to fit a shard."""
-    import polars as pl
-
     step = (pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)
     steps = rows.filter(pl.col(LAST) > pl.col(FIRST)).select(step.alias("dt"))["dt"].to_numpy()
     if not steps.size:
@@ -188,8 +167,6 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
 def _fastest(rows: pl.DataFrame) -> float:
     """Rows per second of the fastest of the axes that have more rows than a shard: a few rows close together are small
     in slices of any length."""
-    import polars as pl
-
     span, many = (pl.col(LAST) - pl.col(FIRST)).sum(), (pl.col(ROWS) - 1).sum()
     axes = rows.group_by(AXIS).agg(span.alias("span"), many.alias("many"))
     large = axes.filter((pl.col("many") > TUNING.plan_budget) & (pl.col("span") > 0))
@@ -251,8 +228,6 @@ class Places:
     """names: of the parts that can be read in windows; rows: of the `Survey`. Files of one window are read whole."""
 
     def __init__(self, names: Set[str], rows: pl.DataFrame) -> None:
-        import polars as pl
-
         large = pl.col(ROWS).sum().over(PART) > TUNING.source_window
         found = rows.filter(pl.col(PART).is_in(list(names)) & large)
         groups = found.partition_by(PART, as_dict=True, include_key=False)
@@ -260,8 +235,6 @@ class Places:
 
     def narrow(self, part: Part, shard: RowShard, length: float) -> Part:
         """The part from the first to the last row that the shard may have in it; length: of a slice [s]."""
-        import polars as pl
-
         if part.name not in self._rows:
             return part
         inside = (pl.col(LAST) >= shard.first * length) & (pl.col(FIRST) < shard.last * length)

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
@@ -22,10 +22,6 @@ from pmfid.io.safety import readable
 from pmfid.io.tables import Table
 from pmfid.types import Flags, Floats
 
-if TYPE_CHECKING:
-    import polars as pl
-
-
 #: Begin of the names of folders in which rows are put aside during a call.
 ASIDE = "aside-"
 
@@ -35,8 +31,6 @@ def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]
 
     An axis whose rows reach over a part of the file makes its shard read that much; no shard reads more than all of it.
     """
-    import polars as pl
-
     readers = Counter(name for shard in shards for name in shard.parts)
     many = rows.group_by(PART).agg(pl.col(EXTENT).sum() / pl.col(ROWS).sum().alias("times"))
     return {name for name, times in many.iter_rows() if min(times, readers[name]) > TUNING.aside_times}
@@ -166,8 +160,6 @@ class Aside:
 
 def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[_Columns]:
     """The rows of a part, of known axes, some at a time. Raises UsageError for a damaged part."""
-    import polars as pl
-
     number = pl.col(AXIS).cast(pl.Enum(list(axes)), strict=False).to_physical().cast(pl.UInt32).alias(AXIS)
     with readable("data"):
         for window in part.windows():
@@ -251,8 +243,6 @@ def read_rows(
 
 
 def _window(part: Part, shard: RowShard, columns: Columns, length: float) -> pl.DataFrame:
-    import polars as pl
-
     axis, time = pl.col(AXIS), pl.col(TIME)
     inside = (time >= shard.first * length) & (time < shard.last * length)
     frame = part.rows(columns).filter(inside)
@@ -278,8 +268,6 @@ def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: Columns)
 
 def rows_of(frame: pl.DataFrame, columns: Columns) -> tuple[ShardRows, tuple[RowProblem, ...]]:
     """The same of a frame with the columns of `source`, in any order."""
-    import polars as pl
-
     axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
     named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
     known = frame.filter(pl.col(TIME).is_finite()).drop_nulls(AXIS).with_columns(named)

@@ -6,9 +6,9 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
@@ -34,9 +34,6 @@ from pmfid.models.shapes import Square
 from pmfid.records.record import Record
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
-
-if TYPE_CHECKING:
-    import polars as pl
 
 
 @dataclass(frozen=True)
@@ -258,8 +255,6 @@ class Segments:
 
 def solve(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
     """The segments of pieces; what is no record is a problem of its axis."""
-    import polars as pl
-
     problems = list[RowProblem]()
     groups: dict[tuple[float, float], list[Stretch]] = defaultdict(list)
     for piece in pieces:
@@ -331,8 +326,6 @@ def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimato
 
 
 def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.DataFrame:
-    import polars as pl
-
     u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
     tracks = (
         estimator.start()
@@ -359,8 +352,6 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
 
 def empty(settings: Settings) -> pl.DataFrame:
     """No segments, with their columns."""
-    import polars as pl
-
     kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
     kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.UInt32}
     for name in settings.estimator.names:

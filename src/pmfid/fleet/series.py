@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from pmfid.fleet.source import seconds
 from pmfid.fleet.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
-
-if TYPE_CHECKING:
-    import polars as pl
 
 #: An estimate with one of these at its end says nothing.
 UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)

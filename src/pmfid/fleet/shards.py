@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
+import polars as pl
 
 from pmfid.durable import NAME as LOCK
 from pmfid.durable import crash_point, hold
@@ -33,8 +34,6 @@ from pmfid.stream.outcome import Counters, EstimateRows, Notice
 from pmfid.stream.tuning import TUNING as STREAM_TUNING
 
 if TYPE_CHECKING:
-    import polars as pl
-
     from pmfid.monitor.monitor import Monitor
     from pmfid.stream.groups import Pace, Prepared
 
@@ -191,8 +190,6 @@ def columns_of(plan: StreamPlan) -> dict[str, str]:
 
 def table_of(shard: StreamShard) -> pl.DataFrame:
     """All that a batch of a shard gave, with these columns."""
-    import polars as pl
-
     types = {"string": pl.String, "long": pl.Int64, "double": pl.Float64}
     schema = {name: types[kind] for name, kind in columns_of(shard.plan).items()}
     frames = [_estimates(rows) for rows in shard.outcomes.estimates]
@@ -203,8 +200,6 @@ def table_of(shard: StreamShard) -> pl.DataFrame:
 
 
 def _estimates(rows: EstimateRows) -> pl.DataFrame:
-    import polars as pl
-
     axes, states = np.array(rows.group.axes, object), np.array(STATES, object)
     own = {
         "row": [ESTIMATE] * rows.axis.size,
@@ -221,8 +216,6 @@ def _estimates(rows: EstimateRows) -> pl.DataFrame:
 
 
 def _notice(notice: Notice) -> pl.DataFrame:
-    import polars as pl
-
     number = 0 if notice.number >= STREAM_TUNING.notices_own else notice.number % STREAM_TUNING.of_axis
     columns = {"row": [NOTICE], "axis": [notice.axis], "number": [number], "told": [json.dumps(notice.what)]}
     time = notice.what.get("time")
@@ -275,12 +268,10 @@ class States:
 
     @property
     def groups(self) -> list[Saved]:
-        """The groups of this configuration."""
         return [group for one in self.snapshots for group in one.groups if group.digest == self.digest]
 
     @property
     def axes(self) -> list[str]:
-        """Names, sorted."""
         return sorted(name for group in self.groups for name in group.axes)
 
     def only(self, names: Sequence[str]) -> list[str]:
@@ -399,7 +390,6 @@ def _holds(folder: Path, *known: str) -> bool:
 
 
 def _begin_stream(checkpoint: Path, settings: StreamSettings) -> str:
-    """The number of the stream of a checkpoint."""
     known = _read(checkpoint / SETTINGS)
     if known is None:
         known = {"stream": uuid4().hex, **asdict(settings)}
@@ -430,9 +420,7 @@ class Folder:
     KINDS = ("estimates", "notices", "batches")
 
     def write(self, batch: int, table: pl.DataFrame) -> None:
-        """The rows of a batch, in place of those from before. Raises UsageError if the disk takes none."""
-        import polars as pl
-
+        """The rows of a batch, in place of those from before. Raises UsageError where the disk takes none."""
         crash_point("stream.given")
         order = pl.col("axis", "number", "told")
         estimates = table.filter(pl.col("row") == ESTIMATE).drop("row", "told").sort("axis", "number")
@@ -455,7 +443,6 @@ class Folder:
 
 
 def _counts(table: pl.DataFrame) -> dict[str, int]:
-    """Sums over the shards."""
     found: dict[str, int] = {}
     for text in table.filter(table["row"] == COUNTS)["told"].to_list():
         for name, value in json.loads(text).items():

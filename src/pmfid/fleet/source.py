@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 import numpy as np
+import polars as pl
 
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError, did_you_mean
@@ -20,9 +20,6 @@ from pmfid.io.safety import readable, require_extra
 from pmfid.io.tables import LONGEST_CELL, table_of
 from pmfid.records.clock import UNITS, time_factor
 from pmfid.records.tuning import TUNING as RECORD_TUNING
-
-if TYPE_CHECKING:
-    import polars as pl
 
 #: What a history writes into its folder, at least.
 RESULTS = {"work", "periods.parquet", "axes.parquet", "problems.parquet"}
@@ -64,7 +61,6 @@ _PARTITION = "partition."
 
 
 def is_delta(folder: Path) -> bool:
-    """Is the folder itself a Delta table?"""
     return (folder / DELTA).is_dir()
 
 
@@ -85,8 +81,6 @@ def check_no_table(folders: Sequence[Path]) -> None:
 def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
     """The files of a Delta table that count now, and what is said of all rows of each. Raises UsageError without the
     package deltalake, for a damaged log, and for a table whose files say less than its log."""
-    import polars as pl
-
     with require_extra("delta"):
         from deltalake import DeltaTable
     with readable("Delta"):
@@ -115,8 +109,6 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
     Numbers, dates with a time, with or without a zone, durations, and text that is a number or a date of ISO 8601; UTC
     where no zone is named. Raises UsageError for a day without a time, a time without a day, and what is none.
     """
-    import polars as pl
-
     if kind == pl.Datetime:
         return column.dt.epoch("ns").cast(pl.Float64) * TUNING.source_nanosecond
     if kind == pl.Duration:
@@ -133,9 +125,6 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
 
 
 def _parse_dates(column: pl.Expr) -> pl.Expr:
-    """Times in text of ISO 8601."""
-    import polars as pl
-
     short = pl.when(column.str.len_bytes() <= LONGEST_CELL).then(column)  # a packed file may repeat a long one
     text = short.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
     plain = text.str.replace(_OFFSET, "").str.strip_suffix("Z").str.strip_chars_end()
@@ -240,8 +229,6 @@ class Part:
     def windows(self) -> Iterator[Part]:
         """The same rows, in their order, source_window at a time where the format lets them be read so. Raises
         UsageError for a damaged file."""
-        import polars as pl
-
         if not self.sliced:
             yield self
             return
@@ -253,10 +240,8 @@ class Part:
             yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
     def rows(self, columns: Columns) -> pl.LazyFrame:
-        """The rows of a part with the columns of this module: axis and type as text, time [s] and the others as
-        float64. Raises UsageError for a column that is missing, or cannot be read as numbers."""
-        import polars as pl
-
+        """Its rows with the columns of this module: axis and type as text, time [s] and the others as float64. Raises
+        UsageError where a column is not there, or is nothing that can be read as numbers."""
         with readable(Path(self.name).suffix or "frame"):
             frame = self.open()
             schema = frame.collect_schema()
@@ -277,8 +262,6 @@ class Part:
 
     def other_types(self, columns: Columns) -> list[str]:
         """What is written as text and should be a number, or as numbers that are too short, for people."""
-        import polars as pl
-
         schema = self.open().collect_schema()
         texts = [name for name in (columns.time, columns.input, columns.output) if schema.get(name) == pl.String]
         notes = [
@@ -292,8 +275,6 @@ class Part:
 
 
 def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr | None = None) -> pl.Expr:
-    import polars as pl
-
     column = pl.col(name) if value is None else value
     if own in (AXIS, TYPE):
         if kind.is_nested():
@@ -308,8 +289,6 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
 
 def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
     """Names as text; 7.0 becomes 7, because tables with missing values write integers so; an empty text is no name."""
-    import polars as pl
-
     text = column.cast(pl.String, strict=False)
     if kind.is_float():
         whole = column.cast(pl.Int64, strict=False)
@@ -329,8 +308,6 @@ def parts_of(source: object, out: Path | None = None) -> list[Part]:
 
     Raises UsageError for what is none of these, and for a folder without a file that can be read.
     """
-    import polars as pl
-
     if isinstance(source, str | Path):
         return _files(Path(source), out)
     lazy = source if isinstance(source, pl.LazyFrame) else pl.DataFrame(dict(table_of(source))).lazy()
@@ -384,8 +361,6 @@ def _stamp(path: Path) -> str:
 
 
 def _open_file(path: Path) -> pl.LazyFrame:
-    import polars as pl
-
     if not path.exists():
         raise UsageError(f"{path} is not there for the process that reads it; all that work need it under this name")
     if "\udc80" <= max(str(path)) <= "\udcff":  # bytes that are no text

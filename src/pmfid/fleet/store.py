@@ -10,7 +10,8 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from pmfid import __version__
 from pmfid.durable import NAME as LOCK
@@ -20,9 +21,6 @@ from pmfid.fleet.plan import RowProblem, Survey
 from pmfid.fleet.rows import ASIDE
 from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import RESULTS
-
-if TYPE_CHECKING:
-    import polars as pl
 
 #: To be raised with every change of what a segment is, or of these files.
 VERSION = 4
@@ -49,8 +47,6 @@ class Store:
 
     def get(self, key: str) -> Survey | None:
         """What lies under a key; None: nothing, or nothing that this version writes."""
-        import polars as pl
-
         try:
             problems = json.loads(self._problems_path(key).read_text(encoding="utf-8"))
             return Survey(
@@ -131,9 +127,7 @@ class Kept:
     problems: tuple[RowProblem, ...]
 
     def rows(self) -> pl.DataFrame:
-        """The table. Raises UsageError if it has gone from the disk since."""
-        import polars as pl
-
+        """The table. Raises UsageError where it has gone from the disk since."""
         if self.here is not None:
             return self.here
         if self.path is None or not self.path.exists():
@@ -151,7 +145,6 @@ class Keep:
 
     @property
     def lasting(self) -> bool:
-        """Whether another call will find it."""
         return self._store is not None
 
     def fetch(

@@ -40,7 +40,6 @@ class Follow:
 
     @property
     def quality(self) -> str:
-        """What theta is worth."""
         return quality_of(self.segments, self.codes)
 
     @property
@@ -189,7 +188,6 @@ def sorts_by_type(follows: Sequence[Follow], tolerance: float) -> dict[str, list
 
 
 def _estimates(follows: Sequence[Follow], members: Sequence[int]) -> tuple[Floats, Floats]:
-    """theta, std: (m, p)."""
     theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
     return theta, std
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -75,6 +75,20 @@ class Context:
     counters: Counters
     tell: Tell
     axis: FindAxis
+
+
+@dataclass
+class ProblemReport:
+    """Reports a problem of a source once, and its end, as ""."""
+
+    source: str
+    tell: Tell
+    _problem: str = field(default="", init=False)
+
+    def say(self, problem: str) -> None:
+        if problem != self._problem:
+            self._problem = problem
+            self.tell({"event": "source", "source": self.source, "problem": problem})
 
 
 class SourceSection(FileSection):

@@ -123,7 +123,6 @@ class Plant:
 
     @property
     def state(self) -> Path | None:
-        """The folder of the checkpoints."""
         return None if self.service.state is None else self.folder / self.service.state
 
     def unlike(self, other: Plant) -> list[str]:

@@ -63,7 +63,6 @@ class PauseWatch:
     _looked: float = field(default_factory=monotonic, init=False)
 
     def look(self) -> None:
-        """Tests the time since the last call."""
         now = monotonic()
         stood, self._looked = now - self._looked, now
         if stood > TUNING.process_stood:
@@ -129,12 +128,10 @@ class Running:
         self.ended = True
 
     def stop(self) -> None:
-        """Asks the source to end."""
         self._stopped.set()
         self.source.stop()
 
     def join(self) -> None:
-        """Waits for its end, not for ever."""
         self._thread.join(TUNING.run_ending)
 
 
@@ -212,7 +209,6 @@ class Service:
         return None if plant.state is None else Vault(plant.state)
 
     def _restore(self, plant: Plant, vault: Vault | None) -> None:
-        """Restores the last checkpoint, if there is one."""
         if vault is None:
             self._arrange([])
             return
@@ -329,7 +325,6 @@ class Service:
         )
 
     def _alive(self) -> bool:
-        """Whether the engine still ticks."""
         return time.monotonic() - self._engine.beat < TUNING.run_stuck
 
     def _reference(self, axis: str) -> Record | None:

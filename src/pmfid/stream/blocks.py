@@ -78,7 +78,6 @@ def read_alike_blocks(data: bytes) -> Table | None:
 
 
 def _are_in_range(rows: np.ndarray, samples: int) -> bool:
-    """Whether all numbers are within their ranges."""
     time, dt, counts = rows["time"], rows["dt"], rows["counts"]
     with np.errstate(invalid="ignore"):
         fine: Flags = (dt > 0) & (dt < math.inf) & (np.isnan(time) | (np.abs(time) < MOST_TIME))

@@ -53,7 +53,6 @@ class StateBuffer:
 
     @property
     def size(self) -> int:
-        """Size of the buffer [bytes]."""
         return self._bytes.size
 
     def grow(self, size: int) -> None:
@@ -150,7 +149,6 @@ def _collect_rare(seat: Seat) -> dict[str, Any]:
 
 
 def _pack_held(group: Group) -> bytes:
-    """The blocks that wait, as bytes."""
     waiting = np.flatnonzero(group.positions.waits).tolist()
     pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
     if not pairs:
@@ -212,7 +210,6 @@ class Snapshot:
         engine.silence.restore(self.alarms)
 
     def axes(self) -> Iterable[str]:
-        """Names of all axes in the checkpoint."""
         return (name for group in self.groups for name in group.axes)
 
 

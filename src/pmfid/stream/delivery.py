@@ -72,12 +72,10 @@ class Table:
         )
 
     def block(self, row: int) -> Block:
-        """The block of a row."""
         numbers = int(self.epoch[row]), int(self.first[row]), float(self.time[row]), float(self.dt[row])
         return Block(self.axes[row], *numbers, self.u[row], self.counts[row])
 
     def blocks(self) -> list[Block]:
-        """The blocks of all rows."""
         return [self.block(row) for row in range(len(self.axes))]
 
 

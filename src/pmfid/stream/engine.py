@@ -203,7 +203,6 @@ class StreamEngine:
         return bool(batch) or not self.inbox.closed
 
     def set_groups(self, groups: Iterable[Group]) -> None:
-        """Replaces the groups."""
         self.groups = [group for group in groups if group.seats]
         self._intake.set_seats(seat for group in self.groups for seat in group.seats)
         for seat in self._intake.seats.values():

@@ -153,7 +153,6 @@ class Timed:
 
 
 def _join_samples(samples: list[Sample], received: float, turn: int, verdict: ItemReport) -> list[SamplePiece]:
-    """Pieces of consecutive samples."""
     pieces, begun = list[SamplePiece](), 0
     for k, sample in enumerate(samples):
         if sample.missing or sample.jump:
@@ -231,7 +230,6 @@ class Seat:
 
     @property
     def index(self) -> int:
-        """Number of the axis in the group."""
         return self.place.index
 
     def lines(self, timed: bool) -> Timed:

@@ -110,12 +110,10 @@ class Intake:
     _turn: int = field(default=0, init=False)
 
     def set_seats(self, seats: Iterable[Seat]) -> None:
-        """Replaces the axes."""
         self.seats = {seat.name: seat for seat in seats}
         self._seatings = Seatings(self.seats)
 
     def take(self, deliveries: Iterable[Delivery]) -> Ordered:
-        """Orders the items of deliveries."""
         ordered, tables = Ordered(), Tables()
         for delivery in deliveries:
             for item in delivery.items:

@@ -43,7 +43,6 @@ class Positions(RowArrays):
 
     @classmethod
     def fresh(cls, axes: int) -> Positions:
-        """Rows of axes without any data."""
         zeros, unknown, no = np.zeros(axes, np.int64), np.full(axes, np.nan), np.zeros(axes, np.bool_)
         clock = unknown, zeros.copy(), unknown.copy(), zeros.copy()
         flags = no, no.copy(), no.copy()
@@ -137,7 +136,6 @@ class Clock:
         self.dt, self.place = dt, place
 
     def reset(self) -> None:
-        """Forgets all measurements of the clock."""
         self.expected, self.number, self.start, self.first, self.wrong_rate = math.nan, 0, math.nan, 0, False
 
     def look(self, first: int, end: int, time: float) -> dict[str, object] | None:

@@ -169,17 +169,14 @@ class Counters:
     _lock: Lock = field(default_factory=Lock, init=False)
 
     def add(self, name: str, amount: float = 1, **labels: str) -> None:
-        """Adds to a total."""
         key = name, tuple(sorted(labels.items()))
         with self._lock:
             self._values[key] = self._values.get(key, 0) + amount
 
     def put(self, name: str, value: float, **labels: str) -> None:
-        """Sets a level."""
         with self._lock:
             self._values[name, tuple(sorted(labels.items()))] = value
 
     def values(self) -> Mapping[tuple[str, Labels], float]:
-        """All of them now."""
         with self._lock:
             return dict(self._values)

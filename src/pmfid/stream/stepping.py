@@ -38,7 +38,6 @@ class Batch:
 
     @classmethod
     def stack_pieces(cls, pairs: Sequence[tuple[Seat, SamplePiece]]) -> Batch:
-        """One batch of pieces of the same length."""
         pieces = tuple(piece for _, piece in pairs)
         return cls(
             np.array([seat.index for seat, _ in pairs], np.int64),
@@ -78,7 +77,6 @@ class GroupQueue:
         return not self._busy[index].any()
 
     def put(self, batch: Batch) -> None:
-        """Appends blocks of a table."""
         self._busy[batch.index] = True
         self._tables.setdefault(batch.counts.shape[1], []).append(batch)
 

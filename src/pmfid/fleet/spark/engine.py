@@ -151,7 +151,6 @@ def open_answer(packed: bytes) -> object:
 
 
 def return_answers(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordBatch:
-    """Answers as a batch for Spark."""
     import pyarrow as pa
 
     return pa.record_batch([pa.array(numbers, pa.int64()), pa.array(found, pa.binary())], [NUMBER, FOUND])

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
+import polars as pl
 
 from pmfid import __version__
 from pmfid.errors import UsageError
@@ -35,7 +36,6 @@ from pmfid.io.tables import Table
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
-    import polars as pl
     import pyarrow as pa
     from pyspark.sql import Column, DataFrame
 
@@ -53,8 +53,6 @@ class RowPlan:
     @classmethod
     def from_shards(cls, shards: Sequence[RowShard], length: float) -> RowPlan:
         """The plan of shards that share no row, by their index in the sequence; length: of a slice [s]."""
-        import polars as pl
-
         ends = np.array([[one.first * length, one.last * length] for one in shards]).reshape(-1, 2)
         edges = np.unique(ends)
         low, high = np.searchsorted(edges, ends).T
@@ -69,8 +67,6 @@ class RowPlan:
 
     def tag_rows(self, rows: pl.LazyFrame, columns: Columns) -> pl.DataFrame:
         """The rows that are in a shard, with its number; rows: of `Part.rows`."""
-        import polars as pl
-
         known = rows.select(columns.carried).drop_nulls([AXIS, TIME]).collect()
         place = np.searchsorted(self.edges, known[TIME].to_numpy(), side="right") - 1
         joined = known.with_columns(pl.Series(_PLACE, place, pl.Int64)).join(self.places, on=[AXIS, _PLACE])
@@ -129,17 +125,14 @@ class SparkRows:
     def prepare_shards(
         self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> AbstractContextManager[None]:
-        """Spark needs no preparation."""
         return nullcontext()
 
     def stamp(self, shard: RowShard, length: float) -> object:
-        """What stands in the days of its axes."""
         low, high = shard.first * length, shard.last * length
         days = [day for axis in shard.axes for day in self._days.get(axis, ())]
         return [day for day in days if day[0] < high and day[1] >= low]
 
     def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
-        """Shard by shard, as they are asked for."""
         for shard in shards[:TRIED]:
             yield from islice(self._first_tables(shard, length), TRIED)
 
@@ -173,16 +166,13 @@ class SparkRows:
 
     @cached_property
     def _part(self) -> Part:
-        """The part's columns without rows."""
-        import polars as pl
-
+        """Its columns without rows."""
         nothing = cast(pl.DataFrame, pl.from_arrow(arrow_of(self._whole.limit(0))))
         return Part(FRAME, "", nothing.lazy)
 
     @cached_property
     def _counts(self) -> pl.DataFrame:
-        """Counts of each axis and day."""
-        import polars as pl
+        """Of each axis and day."""
         from pyspark.sql import functions as sql
 
         kinds = f"{AXIS} string, {_DAY} double, {ROWS} long, {LOST} long, {FIRST} double, {LAST} double, "
@@ -223,8 +213,6 @@ class SparkRows:
 
 
 def _rows(table: pa.Table, columns: Columns) -> pl.LazyFrame:
-    import polars as pl
-
     frame = cast(pl.DataFrame, pl.from_arrow(table))
     return Part(FRAME, "", frame.lazy).rows(columns)
 
@@ -244,8 +232,6 @@ Task = Callable[[Iterator["pa.RecordBatch"]], Iterator["pa.RecordBatch"]]
 
 def _counter(columns: Columns) -> Task:
     def count(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        import polars as pl
-
         for table in merge_batches(batches):
             rows = _rows(table, columns).with_columns(mixture(columns).alias(MIXED))
             found = count_rows(rows, columns, pl.col(MIXED).sum()).collect()
@@ -264,7 +250,6 @@ def _tagger(columns: Columns, plan: RowPlan) -> Task:
 
 def _worker(work: Callable[[pl.DataFrame], object], version: str) -> Task:
     def act(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        import polars as pl
         import pyarrow as pa
 
         there = list(batches)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+import polars as pl
+
 from pmfid.errors import UsageError
 from pmfid.fleet.shards import Folder, States, StreamPlan, StreamSettings, columns_of, open_folder
 from pmfid.fleet.spark.engine import is_own, memory, session_of
@@ -208,8 +210,6 @@ def _read(spark: SparkSession, source: Path, kind: str, pacing: Pacing) -> DataF
 
 def _start_query(outcomes: DataFrame, folder: Folder, checkpoint: Path, pacing: Pacing) -> StreamingQuery:
     def write(batch: DataFrame, number: int) -> None:
-        import polars as pl
-
         folder.write(number, pl.DataFrame(pl.from_arrow(batch.toArrow())))
 
     writer = outcomes.writeStream.foreachBatch(write).outputMode("append")

@@ -120,7 +120,6 @@ class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
         self._state = handle.getValueState(STATE, COLUMN)
 
     def handleInputRows(self, key: Any, rows: Iterator[pd.DataFrame], timerValues: Any) -> Iterator[pd.DataFrame]:
-        """The rows of a batch: estimates, notices, counts."""
         kept = self._state.get()
         shard = StreamShard(self._plan, self._numbers[int(key[0])], None if kept is None else unpack_state(kept[0]))
         shard.take([bytes(data) for frame in rows for data in frame["block"]])
@@ -132,4 +131,4 @@ class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
         self._state.update((pack_state(initialState["body"].iloc[0]),))
 
     def close(self) -> None:
-        """Nothing is open."""
+        pass

@@ -61,7 +61,6 @@ def is_urgent(notice: Notice) -> bool:
 
 
 def size_of(rows: EstimateRows) -> int:
-    """Bytes of the arrays."""
     return sum(value.nbytes for value in vars(rows).values() if isinstance(value, np.ndarray))
 
 
@@ -202,12 +201,10 @@ class Queued:
     # --- the engine's side --------------------------------------------------------------------------------------------
 
     def rows(self, rows: EstimateRows) -> None:
-        """Offers rows; never waits."""
         if self._rows_wanted and rows.axis.size:
             self._offer(rows)
 
     def notice(self, notice: Notice) -> None:
-        """Offers a notice; never waits."""
         if self._events is None or notice.what.get("event") in self._events:
             self._offer(notice)
 
@@ -392,7 +389,6 @@ class SinkSection(FileSection):
         raise NotImplementedError
 
     def wants_rows(self) -> bool:
-        """Whether rows are for this sink."""
         return True
 
     def wants_events(self) -> frozenset[str] | None:

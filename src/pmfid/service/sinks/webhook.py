@@ -192,7 +192,7 @@ class WebhookSink:
         self._delivered: dict[str, None] = {}
 
     def open(self) -> None:
-        """It connects when there is something to say."""
+        pass
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Raises OSError if the server does not answer or has a problem, RefusedError where it will not take one."""

@@ -23,7 +23,7 @@ from pmfid.pipeline.monitored.stream import Beginning
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 from pmfid.records.record import Record, read_record
-from pmfid.service.context import CHUNK, Context, Source, SourceSection, Take
+from pmfid.service.context import CHUNK, Context, ProblemReport, Source, SourceSection, Take
 from pmfid.service.tuning import TUNING
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 
@@ -200,7 +200,9 @@ class Follower:
     config: Axis
     context: Context
     _stop: Event = field(default_factory=Event, init=False)
-    _problem: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        self._report = ProblemReport(self.name, self.context.tell)
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Hands over the lines as they come, from the mark on where the file is still that one."""
@@ -211,7 +213,8 @@ class Follower:
                     if not self._follow(file, take, since):
                         return
             except (OSError, UsageError) as error:
-                self._complain(error.strerror or str(error) if isinstance(error, OSError) else str(error))
+                problem = error.strerror or str(error) if isinstance(error, OSError) else str(error)
+                self._report.say(f"{self.path.name}: {problem}")
             self._stop.wait(TUNING.file_look)
 
     def _follow(self, file: BinaryIO, take: Take, mark: Mark | None) -> bool:
@@ -230,7 +233,7 @@ class Follower:
                 continue
             offset += len(chunk)
             lines = text.take(chunk)
-            self._complain("")
+            self._report.say("")
             header_text = text.header.decode("utf-8", "surrogateescape")
             position: Mark = {"file": number, "offset": offset - text.unfinished, "header": header_text}
             if lines and not take(
@@ -245,13 +248,6 @@ class Follower:
         except OSError:
             return False  # between two files: the next one will come
         return status.st_ino != number or status.st_size < offset
-
-    def _complain(self, problem: str) -> None:
-        """Reports a problem once, and its end."""
-        if problem != self._problem:
-            self._problem = problem
-            text = f"{self.path.name}: {problem}" if problem else ""
-            self.context.tell({"event": "source", "source": self.name, "problem": text})
 
     def stop(self) -> None:
         self._stop.set()

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from pmfid.service.broker import BrokerSection, Text, new_client, pauses
-from pmfid.service.context import Context, FindAxis, SourceSection, Take, Tell
+from pmfid.service.context import Context, FindAxis, ProblemReport, SourceSection, Take, Tell
 from pmfid.service.wire.messages import LARGEST, Form, Messages, Precision, Readers
 from pmfid.stream.delivery import Delivery, Mark
 
@@ -81,13 +81,13 @@ class MqttSource:
     subscribed: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
     _over: Event = field(default_factory=Event, init=False)
-    _reported: str = field(default="", init=False)
     _problem: str = field(default="", init=False)
     _failure: BaseException | None = field(default=None, init=False)
     _since: float = field(default=math.inf, init=False)
     _had_session: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
+        self._report = ProblemReport(self.name, self.tell)
         section, readers = self.section, Readers(self.axis)
         self._messages = Messages(readers, section.format, section.axis_tag, section.precision, section.largest)
 
@@ -106,7 +106,7 @@ class MqttSource:
             if lasted > 0 and brief < _TAKEN_OVER:
                 waiting = pauses()
             hint = f"; if another service has the session {self._session!r}, too, give each its own client"
-            self._say(self._problem + (hint if brief >= _TAKEN_OVER else ""))
+            self._report.say(self._problem + (hint if brief >= _TAKEN_OVER else ""))
             self._stopped.wait(next(waiting))
 
     def stop(self) -> None:
@@ -154,7 +154,7 @@ class MqttSource:
             self._end(f"the broker refuses the connection: {reason}")
             return
         if self._had_session and not flags.session_present and self.section.session:
-            self._say("the broker has forgotten the session: what waited is lost unless it is sent again")
+            self._report.say("the broker has forgotten the session: what waited is lost unless it is sent again")
         self._had_session = True
         options = SubscribeOptions(self.section.qos, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
         client.subscribe([(topic.replace(AXIS_LEVEL, "+"), options) for topic in self.section.topics])
@@ -168,7 +168,7 @@ class MqttSource:
             self._end(f"the broker refuses the topic {refused[0]}")
         else:
             self.subscribed, self._since = True, time.monotonic()
-            self._say("")
+            self._report.say("")
 
     def _on_disconnect(
         self, client: Client, _: object, flags: DisconnectFlags, reason: ReasonCode, properties: Properties | None
@@ -203,12 +203,6 @@ class MqttSource:
         """Ends the connection; the first problem is reported."""
         self._problem = self._problem or problem
         self._over.set()
-
-    def _say(self, problem: str) -> None:
-        """Reports a problem once, and its end."""
-        if problem != self._reported:
-            self._reported = problem
-            self.tell({"event": "source", "source": self.name, "problem": problem})
 
 
 def _matches(parts: list[str], levels: list[str]) -> bool:

@@ -15,7 +15,7 @@ from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.lines import LineParser, is_comment
 from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 from pmfid.service.broker import Text, pauses
-from pmfid.service.context import CHUNK, Context, FindAxis, SourceSection, Take, Tell
+from pmfid.service.context import CHUNK, Context, FindAxis, ProblemReport, SourceSection, Take, Tell
 from pmfid.service.tuning import TUNING
 from pmfid.service.wire.messages import LineSplitter
 from pmfid.stream.blocks import BlockStream
@@ -112,7 +112,9 @@ class SerialSource:
     tell: Tell
     opened: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
-    _reported: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        self._report = ProblemReport(self.name, self.tell)
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Reads until `stop`. Raises UsageError for a section that cannot work, and without pyserial."""
@@ -124,14 +126,14 @@ class SerialSource:
         while not self._stopped.is_set():
             try:
                 with serial.Serial(self.section.port, self.section.baud, timeout=TUNING.serial_silence) as port:
-                    self._say("")
+                    self._report.say("")
                     waiting = pauses()
                     reader.begin()
                     self.opened = True
                     self._read(port, reader, take)
             except OSError as error:  # serial.SerialException is one
                 self.opened = False
-                self._say(f"the port {self.section.port} cannot be read: {error}")
+                self._report.say(f"the port {self.section.port} cannot be read: {error}")
                 self._stopped.wait(next(waiting))
 
     def stop(self) -> None:
@@ -152,9 +154,3 @@ class SerialSource:
             items = reader.feed(data) if data else ()
             if items and not take(Delivery(self.name, items, None, None, time.monotonic())):
                 self.stop()
-
-    def _say(self, problem: str) -> None:
-        """Reports a problem once, and its end."""
-        if problem != self._reported:
-            self._reported = problem
-            self.tell({"event": "source", "source": self.name, "problem": problem})

@@ -97,7 +97,6 @@ class Hub:
         self.ended = False
 
     async def run(self) -> None:
-        """Until it is cancelled."""
         while True:
             await asyncio.sleep(TUNING.hub_tick)
             async with self._tick:

@@ -261,7 +261,6 @@ class Board:
         self.arrange(self.groups)
 
     def rows(self, rows: EstimateRows) -> None:
-        """Takes rows of one group."""
         if rows.axis.size == 0:
             return
         panel = self._panel_of(rows.group)
@@ -283,7 +282,6 @@ class Board:
         return self._by_group[id(group)]
 
     def notice(self, notice: Notice) -> None:
-        """Takes an event."""
         with self._lock:
             self._version += 1
             self._notices.append((self._version, notice))

@@ -39,7 +39,6 @@ class Guarded(H11Protocol):
 
     @property
     def idle(self) -> bool:
-        """Whether it waits for a request."""
         return self.cycle is None or self.cycle.response_complete
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]

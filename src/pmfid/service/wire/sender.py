@@ -80,7 +80,6 @@ class Numbering:
 
     @property
     def waits(self) -> bool:
-        """Whether anything does."""
         return any(waiting.u.size for waiting in self._axes.values())
 
     def _blocks(self, axis: str, waiting: _Axis, whole: bool) -> Iterator[bytes]:
@@ -128,7 +127,6 @@ class Outbox:
         return not self._open
 
     def take(self, payload: bytes) -> None:
-        """A new message."""
         self._log.append(_Message(payload))
         self._bytes += len(payload)
         self._open += 1
