@@ -7,7 +7,7 @@ import os
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -145,40 +145,9 @@ def check_columns(columns: Columns, parts: Sequence[Part], found: Survey) -> Non
 FULL = 3
 
 
-class Data(Protocol):
-    """The rows of a fleet, wherever they are."""
-
-    @property
-    def engine(self) -> str:
-        """Name of what does the work."""
-        ...
-
-    def survey(self, keep: Keep) -> Survey:
-        """Which axes there are, and when; called first. Raises UsageError if nothing can be read."""
-        ...
-
-    def prepare_shards(
-        self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
-    ) -> AbstractContextManager[None]:
-        """A context for all work on these shards of the survey; length: of a slice [s]; folder: for rows put aside
-        meanwhile, None: the folder for temporary files."""
-        ...
-
-    def stamp(self, shard: RowShard, length: float) -> object:
-        """Changes with the rows of a shard; length: of a slice [s]."""
-        ...
-
-    def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
-        """The longest piece of the first slice that has any, of the first axes; length: of a slice [s]."""
-        ...
-
-    def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
-        """The segments of each shard, in their order."""
-        ...
-
-
 class Parts:
-    """Files, or frames in memory, each a part."""
+    """Files, or frames in memory, each a part. `SparkRows` answers the same questions of rows that stay in Spark;
+    length: of a slice [s]."""
 
     def __init__(self, parts: Sequence[Part], columns: Columns, engine: Engine) -> None:
         self._parts = {part.name: part for part in parts}
@@ -188,10 +157,12 @@ class Parts:
 
     @property
     def engine(self) -> str:
+        """Name of what does the work."""
         return self._engine.name
 
     def survey(self, keep: Keep) -> Survey:
-        """The survey of all parts; unreadable parts are problems. Raises UsageError if none can be read."""
+        """Which axes there are, and when; called first. Parts that cannot be read are problems. Raises UsageError where
+        none can."""
         if keep.lasting:
             # a frame has no date, so its content is its stamp
             frames = {name: part for name, part in self._parts.items() if not part.stamp}
@@ -210,7 +181,8 @@ class Parts:
     def prepare_shards(
         self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> Iterator[None]:
-        """Puts aside the rows of files that mix their axes; an engine of many machines shuffles such files itself."""
+        """A context for all work on these shards of the survey. Puts aside the rows of files that mix their axes; an
+        engine of many machines shuffles such files itself. folder: for these rows, None: that for temporary files."""
         names = find_mixed_parts(survey.rows, shards) if isinstance(self._engine, Local) else set()
         if not names:
             yield
@@ -221,9 +193,11 @@ class Parts:
         self._aside = None
 
     def stamp(self, shard: RowShard, length: float) -> object:
+        """Changes with the rows of a shard."""
         return [(name, self._parts[name].stamp) for name in shard.parts]
 
     def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
+        """The longest piece of the first slice that has any, of the first axes."""
         for shard in shards[:TRIED]:
             rows, _ = read_rows(shard, self._select_rows(shard, length), self._columns, length, self._aside)
             slices: dict[str, dict[int, list[RecordPiece]]] = defaultdict(lambda: defaultdict(list))

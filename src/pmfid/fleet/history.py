@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError, printable
-from pmfid.fleet.data import Data, Engine, Local, Parts, Work
+from pmfid.fleet.data import Engine, Local, Parts, Work
 from pmfid.fleet.plan import RowProblem, RowShard, shards_of, slice_length
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.settings import Chosen, choose, make_settings
@@ -37,6 +38,9 @@ from pmfid.presentation import plain_dict
 
 #: Said of an axis in which a step of this size might be overlooked.
 LITTLE, SOUGHT = "little_information", 0.1
+
+if TYPE_CHECKING:
+    from pmfid.fleet.spark.frame import SparkRows
 
 
 @dataclass(frozen=True)
@@ -260,7 +264,7 @@ class History:
         }
 
 
-def data_of(data: object, columns: Columns, engine: Engine | None, out: Path | None) -> Data:
+def data_of(data: object, columns: Columns, engine: Engine | None, out: Path | None) -> Parts | SparkRows:
     """Where the rows are. Raises UsageError for an engine that cannot go there."""
     if is_spark(data):
         from pmfid.fleet.spark.frame import SparkRows
@@ -323,7 +327,9 @@ def estimate(
 class _Run:
     """One call: what is surveyed and planned, and where it is kept."""
 
-    def __init__(self, axis: Axis, columns: Columns, data: Data, store: Store | None, tell: Progress) -> None:
+    def __init__(
+        self, axis: Axis, columns: Columns, data: Parts | SparkRows, store: Store | None, tell: Progress
+    ) -> None:
         self.axis, self.columns, self.data, self.store, self.tell = axis, columns, data, store, tell
         self.keep = Keep(store)
         self.survey = data.survey(self.keep)

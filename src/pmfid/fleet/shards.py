@@ -256,10 +256,8 @@ class States:
         service has it."""
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no folder of states; give [service] state of a PLANT.toml")
-        vault = Vault(folder)
-        problems = list[dict[str, Any]]()
-        found = vault.load(read_snapshot, problems.append)
-        vault.close()
+        with closing(Vault(folder)) as vault:
+            found = vault.load(read_snapshot, lambda problem: None)
         if found is None:
             raise UsageError(f"{folder}: holds no checkpoint that is whole; give [service] state of a PLANT.toml")
         if not any(group.digest == digest for group in found.groups):
@@ -299,14 +297,12 @@ class States:
         """The states of some axes, all where no name is given, as the checkpoint of a service with [service] state =
         that folder, which goes on with them; how many. Raises UsageError if another service has the folder."""
         chosen = self.only(names)
-        vault = Vault(folder)
-        try:
-            vault.load(read_snapshot, lambda problem: None)  # the new snapshot follows the present ones
-            vault.write([self._body(prepared, pace, set(chosen))])
-        except OSError as error:
-            raise UsageError(f"{folder}: {error.strerror}; make room, or choose another folder") from None
-        finally:
-            vault.close()
+        with closing(Vault(folder)) as vault:
+            try:
+                vault.load(read_snapshot, lambda problem: None)  # the new snapshot follows the present ones
+                vault.write([self._body(prepared, pace, set(chosen))])
+            except OSError as error:
+                raise UsageError(f"{folder}: {error.strerror}; make room, or choose another folder") from None
         return len(chosen)
 
     def _body(self, prepared: Prepared, pace: Pace, names: Collection[str]) -> bytes:

@@ -3,20 +3,18 @@ configurations, which is part of a checkpoint and goes to the sinks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic, time
-from typing import Any
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
 from pmfid.records.record import Record
+from pmfid.service.context import Tell
 from pmfid.service.tuning import TUNING
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
-
-Tell = Callable[[dict[str, Any]], None]
 
 
 @dataclass
@@ -39,7 +37,11 @@ class Configurations:
         before = self._known.get(path)
         try:
             axis = load_axis(path)
-            stamp = _build_stamp(path, axis)
+            # a text that changes with the configuration and with its reference record
+            reference = axis.monitor.reference
+            status = None if reference is None else (path.parent / reference).stat()
+            state = status and (status.st_size, status.st_mtime_ns, status.st_ino)
+            stamp = f"{axis.model_dump_json(warnings=False)} {state}"
             if before is None or before[0] != stamp:
                 self._known[path] = stamp, self._calibrate(path, axis)
             return self._known[path][1]
@@ -62,13 +64,6 @@ class Configurations:
         what = {"event": "configuration", "config": path.name, "cached": made.setup.cached}
         self.tell({**what, "notes": list(made.setup.notes)})
         return made
-
-
-def _build_stamp(path: Path, axis: Axis) -> str:
-    """A text that changes with the configuration and with its reference record."""
-    reference = axis.monitor.reference
-    status = None if reference is None else (path.parent / reference).stat()
-    return f"{axis.model_dump_json(warnings=False)} {status and (status.st_size, status.st_mtime_ns, status.st_ino)}"
 
 
 def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:

@@ -123,18 +123,15 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
     if section.user is not None:
         client.username_pw_set(section.user, secret(section.password_env, section.password_file, folder))
     if section.encrypted:
-        client.tls_set_context(_context(section, folder))
+        try:
+            context = ssl.create_default_context(cafile=None if section.ca is None else str(folder / section.ca))
+            if section.cert is not None and section.key is not None:
+                context.load_cert_chain(folder / section.cert, folder / section.key)
+        except OSError as error:  # ssl.SSLError is one
+            problem = f"the certificates of the broker cannot be used ({error})"
+            raise UsageError(f"{problem}; correct ca, cert and key") from None
+        client.tls_set_context(context)
     return client
-
-
-def _context(section: BrokerSection, folder: Path) -> ssl.SSLContext:
-    try:
-        context = ssl.create_default_context(cafile=None if section.ca is None else str(folder / section.ca))
-        if section.cert is not None and section.key is not None:
-            context.load_cert_chain(folder / section.cert, folder / section.key)
-    except (OSError, ssl.SSLError) as error:
-        raise UsageError(f"the certificates of the broker cannot be used ({error}); correct ca, cert and key") from None
-    return context
 
 
 def pauses(first: float = 0.5, longest: float = 10.0) -> Iterator[float]:

@@ -40,21 +40,6 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class SignalRequests:
-    """Requests by signals."""
-
-    stop: bool = False
-    reload: bool = False
-
-    def handle(self, number: int, frame: FrameType | None) -> None:
-        """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
-        if number in (signal.SIGINT, signal.SIGTERM):
-            self.stop = True
-        else:
-            self.reload = True
-
-
-@dataclass
 class PauseWatch:
     """Reports pauses of the whole process, the only explanation for late estimates. `look` is called regularly."""
 
@@ -150,10 +135,10 @@ class Service:
         """Until a signal, or the end of all sources. Raises UsageError for a plant that cannot be served at all."""
         self._plant = plant = self.load()
         self._page: Page | None = None
-        self._signals = SignalRequests()
+        self._stopping = self._reload_due = False
         self._reloading: Thread | None = None
         self._prepare(plant)  # may take minutes: a signal ends it at once, for nothing runs yet
-        with catch_signals(self._signals.handle):
+        with catch_signals(self._handle_signal):
             try:
                 self._start(plant)
                 gc.freeze()  # what is there stays: not to be looked through again and again
@@ -165,6 +150,11 @@ class Service:
                 self._end()
         if (failed := self._failed) is not None:
             raise failed
+
+    def _handle_signal(self, number: int, frame: FrameType | None) -> None:
+        """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
+        self._stopping |= number in (signal.SIGINT, signal.SIGTERM)
+        self._reload_due |= number not in (signal.SIGINT, signal.SIGTERM)
 
     @property
     def _failed(self) -> PmfidError | None:
@@ -345,11 +335,11 @@ class Service:
 
     def _watch(self) -> None:
         alive, standing = time.monotonic(), PauseWatch(self._engine.tell, self.counters)
-        while not self._signals.stop and self._thread.is_alive():
+        while not self._stopping and self._thread.is_alive():
             time.sleep(TUNING.run_look)
             standing.look()
-            if self._signals.reload:
-                self._signals.reload = False
+            if self._reload_due:
+                self._reload_due = False
                 self._reload()
             if all(one.ended for one in self._sources) and (self.until_end or self._failed):
                 return

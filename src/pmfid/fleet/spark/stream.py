@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -49,7 +49,11 @@ class SparkLog:
         many, and help to find the cause of a failure."""
         sys.stderr.flush()
         kept = os.dup(2)
-        with self._open_log() as log:
+        try:
+            log = open(self.path, "ab")  # noqa: SIM115
+        except OSError:  # the checkpoint can only be read
+            log = open(os.devnull, "ab")  # noqa: SIM115
+        with log:
             os.dup2(log.fileno(), 2)
         try:
             yield
@@ -57,28 +61,19 @@ class SparkLog:
             os.dup2(kept, 2)
             os.close(kept)
 
-    def _open_log(self) -> IO[bytes]:
-        """The log, opened to append; the null device if the checkpoint can only be read."""
-        try:
-            return open(self.path, "ab")
-        except OSError:
-            return open(os.devnull, "ab")
-
     def problem(self, error: Exception) -> str:
         """What Spark says of a failure, without its traces."""
-        if "java.lang.OutOfMemoryError" in self._read_messages():
+        messages = b""
+        with suppress(OSError), open(self.path, "rb") as file:
+            file.seek(max(self._begun, file.seek(0, os.SEEK_END) - TUNING.log_lately))
+            messages = file.read()
+        if b"java.lang.OutOfMemoryError" in messages:
             return NO_MEMORY
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         causes = [line for line in lines if CAUSE.match(line)]
         cause = causes[-1] if causes else next(iter(lines), "without a reason given")
         damaged = any(sign in str(error) for sign in DAMAGED)
         return f"the stream stopped: {cause[:400]}; {REPAIR if damaged else AGAIN} ({self.path} has more)"
-
-    def _read_messages(self) -> str:
-        with suppress(OSError), open(self.path, "rb") as file:
-            file.seek(max(self._begun, file.seek(0, os.SEEK_END) - TUNING.log_lately))
-            return file.read().decode("utf-8", "replace")
-        return ""
 
 
 _STORE = "spark.sql.streaming.stateStore"

@@ -98,8 +98,10 @@ class Panel:
 
     def update(self, rows: EstimateRows, records: Records, version: int) -> None:
         """Takes the latest row of each axis; version: of the board, for `overview`."""
-        axis, latest = _latest(rows.axis, self.last.size)
-        new = records[latest]
+        last = np.full(self.last.size, -1, np.int64)  # rows of an axis come in the order of time
+        last[rows.axis] = np.arange(rows.axis.size)
+        axis = np.flatnonzero(last >= 0)
+        new = records[last[axis]]
         self.last[axis] = new
         self.received[axis] = rows.received
         self._changed[axis] = version
@@ -196,14 +198,6 @@ class Panel:
             self._kept_at[i] = other._kept_at[j]
 
 
-def _latest(axis: NDArray[np.int64], k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(axes, place of the last row of each); rows of an axis come in the order of time."""
-    last = np.full(k, -1, np.int64)
-    last[axis] = np.arange(axis.size)
-    axes = np.flatnonzero(last >= 0)
-    return axes, last[axes]
-
-
 @dataclass(frozen=True)
 class News:
     """Changes since a version. version: for the next request; layout: raised when groups change; groups: in the order
@@ -263,7 +257,10 @@ class Board:
     def rows(self, rows: EstimateRows) -> None:
         if rows.axis.size == 0:
             return
-        panel = self._panel_of(rows.group)
+        if id(rows.group) not in self._by_group:  # replaces the groups that share names of axes with it
+            others = [panel.group for panel in self._panels if not panel.place.keys() & set(rows.group.axes)]
+            self.arrange([*others, rows.group])
+        panel = self._by_group[id(rows.group)]
         records = panel.records(rows)
         with self._lock:
             self._version += 1
@@ -273,13 +270,6 @@ class Board:
             for subscription in self._subscriptions.get(name, ()) if own.size else ():
                 if dropped := subscription.put(own):
                     self._counters.add("pmfid_page_rows_dropped_total", dropped)
-
-    def _panel_of(self, group: Kindred) -> Panel:
-        """The panel of a group; an unknown group replaces the groups that share names of axes with it."""
-        if id(group) not in self._by_group:
-            others = [panel.group for panel in self._panels if not panel.place.keys() & set(group.axes)]
-            self.arrange([*others, group])
-        return self._by_group[id(group)]
 
     def notice(self, notice: Notice) -> None:
         with self._lock:
