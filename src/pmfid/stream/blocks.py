@@ -152,6 +152,10 @@ class BlockStream:
         """Bytes of a block that has only begun."""
         return len(self._rest)
 
+    def begin(self) -> None:
+        """Begins again, maybe in the middle of a block."""
+        self._rest = b""
+
     def feed(self, data: bytes) -> list[Block | Unusable]:
         """The blocks that are complete after these bytes; an incomplete block waits for the next bytes."""
         taken = self._rest + data

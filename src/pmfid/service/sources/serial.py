@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from threading import Event
-from typing import TYPE_CHECKING, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -49,24 +49,8 @@ class SerialSection(SourceSection):
         return SerialSource(name, self, context.axis, context.tell)
 
 
-class _ItemReader(Protocol):
-    """Makes items of bytes as they come. `begin`: the port has been opened, maybe in the middle of something."""
-
-    def begin(self) -> None: ...
-
-    def feed(self, data: bytes) -> Sequence[Item]: ...
-
-
-class _Blocks:
-    def begin(self) -> None:
-        self._stream = BlockStream()
-
-    def feed(self, data: bytes) -> Sequence[Item]:
-        return self._stream.feed(data)
-
-
 class _Csv:
-    """name: of the axis. Raises UsageError for a header with missing columns."""
+    """Makes items of bytes as they come. name: of the axis. Raises UsageError for a header with missing columns."""
 
     def __init__(self, name: str, axis: Axis, header: str | None) -> None:
         self._name, self._axis, self._tried = name, axis, 0
@@ -74,6 +58,7 @@ class _Csv:
         self.begin()
 
     def begin(self) -> None:
+        """The port has been opened, maybe in the middle of a line."""
         self._splitter = LineSplitter(cut=self._parser is not None)  # before it is known, the first may be the header
 
     def feed(self, data: bytes) -> Sequence[Item]:
@@ -139,16 +124,16 @@ class SerialSource:
     def stop(self) -> None:
         self._stopped.set()
 
-    def _reader(self) -> _ItemReader:
+    def _reader(self) -> BlockStream | _Csv:
         section = self.section
         if section.axis is None:
-            return _Blocks()
+            return BlockStream()
         axis = self.axis(section.axis)
         if axis is None:
             raise UsageError(f"[sources.{self.name}] axis = {section.axis!r}: there is no such axis; correct the name")
         return _Csv(section.axis, axis, section.header)
 
-    def _read(self, port: Serial, reader: _ItemReader, take: Take) -> None:
+    def _read(self, port: Serial, reader: BlockStream | _Csv, take: Take) -> None:
         while not self._stopped.is_set():
             data = port.read(min(CHUNK, max(1, port.in_waiting)))
             items = reader.feed(data) if data else ()
