@@ -125,15 +125,14 @@ class Aside:
 
     def _lay(self, name: str) -> _Laid:
         part, waiting = self._parts[name], self._waiting[name]
-        axes = tuple(sorted({axis for shard in waiting for axis in shard.axes}))
         path = self._folder / f"{len(self._laid)}.rows"
-        target = _Target(axes, waiting, self._length)
+        target = ShardTable(waiting, self._length)
         places: dict[RowShard, list[tuple[int, int]]] = defaultdict(list)
         written = 0
         try:
             with path.open("wb") as file:
-                for batch in _batches(part, axes, self._columns):
-                    numbers = target.numbers(batch[AXIS], batch[TIME])
+                for batch in _batches(part, target, self._columns):
+                    numbers = target.find(batch[AXIS], batch[TIME])
                     order = np.argsort(numbers, kind="stable")
                     order = order[np.searchsorted(numbers[order], 0) :]
                     for shard, many in zip(waiting, np.bincount(numbers[order], minlength=len(waiting)), strict=True):
@@ -143,13 +142,13 @@ class Aside:
                     file.write(self._pack_rows(batch, order).data)
         except UsageError as error:
             path.unlink(missing_ok=True)
-            return _Laid(path, axes, {}, error)
+            return _Laid(path, target.axes, {}, error)
         except OSError as error:
             raise UsageError(
                 f"{self._folder.parent}: {error.strerror or error}; {name} mixes its axes row by row, so its rows are "
                 f"put aside there, {self._kind.itemsize} bytes each: make room, or choose another folder"
             ) from None
-        return _Laid(path, axes, places)
+        return _Laid(path, target.axes, places)
 
     def _pack_rows(self, batch: Mapping[str, NDArray[np.generic]], order: NDArray[np.intp]) -> NDArray[np.void]:
         rows = np.empty(order.size, self._kind)
@@ -158,32 +157,38 @@ class Aside:
         return rows
 
 
-def _batches(part: Part, axes: Sequence[str], columns: Columns) -> Iterator[_Columns]:
+def _batches(part: Part, target: ShardTable, columns: Columns) -> Iterator[_Columns]:
     """The rows of a part, of known axes, some at a time. Raises UsageError for a damaged part."""
-    number = pl.col(AXIS).cast(pl.Enum(list(axes)), strict=False).to_physical().cast(pl.UInt32).alias(AXIS)
     with readable("data"):
         for window in part.windows():
-            frame = window.rows(columns).select(number, *columns.carried[1:]).drop_nulls([AXIS, TIME])
+            frame = window.rows(columns).select(target.number, *columns.carried[1:]).drop_nulls([AXIS, TIME])
             for batch in frame.collect_batches(chunk_size=TUNING.aside_batch, engine="streaming"):
                 yield _columns(batch)
 
 
-class _Target:
-    """Which shard a row belongs to: axes in the order of their numbers; shards; length: of a slice [s]."""
+class ShardTable:
+    """Which shard a row belongs to. shards: share no row; length: of a slice [s]; axes: of all shards, sorted; times:
+    (n,) [s] at which shards begin or end."""
 
-    def __init__(self, axes: Sequence[str], shards: Sequence[RowShard], length: float) -> None:
+    def __init__(self, shards: Sequence[RowShard], length: float) -> None:
+        self.axes = tuple(sorted({axis for shard in shards for axis in shard.axes}))
         edges = np.unique([edge for shard in shards for edge in (shard.first, shard.last)])
-        number = {axis: k for k, axis in enumerate(axes)}
-        # a column before or after all edges belongs to no axis
-        self._table = np.full((len(axes), edges.size + 1), -1, np.int32)
+        number = {axis: k for k, axis in enumerate(self.axes)}
+        # a column before and after all edges belongs to nobody
+        self._table = np.full((len(self.axes), edges.size + 1), -1, np.int32)
         for k, shard in enumerate(shards):
             first, last = np.searchsorted(edges, [shard.first, shard.last])
             self._table[[number[axis] for axis in shard.axes], first + 1 : last + 1] = k
-        self._times = edges * length
+        self.times = edges * length
 
-    def numbers(self, axis: NDArray[np.generic], time: Floats | NDArray[np.generic]) -> NDArray[np.int32]:
-        """(n,) number of the shard of each row, -1: of none; axis: (n,) its number; time: (n,) [s]."""
-        found: NDArray[np.int32] = self._table[axis, np.searchsorted(self._times, time, "right")]
+    @property
+    def number(self) -> pl.Expr:
+        """The number of an axis in place of its name, null for other axes."""
+        return pl.col(AXIS).cast(pl.Enum(self.axes), strict=False).to_physical().cast(pl.UInt32).alias(AXIS)
+
+    def find(self, axis: NDArray[np.generic], time: NDArray[np.generic]) -> NDArray[np.int32]:
+        """(n,) index of the shard of each row, -1 for none; axis: (n,) its number; time: (n,) [s]."""
+        found: NDArray[np.int32] = self._table[axis, np.searchsorted(self.times, time, "right")]
         return found
 
 

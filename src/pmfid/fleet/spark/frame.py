@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-import numpy as np
 import polars as pl
 
 from pmfid import __version__
 from pmfid.errors import UsageError
 from pmfid.fleet.data import TRIED, Engine, Work, check_columns, first_table
 from pmfid.fleet.plan import FIRST, LAST, LOST, ROWS, RowShard, Survey, count_rows, mixture, survey_of
+from pmfid.fleet.rows import ShardTable
 from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part
 from pmfid.fleet.spark.engine import (
@@ -33,7 +32,6 @@ from pmfid.fleet.spark.engine import (
 from pmfid.fleet.store import Keep
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
-from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -42,35 +40,11 @@ if TYPE_CHECKING:
 _PLACE = "place"
 
 
-@dataclass(frozen=True)
-class RowPlan:
-    """edges: (n,) [s], all times at which shards begin or end, in order; places: which shard an axis is in, from each
-    edge on."""
-
-    edges: Floats
-    places: pl.DataFrame
-
-    @classmethod
-    def from_shards(cls, shards: Sequence[RowShard], length: float) -> RowPlan:
-        """The plan of shards that share no row, by their index in the sequence; length: of a slice [s]."""
-        ends = np.array([[one.first * length, one.last * length] for one in shards]).reshape(-1, 2)
-        edges = np.unique(ends)
-        low, high = np.searchsorted(edges, ends).T
-        rows = [
-            (axis, place, number)
-            for number, one in enumerate(shards)
-            for axis in one.axes
-            for place in range(low[number], high[number])
-        ]
-        kinds = {AXIS: pl.String, _PLACE: pl.Int64, NUMBER: pl.Int32}
-        return cls(edges, pl.DataFrame(rows, schema=kinds, orient="row"))
-
-    def tag_rows(self, rows: pl.LazyFrame, columns: Columns) -> pl.DataFrame:
-        """The rows that are in a shard, with its number; rows: of `Part.rows`."""
-        known = rows.select(columns.carried).drop_nulls([AXIS, TIME]).collect()
-        place = np.searchsorted(self.edges, known[TIME].to_numpy(), side="right") - 1
-        joined = known.with_columns(pl.Series(_PLACE, place, pl.Int64)).join(self.places, on=[AXIS, _PLACE])
-        return joined.select(NUMBER, *columns.carried)
+def tag_rows(rows: pl.LazyFrame, columns: Columns, plan: ShardTable) -> pl.DataFrame:
+    """The rows that are in a shard, with its index; rows: of `Part.rows`."""
+    known = rows.select(plan.number.alias(_PLACE), *columns.carried).drop_nulls([_PLACE, TIME]).collect()
+    shard = plan.find(known[_PLACE].to_numpy(), known[TIME].to_numpy())
+    return known.select(pl.Series(NUMBER, shard), *columns.carried).filter(pl.col(NUMBER) >= 0)
 
 
 def jobs_of(shards: Sequence[RowShard]) -> list[list[RowShard]]:
@@ -188,13 +162,13 @@ class SparkRows:
         """Results of `work` on the rows of each shard, all rows of a shard together, in any order."""
         if not shards:
             return []
-        plan = RowPlan.from_shards(shards, length)
-        near = self._frame.where(self._bound_times(plan.edges[0], plan.edges[-1]))
+        plan = ShardTable(shards, length)
+        near = self._frame.where(self._bound_times(plan.times[0], plan.times[-1]))
         kinds = ", ".join(f"{name} {'string' if name == AXIS else 'double'}" for name in self._columns.carried)
         tagged = near.mapInArrow(_tagger(self._own, plan), f"{NUMBER} int, {kinds}")
         together = tagged.repartitionById(len(shards), NUMBER)
         found = collect_answers(together.mapInArrow(_worker(work, __version__), RETURNED))
-        nothing = RowPlan.from_shards([], length).tag_rows(self._part.rows(self._columns), self._columns)
+        nothing = self._part.rows(self._columns).select(self._columns.carried).collect()
         return [found[k] if k in found else work(nothing) for k in range(len(shards))]
 
     def _bound_times(self, first: float, last: float) -> Column:
@@ -240,10 +214,10 @@ def _counter(columns: Columns) -> Task:
     return count
 
 
-def _tagger(columns: Columns, plan: RowPlan) -> Task:
+def _tagger(columns: Columns, plan: ShardTable) -> Task:
     def tag(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         for table in merge_batches(batches):
-            yield from _batches(plan.tag_rows(_rows(table, columns), columns))
+            yield from _batches(tag_rows(_rows(table, columns), columns, plan))
 
     return tag
 
