@@ -174,7 +174,7 @@ class ShardTable:
         self.axes = tuple(sorted({axis for shard in shards for axis in shard.axes}))
         edges = np.unique([edge for shard in shards for edge in (shard.first, shard.last)])
         number = {axis: k for k, axis in enumerate(self.axes)}
-        # a column before and after all edges belongs to nobody
+        # a column before or after all edges belongs to no axis
         self._table = np.full((len(self.axes), edges.size + 1), -1, np.int32)
         for k, shard in enumerate(shards):
             first, last = np.searchsorted(edges, [shard.first, shard.last])

@@ -416,7 +416,7 @@ class Folder:
     KINDS = ("estimates", "notices", "batches")
 
     def write(self, batch: int, table: pl.DataFrame) -> None:
-        """The rows of a batch, in place of those from before. Raises UsageError where the disk takes none."""
+        """The rows of a batch, in place of those from before. Raises UsageError if the disk takes none."""
         crash_point("stream.given")
         order = pl.col("axis", "number", "told")
         estimates = table.filter(pl.col("row") == ESTIMATE).drop("row", "told").sort("axis", "number")

@@ -240,8 +240,8 @@ class Part:
             yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
     def rows(self, columns: Columns) -> pl.LazyFrame:
-        """Its rows with the columns of this module: axis and type as text, time [s] and the others as float64. Raises
-        UsageError where a column is not there, or is nothing that can be read as numbers."""
+        """The rows of a part with the columns of this module: axis and type as text, time [s] and the others as
+        float64. Raises UsageError for a column that is missing, or cannot be read as numbers."""
         with readable(Path(self.name).suffix or "frame"):
             frame = self.open()
             schema = frame.collect_schema()

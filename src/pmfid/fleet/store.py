@@ -127,7 +127,7 @@ class Kept:
     problems: tuple[RowProblem, ...]
 
     def rows(self) -> pl.DataFrame:
-        """The table. Raises UsageError where it has gone from the disk since."""
+        """The table. Raises UsageError if it has gone from the disk since."""
         if self.here is not None:
             return self.here
         if self.path is None or not self.path.exists():

@@ -140,13 +140,13 @@ class SparkRows:
 
     @cached_property
     def _part(self) -> Part:
-        """Its columns without rows."""
+        """The part's columns without rows."""
         nothing = cast(pl.DataFrame, pl.from_arrow(arrow_of(self._whole.limit(0))))
         return Part(FRAME, "", nothing.lazy)
 
     @cached_property
     def _counts(self) -> pl.DataFrame:
-        """Of each axis and day."""
+        """Counts of each axis and day."""
         from pyspark.sql import functions as sql
 
         kinds = f"{AXIS} string, {_DAY} double, {ROWS} long, {LOST} long, {FIRST} double, {LAST} double, "

@@ -72,7 +72,7 @@ class FileSink:
                     _write_all(self._file, b"\n")
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError where the lines cannot be written: then a regular file has none of them."""
+        """Raises OSError if the lines cannot be written: then a regular file has none of them."""
         try:
             there = os.path.samestat(os.stat(self._path), os.fstat(self._file))
         except FileNotFoundError:

@@ -139,7 +139,7 @@ def _listener(config: PageConfig) -> socket.socket:
 
 
 def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder: Path) -> Config:
-    """Without a log of requests, and with limits of its own on slow and stuck connections."""
+    """The configuration without a log of requests, and with limits on slow and stuck connections."""
     certificate, key = ((folder / str(path)) if path else None for path in (config.certificate, config.key))
     try:
         made = Config(
@@ -170,7 +170,7 @@ def _only_failures(record: logging.LogRecord) -> bool:
 
 
 def _server(config: Config, hub: Hub, entrance: Entrance) -> Server:
-    """With an entrance of its own; ends the streams before it waits for them."""
+    """The server with an entrance of its own; it ends the streams before it waits for them."""
     logging.getLogger("uvicorn.error").addFilter(_only_failures)
 
     class Own(Server):
