@@ -102,10 +102,10 @@ def test_directional_friction_is_named_with_its_size(directional: TermSearch) ->
     ("motion", "lacking", "wanted"),
     [
         ("prbs", {"quadratic": 3e-4}, {"quadratic": True}),
-        pytest.param("prbs", {"dead_time": 1e-3}, {"dead_time": "estimate"}, marks=pytest.mark.long),
+        ("prbs", {"dead_time": 1e-3}, {"dead_time": "estimate"}),
         ("stop-and-go", {"stribeck": 0.02, "stribeck_speed": 0.6}, {"stribeck": "estimate"}),
         pytest.param("stop-and-go", {"dead_time": 1e-3}, {"dead_time": "estimate"}, marks=pytest.mark.long),
-        pytest.param("stop-and-go", {"stiffness": 0.01}, {"spring": True}, marks=pytest.mark.long),
+        ("stop-and-go", {"stiffness": 0.01}, {"spring": True}),
     ],
 )
 def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[str, object]) -> None:

@@ -177,7 +177,6 @@ def test_a_term_that_was_as_good_is_compared_again_in_the_end(lag: TermSearch, l
     assert under_way._resolve_alternatives(found).either == ()
 
 
-@pytest.mark.long
 def test_a_pitch_whose_quick_fit_goes_astray_is_fitted_as_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """With Stribeck friction that was missing as well, no pitch was gone on from, and cogging was not found."""
     record = made(samples=1800, cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
