@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
@@ -24,6 +25,9 @@ from studies.monitoring.pipe import write_axis
 HOURS = 0.5
 EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
+
+#: What a command that was started says while it works, on a busy machine of any work.
+PROGRESS = re.compile(r"^pmfid: .*after \d+ s\n", re.MULTILINE)
 
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
@@ -54,6 +58,14 @@ def long_unless(few: Callable[..., bool], cases: Iterable[Any]) -> list[Any]:
     """Cases of a test, of which all but a few are left to `make test-long`; few: of the value or values of a case."""
     values = [(case, case if isinstance(case, tuple) else (case,)) for case in cases]
     return [case if few(*parts) else pytest.param(*parts, marks=pytest.mark.long) for case, parts in values]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def silent_progress() -> Iterator[None]:
+    """Commands in this process report no progress, which they do of any work on a machine that is busy enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pmfid.cli.terminal.EVERY", 3600.0)
+        yield
 
 
 @pytest.fixture(scope="session")

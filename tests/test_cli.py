@@ -29,7 +29,7 @@ from pmfid.io import SUFFIXES
 from pmfid.records.record import read_record
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
-from tests.conftest import long_unless
+from tests.conftest import PROGRESS, long_unless
 
 METHODS = ["auto", *methods_for(Drive(1.0))]
 #: One of each family: chosen, recursive with instruments, compensated least squares, likelihood.
@@ -558,14 +558,14 @@ def spawned(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_installed_command_prints_json_alone(cart: Cart) -> None:
     done = spawned("identify", str(cart.csv), "--config", str(AXIS), "--json")
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (done.returncode, PROGRESS.sub("", done.stderr)) == (0, "")
     assert json.loads(done.stdout) == good(cart.csv)
 
 
 def test_the_installed_command_fails_in_one_line(tmp_path: Path) -> None:
     done = spawned("identify", str(tmp_path / "absent.csv"), "--config", str(AXIS), "--json")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.count("\n") == 1
+    assert PROGRESS.sub("", done.stderr).count("\n") == 1
     assert done.stderr.endswith("give the path of a data file\n")
 
 
@@ -588,4 +588,4 @@ def test_a_reader_that_goes_away_is_no_error(cart: Cart) -> None:
         )
     finally:
         os.close(write_end)
-    assert done.stderr == ""
+    assert PROGRESS.sub("", done.stderr) == ""

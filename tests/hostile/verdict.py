@@ -21,6 +21,7 @@ from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
 from pmfid.monitor.tuning import TUNING
+from tests.conftest import PROGRESS
 from tests.hostile.commands import Case
 from tests.hostile.draw import draw
 
@@ -28,8 +29,6 @@ from tests.hostile.draw import draw
 DONE, USAGE, NOT_IDENTIFIABLE = 0, 2, 3
 NOT_FINITE = re.compile(r"(?<![\w'\"\[])[-+]?(nan|inf|infinity)(?![\w'\"\]])", re.IGNORECASE)
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
-#: What a command says that takes long.
-PROGRESS = re.compile(r"^pmfid: .*% after \d+ s\n", re.MULTILINE)
 #: A call that takes more of the processor hangs [s], one that takes more memory has unpacked something [kB].
 HANGS, TOO_MUCH = 60.0, 400_000
 #: A calibration of two short runs is enough here: hours of simulated work, and length of a run [s].
