@@ -42,11 +42,11 @@ def run(clock: str, delay: float = 0.0) -> tuple[Floats, Floats, Counts]:
     return late, u, quantize(x, 8 * CART_RESOLUTION)
 
 
-def identified(folder: Path, time: Floats, u: Floats, counts: Counts) -> DriveResult:
+def identified(folder: Path, time: Floats, u: Floats, counts: Counts, model: str = "") -> DriveResult:
     pl.DataFrame({"t": time, "u": u, "n": counts}).write_csv(folder / "run.csv")
     (folder / "axis.toml").write_text(
         '[record]\ninput = "u"\noutput = "n"\noutput_kind = "counts"\ntime = "t"\ntime_unit = "s"\n'
-        f"[encoder]\nresolution = {8 * CART_RESOLUTION}\n[model]\ninput_gain = {CART.input_gain}\n"
+        f"[encoder]\nresolution = {8 * CART_RESOLUTION}\n[model]\ninput_gain = {CART.input_gain}\n{model}"
     )
     axis = load_axis(folder / "axis.toml")
     found = identify(kind_of(axis).read([folder / "run.csv"], axis), axis)
@@ -54,11 +54,32 @@ def identified(folder: Path, time: Floats, u: Floats, counts: Counts) -> DriveRe
     return found
 
 
+TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+
+
 @pytest.mark.parametrize("clock", ["bursts", "in turn", "host"])
-def test_true_stamps_are_resampled_and_flagged(tmp_path: Path, clock: str) -> None:
+def test_the_step_that_was_is_taken_where_stamps_are_true(tmp_path: Path, clock: str) -> None:
     result = identified(tmp_path, *run(clock))
-    assert result["mass"] == pytest.approx(CART.mass, rel=0.01)
-    assert result["viscous_friction"] == pytest.approx(CART.viscous_friction, rel=0.01)
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=3e-3)
+    assert np.all(np.abs(result.theta - TRUTH) < 3.5 * result.theta_std)
+    assert result.status == ()
+
+
+@pytest.mark.parametrize("clock", ["bursts", "host"])
+def test_gaps_between_uneven_steps_stay_gaps(tmp_path: Path, clock: str) -> None:
+    time, u, counts = run(clock)
+    kept = np.ones(SAMPLES, bool)
+    for first in np.random.default_rng(5).integers(100, SAMPLES - 100, 10):
+        kept[first : first + 8] = False
+    result = identified(tmp_path, time[kept], u[kept], counts[kept])
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=0.02)
+    assert np.all(np.abs(result.theta - TRUTH) < 3.5 * result.theta_std)
+    assert "uneven_clock" not in result.status
+
+
+def test_a_model_that_asks_for_even_samples_is_resampled_and_says_so(tmp_path: Path) -> None:
+    result = identified(tmp_path, *run("host"), "dead_time = 0.0001\n")
+    np.testing.assert_allclose(result.theta[:2], TRUTH[:2], rtol=0.02)
     assert "uneven_clock" in result.status
 
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from pmfid import BCRLS, IV, OE, RIV, RLS, Drive, Encoder, Fleet, TransferFunction, UsageError
 from pmfid.estimators.known_step import KnownStep
+from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
@@ -28,7 +29,7 @@ def jittered(spread: float, seed: int = 3) -> tuple[Floats, Counts, Floats]:
     return u, quantize(x, CART_RESOLUTION), np.r_[PARTS, parts[:-1]] * CART_DT / PARTS
 
 
-def arguments(**more: object) -> tuple[Drive, Encoder, float, float]:
+def arguments() -> tuple[Drive, Encoder, float, float]:
     return Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0
 
 
@@ -63,6 +64,18 @@ def test_even_steps_are_an_even_clock(method: type[RecursiveEstimator]) -> None:
     track = given.run(u, counts, np.full(u.size, CART_DT))
     np.testing.assert_allclose(track.theta[300:], even.theta[300:], rtol=1e-6)
     np.testing.assert_array_equal(track.status, even.status)
+
+
+@pytest.mark.parametrize(("late", "lag"), [(0.013, 0.0), (0.0, 0.02), (0.013, 0.02)])
+def test_an_input_that_acts_late_switches_inside_the_steps(late: float, lag: float) -> None:
+    u, _, steps = jittered(0.5)
+    u, after = u[:300], np.append(steps[1:300], CART_DT)
+    equation = Drive(CART.input_gain, dead_time=late, lag=lag).equation
+    found = mean_velocity(equation, TRUTH, after, u, parts=32)
+    fine = np.rint(after / (CART_DT / PARTS)).astype(int)
+    exact = mean_velocity(equation, TRUTH, CART_DT / PARTS, np.repeat(u, fine), parts=1)
+    firsts = np.append(0, np.cumsum(fine)[:-1])
+    np.testing.assert_allclose(found, np.add.reduceat(exact, firsts) / fine, atol=2e-5)
 
 
 @pytest.mark.parametrize("wrong", [0.0, -0.01, np.nan, np.inf, 1e9])

@@ -16,7 +16,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import hold_last_input, like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import long_run_covariance
-from pmfid.estimators.motion import mean_velocity, rms
+from pmfid.estimators.motion import mean_velocity, rms, sum_travel
 from pmfid.estimators.output_error import OE
 from pmfid.models.axes import Units
 from pmfid.models.drive import EquationModel
@@ -237,7 +237,7 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
         return None
     # a body pushed by its friction has no motion to compare with
     plausible = np.where(twin.equation.positive, np.maximum(at, 0.0), at)
-    u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.dt
+    u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.intervals
     y = like(OE, twin).position(counts)
     speed = simulated_velocity(twin, plausible, u)
     columns = twin.columns_at(plausible, u, counts)
@@ -245,18 +245,19 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     chosen = used[recent(estimator, used.size)]
     if not (np.all(np.isfinite(speed)) and chosen.size > 4 * TUNING.fewest_bins):
         return None
-    measured, x = np.diff(y, append=y[-1]) / dt, np.r_[0.0, np.cumsum(speed[:-1])] * dt
+    measured, x = np.diff(y, append=y[-1]) / dt, sum_travel(speed, dt)
+    time = sum_travel(np.ones(y.size), dt)
     drift = (y - x)[chosen]
     rows = slice(columns.z.size - chosen.size, None)
     late = chosen - 2  # a sample ends the interval before it, and the columns of the kernel are one sample late
     slow, modelled, way = (low_pass(twin, signal)[-1][late] for signal in (measured, speed, y - y[0]))
-    t, target, phi = np.asarray(chosen * dt, float), columns.z[rows], columns.phi[rows]
+    t, target, phi = time[chosen], columns.z[rows], columns.phi[rows]
     return Balance(twin, at, t, slow, modelled, y[0] + way, drift - drift[0], target, phi)
 
 
 def simulated_velocity(estimator: IV, theta: Floats, u: Floats) -> Floats:
     """Mean velocity (n,) [m/s] of every interval, from rest, under the input u (n,) alone."""
-    return mean_velocity(estimator.equation, theta, estimator.dt, u)
+    return mean_velocity(estimator.equation, theta, estimator.intervals, u)
 
 
 @dataclass(frozen=True)

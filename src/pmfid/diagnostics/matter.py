@@ -46,7 +46,7 @@ FLAGS = {
     "little_motion": "the axis moves too little, or too evenly, to tell anything: record reversals and varying speed",
     "rate_low": "the velocity changes by too much from row to row: record at a shorter sample period",
     "rate_high": "nearly all rows are without a count: keep every few of them, with the mean of the input",
-    "uneven_clock": "the steps of the clock differ, and the record was resampled: log at a fixed rate for less error",
+    "uneven_clock": "the steps differ, and the record was resampled for this method: log at a fixed rate",
     "drift": "input and output are of two clocks: log both by one",
 }
 

@@ -52,7 +52,7 @@ def spread_without_motion(estimator: Estimator, u: Floats, counts: NDArray[np.in
     p = len(estimator.equation.names)
     spread, twin = np.full(theta.size, np.nan), like(IV, estimator, prefilter_zeros=None)
     at = np.where(estimator.equation.positive, np.maximum(theta[:p], 0.0), theta[:p])
-    velocity = np.diff(counts, append=counts[-1]) * (estimator.encoder.resolution / estimator.dt)
+    velocity = np.diff(counts, append=counts[-1]) * (estimator.encoder.resolution / estimator.intervals)
     views = list[Floats]()
     with np.errstate(all="ignore"), suppress(NotIdentifiableError):
         views += _contradictions(twin, twin.columns_at(at, u, counts), velocity)

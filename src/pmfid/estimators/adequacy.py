@@ -158,7 +158,7 @@ def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floa
 
 def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator[CandidateForce]:
     gain, u, roles = difference.equation.input_gain, difference.u, difference.equation.roles
-    late = gain * np.diff(u, prepend=u[0]) / difference.dt
+    late = gain * np.diff(u, prepend=u[0]) / difference.intervals
     if roles[LATE] is None:
         change: Change = {"dead_time": ESTIMATE}
         says, known = "a dead time, or a lag, of the input", difference.equation.dead_time
@@ -192,7 +192,7 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
     zone, most = gain * np.sign(u), TUNING.dead_zone * largest
     yield CandidateForce("dead_zone", "a dead zone of the input", ACTING, zone, most)
     if difference.equation.roles[MASS] is not None:
-        acceleration = np.diff(v, append=v[-1]) / difference.dt
+        acceleration = np.diff(v, append=v[-1]) / difference.intervals
         yield CandidateForce(
             "changing", "a mass that changes over the record", "", acceleration * np.linspace(-1, 1, v.size), 0.0
         )

@@ -8,12 +8,12 @@ them at every theta, so they carry no information.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from pmfid.estimators.motion import first_speed, simulate_motion
+from pmfid.estimators.motion import Intervals, first_speed, simulate_motion, sum_travel
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
@@ -30,18 +30,28 @@ from pmfid.types import Counts, Flags, Floats
 @dataclass(frozen=True)
 class Body:
     """An equation at theta (p,), sampled every dt [s]; step: of the encoder [unit of y]; cutoff: of the filters
-    [rad/s]."""
+    [rad/s]; uneven: (n,) time from each sample to the next [s], None: dt."""
 
     equation: Equation
     theta: Floats
     dt: float
     step: float
     cutoff: float
+    uneven: Floats | None = None
 
     def speeds(self, u: Floats, start: float) -> tuple[Floats, float]:
         """Mean speed (n,) under u (n,), from a start, and the speed at the end [counts/s]."""
-        mean, end = simulate_motion(self.equation, self.theta, self.dt, u, start * self.step)
+        mean, end = simulate_motion(self.equation, self.theta, self.intervals, u, start * self.step)
         return mean / self.step, end / self.step
+
+    @property
+    def intervals(self) -> Intervals:
+        """dt, or (n,) the time from each sample to the next [s]."""
+        return self.dt if self.uneven is None else self.uneven
+
+    def part(self, part: slice) -> Body:
+        """The same for a part of the samples."""
+        return self if self.uneven is None else replace(self, uneven=self.uneven[part])
 
     @property
     def decay(self) -> float:
@@ -91,28 +101,41 @@ def bridge_gaps(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, 
     for part in parts:
         there[part] = True
     filled, whole = np.where(there, u, 0.0), counts.copy()
-    starts = [read_start_speed(body, u[part], counts[part]) for part in parts]
+    starts = [read_start_speed(body.part(part), u[part], counts[part]) for part in parts]
     for before, part, start, target in zip(parts[:-1], parts[1:], starts[:-1], starts[1:], strict=True):
         gap = slice(before.stop, part.start)
-        mean, end = body.speeds(u[before], start)
-        last = float(mean[-1]) * body.dt  # from the last count to where the gap begins
+        mean, end = body.part(before).speeds(u[before], start)
+        last = float(mean[-1]) * _last(body.part(before).intervals)  # from the last count to where the gap begins
         moved_by = int(counts[part.start] - counts[gap.start - 1]) - last
-        filled[gap], travel = _across(body, gap.stop - gap.start, end, target, moved_by)
+        filled[gap], travel = _across(_even(body.part(gap)), gap.stop - gap.start, end, target, moved_by)
         tilt = (moved_by - travel[-1]) / travel.size
         places = last + np.r_[0.0, travel[:-1]] + tilt * np.arange(travel.size)
         whole[gap] = counts[gap.start - 1] + np.rint(places).astype(np.int64)
     return filled, whole, there
 
 
+def _last(intervals: Intervals) -> float:
+    return float(intervals[-1]) if isinstance(intervals, np.ndarray) else intervals
+
+
+def _even(body: Body) -> Body:
+    """In a gap, whose rows are even."""
+    return body if body.uneven is None else replace(body, dt=float(np.mean(body.uneven)), uneven=None)
+
+
 def read_start_speed(body: Body, u: Floats, counts: Counts) -> float:
     """The speed [counts/s] at the start of the motion under u (n,), fitted to the counts (n,)."""
     near = min(u.size, body.reading)
-    place, time = (counts[:near] - counts[0]).astype(np.float64), np.arange(near) * body.dt
+    place, time = (
+        (counts[:near] - counts[0]).astype(np.float64),
+        sum_travel(np.ones(near), body.part(slice(near)).intervals),
+    )
     response = -np.expm1(-body.decay * time) / body.decay if body.decay * time[-1] > TUNING.bridges_little else time
     around = response - np.mean(response)
-    speed = first_speed(place, body.dt, body.cutoff, 1.0)
+    body = body.part(slice(near))
+    speed = first_speed(place, body.intervals, body.cutoff, 1.0)
     for _ in range(TUNING.bridges_turns):
-        travel = np.r_[0.0, np.cumsum(body.speeds(u[:near], speed)[0][:-1])] * body.dt
+        travel = sum_travel(body.speeds(u[:near], speed)[0], body.intervals)
         step = float((place - travel) @ around / (around @ around))
         speed += step
         if abs(step) < TUNING.bridges_close * abs(speed):

@@ -193,7 +193,9 @@ class Instruments(ProcessSolver, Simulating):
         there, filters = np.isfinite(u_array), self
         lost = np.where(there, 0, int(Status.INVALID_INPUT)).astype(np.uint32)
         if not np.all(there):
-            body = Body(self.equation, theta, self.dt, self.encoder.resolution, self.cutoff)
+            steps = self.steps_before(u_array.size)
+            after = None if steps is None else np.append(steps[1:], self.dt)
+            body = Body(self.equation, theta, self.dt, self.encoder.resolution, self.cutoff, after)
             u_array, counts_array, there = bridge_gaps(body, u_array, counts_array)
             filters = self._unguarded
         kernel, _ = make_auxiliary_kernel(filters, 1.0, list(theta), adapt=False)

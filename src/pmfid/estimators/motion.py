@@ -64,6 +64,13 @@ def simulate_motion(
     past = np.zeros(1) if before is None else before
     known = equation.known_at(np.asarray(theta)[len(equation.names) :])
     roles, shapes = known.role_values(theta), shape_bytes(known.shapes)
+    if isinstance(dt, np.ndarray) and (roles[LATE] > 0 or known.lag):
+        pieces = _cut_pieces(u, past, dt, roles[LATE], float(known.lag), parts if shapes or known.lag else 1)
+        roles[LATE], extra = 0.0, None if on_top is None else on_top[pieces.interval]
+        found = _kernel64.simulate(
+            roles, known.input_gain, 1.0, pieces.u, velocity, position, shapes, np.zeros(1), None, extra, pieces.steps
+        )
+        return np.add.reduceat(np.asarray(found[0]) * pieces.steps, pieces.firsts) / dt, float(found[3])
     period, steps = (float(np.mean(dt)), dt) if isinstance(dt, np.ndarray) else (dt, None)
     if not (shapes or known.lag):
         found = _kernel64.simulate(
@@ -80,6 +87,44 @@ def simulate_motion(
         roles, known.input_gain, period / parts, inputs, velocity, position, shapes, past, lagging, extra, steps
     )
     return np.asarray(found[0].reshape(-1, parts).mean(axis=1)), float(found[3])
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces (k,) of uneven intervals, in each of which one input acts: that input, their lengths [s] and the intervals
+    that they are of; firsts: (n,) the first piece of each interval."""
+
+    u: Floats
+    steps: Floats
+    interval: NDArray[np.intp]
+    firsts: NDArray[np.intp]
+
+
+def _cut_pieces(u: Floats, past: Floats, dt: Floats, late: float, lag: float, parts: int) -> _Pieces:
+    """The pieces of intervals dt (n,) [s] under inputs u (n,) that act later, each piece in equal parts. Of a lag [s]
+    the mean over the part counts."""
+    ends = np.append(0.0, np.cumsum(dt))
+    switches = np.append(-float(np.mean(dt)) * np.arange(past.size, 0, -1), ends[:-1]) + late
+    values = np.append(past, u)
+    edges = np.unique(np.append(ends, switches[(switches < ends[-1]) & ((switches > 0) | (lag > 0))]))
+    edges = np.interp(np.arange(parts * (edges.size - 1) + 1), parts * np.arange(edges.size), edges)
+    steps, middle = np.diff(edges), (edges[1:] + edges[:-1]) / 2
+    acting = values[np.maximum(np.searchsorted(switches, middle, side="right") - 1, 0)]
+    if lag > 0:
+        acting = _lag_input(acting, steps, lag)
+    kept = middle > 0
+    interval = np.searchsorted(ends, middle[kept], side="right") - 1
+    return _Pieces(acting[kept], steps[kept], interval, np.searchsorted(interval, np.arange(u.size)))
+
+
+def _lag_input(u: Floats, steps: Floats, lag: float) -> Floats:
+    """Means (k,) over steps (k,) [s] of inputs u (k,) after a first-order lag [s]."""
+    left, mean = np.exp(-steps / lag), -np.expm1(-steps / lag) * lag / steps
+    now, found = float(u[0]), np.empty(u.size)
+    for k, (target, rest, part) in enumerate(zip(u.tolist(), left.tolist(), mean.tolist(), strict=True)):
+        found[k] = target + part * (now - target)
+        now = target + rest * (now - target)
+    return found
 
 
 def _decays(equation: Equation, roles: Sequence[float], dt: float) -> list[Decay] | None:

@@ -158,6 +158,7 @@ class Drives(Kind[Record]):
         return checks.check_record(data, axis) or repair_as_configured(data, axis).findings
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
+        data = take_own_instants(data, axis)
         known = repair_as_configured(data, axis)
         result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
         result = replace(result, theta_std=_widen_errors(result, data))
@@ -205,8 +206,26 @@ def match_kind(record: Record, axis: Axis) -> Axis:
     return axis.model_copy(update={"model": axis.model.model_copy(update={"axis": "rotary"})})
 
 
+def take_own_instants(record: Record, axis: Axis) -> Record:
+    """The record at its own instants, if the clock is uneven and the method takes the step that was."""
+    if record.own is None:
+        return record
+    with suppress(UsageError):
+        estimator = _construct(set_any_gain(axis), record.own)
+        if not (isinstance(estimator, RecursiveEstimator) and (axis.estimator.given or axis.estimator.prior)):
+            return record.own
+    return record
+
+
 def make_estimator(axis: Axis, record: Record) -> Estimator:
     """The estimator that a configuration asks for, at the record's sample period and resolution."""
+    estimator = _construct(axis, record)
+    if type(estimator).instrumental and axis.estimator.prefilter_zeros is None:
+        return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
+    return estimator
+
+
+def _construct(axis: Axis, record: Record) -> Estimator:
     check_sampling(axis, record.dt)
     model = axis.model.make()
     first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.searched else "iv"
@@ -216,11 +235,9 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
         "encoder": axis.encoder.make_encoder(record.resolution),
         "dt": record.dt,
         "cutoff": axis.estimator.pole,
+        "steps": record.steps,
     }
-    estimator = construct_estimator(cls, own | settings(axis, cls))
-    if cls.instrumental and axis.estimator.prefilter_zeros is None:
-        return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
-    return estimator
+    return construct_estimator(cls, own | settings(axis, cls))
 
 
 def _check_known(result: DriveResult) -> None:
@@ -305,13 +322,14 @@ def _estimate(
 
 def _clock_findings(record: Record) -> tuple[Finding, ...]:
     """What the estimate of a resampled record owes to its clock."""
-    if not record.jitter:
+    if not record.jitter or record.steps is not None:
         return ()
-    sentence = (
-        f"the steps of the clock vary by {record.jitter:.0%} (root mean square): the error of resampling is in no "
-        "standard error, and may look like a dead time or friction"
-    )
-    return (Finding("uneven_clock", sentence, "log at a fixed rate for a better estimate"),)
+    varies = f"the steps of the clock vary by {record.jitter:.0%}"
+    if record.own is None:
+        sentence = f"{varies} and drift: nothing in the record says which clock is right"
+        return (Finding("uneven_clock", sentence, "log the times of the clock that samples"),)
+    sentence = f"{varies}, this method or model takes even samples: the error of resampling is in no standard error"
+    return (Finding("uneven_clock", sentence, "log at a fixed rate, or use iv without dead_time and lag"),)
 
 
 def _widen_errors(result: DriveResult, record: Record) -> Floats:
@@ -444,7 +462,8 @@ def _run(
             continue
         for start in range(first, last, chunk):
             part = slice(start, min(start + chunk, last))
-            parts.append(estimator.run(record.u[part], record.counts[part]))
+            steps = None if record.steps is None else record.steps.before[part]
+            parts.append(estimator.run(record.u[part], record.counts[part], steps))
             reported.append(parts[-1] if known is None else known.track(parts[-1], estimator.estimate))
             if progress is not None:
                 progress(part.stop / n)

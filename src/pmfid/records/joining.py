@@ -39,7 +39,7 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
     joined = f"{len(records)} records make one estimate: the motion of each starts separately"
     notes = (joined, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
     name = ", ".join(record.name for record in records)
-    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name)
+    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name, own=None)
 
 
 def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
@@ -69,4 +69,4 @@ def unbroken(record: Record) -> Record:
     there = None if record.there is None else record.there[first:last]
     note = f"only the part without gaps that moves most is used here: {last - first} of {record.u.size} samples"
     notes = (*record.notes, note)
-    return replace(record, u=record.u[first:last], counts=record.counts[first:last], there=there, notes=notes)
+    return replace(record, u=record.u[first:last], counts=record.counts[first:last], there=there, notes=notes, own=None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,13 +11,14 @@ import numpy as np
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
 from pmfid.errors import UsageError
+from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.io.csv_text import Stated
 from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
 from pmfid.records.gaps import describe_missing, fill_gaps
-from pmfid.records.resampling import resample_uneven
+from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
@@ -137,13 +138,14 @@ def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class Record:
-    """One evenly sampled run of a drive.
+    """One run of a drive.
 
     u: input, (n,), already scaled, NaN in gaps in which it is not known; counts: encoder counts, (n,), unwrapped; dt:
     sample period [s]; resolution: unit of y per count; notes: changes to the data, for people; name: name of the file;
     rotary: is the output an angle? there: (n,) the samples that were measured, None: all; `gaps` fills the others;
     doubt: (p,) relative error of parameters that filled samples may cause, None: no error. jitter: root mean square
-    deviation of the steps of an uneven clock, as a part of the period, from which the record was resampled.
+    deviation of the steps of an uneven clock, as a part of the period, from which the record was resampled. own: that
+    record at its own instants, None: they are even; it has steps, the times of its samples since the ones before.
     """
 
     u: Floats
@@ -156,6 +158,15 @@ class Record:
     there: Flags | None = None
     doubt: Floats | None = None
     jitter: float = 0.0
+    steps: SampleSteps | None = None
+    own: Record | None = None
+
+    @property
+    def times(self) -> Floats:
+        """(n,) of the samples [s], from 0 on."""
+        if self.steps is None:
+            return np.arange(self.u.size, dtype=np.float64) * self.dt
+        return np.append(0.0, np.cumsum(self.steps.before[1:]))
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:
@@ -255,7 +266,8 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     _check_lengths(columns, keys)
     for key, values in columns.items():
         _check_not_empty(f"{key} column {keys[key]!r}", values)
-    columns, jitter, clock_notes = _resample(axis, columns)
+    columns, found, clock_notes = _resample(axis, columns)
+    jitter = 0.0 if found is None else found.jitter
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
     rows, row_notes = _rows(table, config, columns)
@@ -275,30 +287,52 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
     notes = notes_of(table) + units.notes + scale_notes + clock_notes + row_notes + motion_notes + count_notes
     u = _scale_column(columns["input"], scale * units.u)
+    rotary = units.kind == "rotary"
+    own = None
+    if found is not None and found.own is not None:
+        before = found.own.before * (rows.dt / found.own.before[0])
+        own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, quantize, axis)
+        own = replace(own, notes=notes, name=name, rotary=rotary)
     if rows.whole:
-        return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary", jitter=jitter)
+        return Record(u, counts, rows.dt, resolution, notes, name, rotary, jitter=jitter, own=own)
     u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
     notes = (*notes, describe_missing(u, there))
-    return Record(u, counts, rows.dt, resolution, notes, name, units.kind == "rotary", there, jitter=jitter)
+    return Record(u, counts, rows.dt, resolution, notes, name, rotary, there, jitter=jitter, own=own)
 
 
-def _resample(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], float, tuple[str, ...]]:
-    """The columns of an uneven clock on an even grid, the jitter of its steps, 0 for an even clock, and notes. A record
-    with a counter that wraps, a velocity or rows that are left out keeps its clock."""
+def _own_record(
+    own: OwnSamples, steps: SampleSteps, u_scale: float, y_scale: float, quantize: float | None, axis: Axis
+) -> Record:
+    """The record at its own instants; scales: of input and output."""
+    kind, resolution = axis.record.output_kind, axis.encoder.resolution
+    y = _scale_column(np.rint(own.y) if kind == "counts" else own.y, y_scale, "the unit of the output")
+    counts = counts_of(y, axis)[0]
+    if quantize is not None:
+        y = counts.astype(np.float64) * resolution if kind == "counts" else y
+        counts, resolution = floor_counts(y, quantize, 1e-9), quantize
+    there = None if np.all(np.isfinite(own.u)) else np.isfinite(own.u)
+    return Record(
+        _scale_column(own.u, u_scale), counts, float(steps.before[0]), resolution, (), "", False, there, steps=steps
+    )
+
+
+def _resample(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
+    """The columns of an uneven clock on an even grid, what they are made of, None for an even clock, and notes. A
+    record with a counter that wraps, a velocity or rows that are left out keeps its clock."""
     config, encoder = axis.record, axis.encoder
     keeps = config.output_kind == "velocity" or config.mask or config.exclude
     if "time" not in columns or keeps or encoder.bits is not None or encoder.range is not None:
-        return columns, 0.0, ()
+        return columns, None, ()
     found = resample_uneven(columns["time"], columns["input"], columns["output"])
     if found is None:
-        return columns, 0.0, ()
+        return columns, None, ()
     period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid, as stamps of arrival do: the grid is taken"
     if found.jitter:
-        note = f"the steps of the clock vary by {found.jitter:.0%}: the record is resampled to {period:.4g} s"
+        note = f"the steps of the clock vary by {found.jitter:.0%}, around {period:.4g} s"
     y = np.rint(found.y) if config.output_kind == "counts" else found.y
     new = columns | {"time": found.time, "input": found.u, "output": y}
-    return new, found.jitter, (note,)
+    return new, found, (note,)
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:

@@ -15,12 +15,24 @@ from pmfid.types import Flags, Floats
 @dataclass(frozen=True)
 class Resampled:
     """Columns (m,) on an even grid: time in the unit of the stamps, input, output; NaN in gaps. jitter: root mean
-    square deviation of the steps, as a part of the period; 0 if the samples are even and only their stamps are not."""
+    square deviation of the steps, as a part of the period; 0 if the samples are even and only their stamps are not.
+    own: the samples before resampling, None: they are even, or the clock drifts."""
 
     time: Floats
     u: Floats
     y: Floats
     jitter: float
+    own: OwnSamples | None = None
+
+
+@dataclass(frozen=True)
+class OwnSamples:
+    """Samples (n,) at their own instants: time of each since the one before, in the unit of the stamps, the first one a
+    period; input, NaN in the rows that fill a gap; output, there on a line."""
+
+    before: Floats
+    u: Floats
+    y: Floats
 
 
 def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
@@ -51,7 +63,30 @@ def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
     total = np.interp(ends, stamps, impulse) + u[-1] * np.maximum(ends - stamps[-1], 0.0)
     position = PchipInterpolator(stamps, y)(grid)
     apart = float(np.sqrt(np.mean((steps[steps <= TUNING.longest_step * period] / period - 1) ** 2)))
-    return Resampled(grid, np.where(gap, np.nan, np.diff(total) / period), np.where(gap, np.nan, position), apart)
+    own = None if _drifts(steps[steps <= TUNING.longest_step * period]) else _fill_own(stamps, u, y, period)
+    return Resampled(grid, np.where(gap, np.nan, np.diff(total) / period), np.where(gap, np.nan, position), apart, own)
+
+
+def _drifts(steps: Floats) -> bool:
+    """Do the halves of a record differ in the mean of their steps (n,) by more than chance?"""
+    half = steps.size // 2
+    first, last = (float(np.mean(part)) for part in (steps[:half], steps[half:]))
+    scatter = float(np.std(np.diff(steps)))  # of neighbours, which a drift hardly shows in
+    chance = TUNING.most_by_chance * scatter / np.sqrt(half)
+    return bool(abs(first - last) > TUNING.resampling_same_period * float(np.mean(steps)) + chance)
+
+
+def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float) -> OwnSamples:
+    """The samples themselves, without those that another follows at once, and with rows that fill the gaps evenly."""
+    kept = np.append(np.diff(stamps) > TUNING.resampling_at_once * period, True)
+    stamps, u, y = stamps[kept], u[kept], y[kept]
+    steps = np.diff(stamps)
+    rows = np.where(steps > TUNING.longest_step * period, np.rint(steps / period).astype(np.intp), 1)
+    source = np.repeat(np.arange(stamps.size), np.append(rows, 1))
+    first = np.diff(source, prepend=-1) > 0
+    before = np.append(period, np.repeat(steps / rows, rows))
+    places = stamps[0] + np.append(0.0, np.cumsum(before[1:]))
+    return OwnSamples(before, np.where(first, u[source], np.nan), np.interp(places, stamps, y))
 
 
 def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:

@@ -164,6 +164,8 @@ class RecordTuning:
     #: Two halves of a record agree on the period within this part: half of it is an error of the mass that matters.
     resampling_same_period: float = 0.01
     #: Fewest samples for a decision.
+    #: Of a period, within which a sample is followed at once: it holds for nothing.
+    resampling_at_once: float = 1e-3
     resampling_fewest: int = 50
 
 

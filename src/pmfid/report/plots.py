@@ -143,7 +143,7 @@ def _drive(result: DriveResult) -> Figure:
     """The estimates over time of a recursive method, else how the simulation follows the motion; where nothing can be
     simulated, the motion."""
     if result.track is not None:
-        return estimate_figure(np.arange(result.samples) * result.record.dt, result.track)
+        return estimate_figure(result.record.times, result.track)
     try:
         theta = result.theta[: len(result.estimator.names)]  # without a gain of the input that was found
         balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)

@@ -63,7 +63,7 @@ def _write_track(path: Path, result: DriveResult) -> None:
     track = result.track
     if track is None:
         return
-    columns: dict[str, np.ndarray] = {"t": np.arange(track.status.size) * result.record.dt}
+    columns: dict[str, np.ndarray] = {"t": result.record.times}
     for i, name in enumerate(track.names):
         columns |= {name: track.theta[:, i], f"{name}_std": track.theta_std[:, i]}
     columns |= {"innovation": track.innovation, "status": track.status}
@@ -88,15 +88,15 @@ def _drive_parameters(result: DriveResult) -> Section:
 
 def motion_figure(record: Record, speed: str = LINEAR.speed) -> Figure:
     """Input and velocity of a record; speed: its unit."""
-    velocity = np.gradient(record.counts * record.resolution, record.dt)
-    signals = signals_figure(np.arange(record.u.size) * record.dt, record.u, velocity, velocity_unit=speed)
+    velocity = np.gradient(record.counts * record.resolution, record.times)
+    signals = signals_figure(record.times, record.u, velocity, velocity_unit=speed)
     signals.axes[0].set_ylabel("input u")  # no record says in which unit
     return signals
 
 
 def _figures(result: DriveResult) -> list[Section]:
     record, own = result.record, result.estimator.equation.motion
-    t = np.arange(record.u.size) * record.dt
+    t = record.times
     sections = [Section("Input and motion", svg=svg(motion_figure(record, own.speed)))]
     if result.track is not None:
         sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
