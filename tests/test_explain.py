@@ -148,7 +148,7 @@ def test_every_key_of_a_plant_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     ("word", "wanted"),
     [
-        ("service.window", "[service] window: for how long"),
+        ("service.window", "[service] window: the time for which"),
         ("[sources.hall] qos", "[sources.mqtt] qos: 1, or 0"),
         ("sources.hall.qos", "[sources.mqtt] qos: 1, or 0"),
         ("axes.x1.config", "[axes] config: the AXIS.toml"),

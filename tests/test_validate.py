@@ -305,7 +305,7 @@ def test_an_equation_that_nothing_simulates(tmp_path: Path) -> None:
     toml = TOML.replace("input_gain = 1.5", f'kind = "equation"\nunknown = [{terms}]')
     result = called(files(tmp_path, changed(model="equation"), toml))
     assert result.exit_code == 2
-    assert "cannot be for this equation" in result.stderr
+    assert "impossible for this equation" in result.stderr
 
 
 @pytest.mark.parametrize("still", ["axis", "input"])

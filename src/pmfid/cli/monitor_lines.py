@@ -6,7 +6,7 @@ from pmfid.pipeline.monitored.run import Notice
 
 
 def sentence(event: Notice) -> str:
-    """One line, or more at the start."""
+    """The text of an event: one line, or more for the first event."""
     return _SENTENCES[event["event"]](event)
 
 

@@ -13,7 +13,7 @@ Fields = dict[str, Any]
 
 
 def line(notice: Notice) -> str:
-    """One line, or more at the start; with the axis in front."""
+    """The text of a notice, with the axis in front: one line, or more for the first notice."""
     what = notice.what
     own = _SENTENCES.get(str(what["event"]))
     text = own(what) if own is not None else _describe_other(what)

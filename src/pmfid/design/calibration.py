@@ -245,7 +245,7 @@ def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> Non
     if left > TUNING.worst_fit * motion:
         raise NotIdentifiableError(
             f"the simulated position does not follow the runs, {left / max(motion, 1e-300):.0%} of the motion is left; "
-            "check the sign and size of input_gain, that the run starts at rest, and for a load that the model lacks"
+            "check sign and size of input_gain, and that the run starts at rest; look for a load outside the model"
         )
     size = np.linalg.norm(J, axis=0)
     open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]

@@ -50,9 +50,9 @@ class Hold:
 
 
 def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | None) -> Hold:
-    """Which hold has the input, and does it matter? point: the estimate; noise: colour of the residual without the
-    input. No finding if the spacing lets no filter whiten the noise, or if a reference makes the sum of squares no
-    measure."""
+    """Which hold does the input have, and does the hold matter? point: the estimate; noise: colour of the residual
+    without the input. No finding if the spacing lets no filter whiten the noise, or if a reference makes the sum of
+    squares no measure."""
     if noise is None or problem.referenced:
         return Hold()
     white = prewhiten_problem(problem, noise)
@@ -462,7 +462,7 @@ def search_notes(search: Search) -> list[str]:
     if best.refused:
         found.append(f"identify has no estimate that it vouches for; the first one: {best.refused}")
     if not best.settled:
-        found.append("no structure settled: the order is that of unfinished fits")
+        found.append("no fit of any structure converged: the order comes from unfinished fits")
     if not best.white:
         found.append(
             "what the best structure leaves is not white noise, not even after the whitening filter: the "

@@ -72,7 +72,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
         if issubclass(cls, Simulating) and not simulates:
             continue
         if not issubclass(cls, Simulating) and ESTIMATE in (configured.equation.dead_time, configured.equation.lag):
-            continue  # it would be wrong by as much as that makes it
+            continue  # such a method has no dead time or lag, so its estimate would be off by their effect
         if cls is IV and configured.equation.searched:  # it is linear
             continue
         candidate = _candidate(cls, configured, u, counts)

@@ -216,7 +216,7 @@ class Estimator:
 
     @property
     def plant(self) -> PlantDefaults:
-        """What is particular to the kind of plant that the equation is of."""
+        """Properties of the kind of plant that the equation describes."""
         return plant_of(self.equation)
 
     @property

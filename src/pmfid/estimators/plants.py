@@ -143,7 +143,7 @@ MACHINE, LINEAR_PROCESS = MachineDefaults(), LinearProcess()
 
 
 def plant_of(equation: Equation) -> PlantDefaults:
-    """The one place where an estimator asks what it stands before."""
+    """The defaults of the kind of plant that an equation describes; no other place decides this."""
     return LINEAR_PROCESS if equation.process else MACHINE
 
 

@@ -181,11 +181,11 @@ class EstimatorTuning:
     # likelihood
     #: Least standard deviation of the position's own noise, in counts: below, the likelihood is a box without slopes.
     noise_floor: float = 0.02
-    #: Relative accuracy of that noise: the likelihood is flat around its top.
+    #: Relative accuracy of the noise: the likelihood is flat around its top.
     noise_tolerance: float = 1e-3
-    #: Noise beyond the floor by this factor is noise, or that of a local maximum,
+    #: A noise beyond the floor by this factor is true, or a sign of a local maximum.
     given_away: float = 1.5
-    #: which is left by starts this many standard deviations around, with this noise [counts] on the way.
+    #: The search leaves a local maximum by starts around it: distance [standard deviations], noise [counts].
     likelihood_around: float = 1.5
     likelihood_shrinking: tuple[float, float, float] = (0.3, 0.1, 0.04)
     #: Starts after the first that must find the same maximum to end the search, and difference of the logarithms of two
@@ -377,7 +377,7 @@ class EstimatorTuning:
     uncertainty_tops: int = 16
     uncertainty_most_steps: int = 30
     uncertainty_settled: float = 1e-3
-    #: Standard deviations of the noise from an edge on beyond which it does not matter.
+    #: Distance from an edge beyond which the edge has no influence [standard deviations of the noise].
     uncertainty_reach: float = 8.0
 
 

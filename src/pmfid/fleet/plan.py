@@ -165,8 +165,8 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
 
 
 def _fastest(rows: pl.DataFrame) -> float:
-    """Rows per second of the fastest of the axes that have more rows than a shard: a few rows close together are small
-    in slices of any length."""
+    """Rows per second of the fastest axis among those with more rows than a shard. A few rows close together make no
+    large slice of any length, so smaller axes do not count."""
     span, many = (pl.col(LAST) - pl.col(FIRST)).sum(), (pl.col(ROWS) - 1).sum()
     axes = rows.group_by(AXIS).agg(span.alias("span"), many.alias("many"))
     large = axes.filter((pl.col("many") > TUNING.plan_budget) & (pl.col("span") > 0))

@@ -33,7 +33,7 @@ class Grid:
 
     @property
     def duration(self) -> float:
-        """From the first instant to the last."""
+        """The time from the first instant to the last."""
         return float(np.sum(self.steps)) * (self.size - 1 if self.uniform else 1)
 
     @property

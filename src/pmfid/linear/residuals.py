@@ -329,7 +329,7 @@ def covariance(point: ProcessPoint, problem: ProcessProblem) -> Floats:
 
 
 def residual_repeats(problem: ProcessProblem, point: ProcessPoint) -> bool:
-    """Is some of what a point leaves the same in every period of the input, by more than chance?"""
+    """Does a part of the residual at a point repeat in every period of the input, by more than chance?"""
     unknowns = point.zeta.shape[1]
     phases = phases_of(problem.stretches, unknowns)
     return phases is not None and repeats(point.error, point.zeta, problem.stretches, phases, places(problem))

@@ -47,7 +47,7 @@ class Quiet:
     def run(
         self, every: AxisStates, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows
     ) -> Flags:
-        """Runs a piece u, counts: (k, n), n >= 1, of k axes, the rows `index` (k,) of `every`.
+        """Runs a piece u, counts: (k, n), n >= 1, of k axes. index (k,): their rows in `every`.
 
         sampled: of these axes alone, is updated. `every.watched` is updated for the axes that stay quiet. rows: filled
         as if all stayed quiet. Returns (k,) whether each axis stayed quiet.

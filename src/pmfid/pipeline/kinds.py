@@ -98,7 +98,7 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
     if OE.refuses(equation):
         reason = equation.without_simulation
         raise UsageError(
-            f"a free run simulates the model, which cannot be for this equation: {reason}; write it without"
+            f"a free run simulates the model, which is impossible for this equation: {reason}; write it without"
         )
     further = tuple(zip(*equation.further, strict=True)) or ((), ())
     return equation.names + further[0], equation.units + further[1]

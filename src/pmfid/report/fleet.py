@@ -235,7 +235,7 @@ def _attention(found: History) -> Section:
 
 
 def _besides(found: History) -> str:
-    """What the table of those that need attention does not hold."""
+    """Sentences on what the table of axes that need attention leaves out."""
     unknown, wander = found.unknown.height, _kind(found, "wanders").height
     files = found.problems.filter((found.problems["code"] == "unreadable") & (found.problems["file"] != ""))
     text = f"\n\n{_many(unknown, 'axis has', 'axes have')} no estimate, listed below." if unknown else ""

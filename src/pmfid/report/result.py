@@ -35,8 +35,8 @@ from pmfid.report.tuning import TUNING
 
 HOW_TO_READ = (
     "std: how far the value varies from record to record of this length. model spread: how far friction, a load or a "
-    "dead time that the model lacks may move it, which no longer record would show. 95 %: between these values the "
-    "parameter is with both."
+    "dead time outside the model may move the value; a longer record would not show it. 95 %: the interval of the "
+    "parameter with both."
 )
 
 
@@ -142,7 +142,7 @@ def _dynamics(process: Process) -> Section:
 def _residual_text(result: ProcessResult) -> str:
     checks = result.assessment
     parts = [
-        "white" if checks.white else "not white: the noise is coloured, or the model lacks something",
+        "white" if checks.white else "not white: the noise is coloured, or an effect is outside the model",
         "not correlated with the input" if checks.independent else "correlated with the input: the model is too small",
     ]
     parts += ["correlated with later inputs: feedback"] if checks.feedback else []

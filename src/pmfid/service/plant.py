@@ -66,7 +66,7 @@ class ServiceSection(FileSection):
     name: Word = Field("pmfid", description=f"the name of the service: {_WORD}")
     state: Name | None = Field(None, description='the folder of the checkpoints, as "state"; left out: nothing is kept')
     checkpoint: float = Field(1.0, ge=0.05, le=3600, description="the time between two checkpoints in s")
-    window: float = Field(0.5, ge=0, le=600, description="for how long what comes too early waits for the rest, in s")
+    window: float = Field(0.5, ge=0, le=600, description="the time for which early samples wait for missing ones, in s")
     every: float = Field(1.0, ge=0, le=1e6, description="the time between two rows that are given out in s; 0: all")
     silence: float = Field(
         60.0,
