@@ -259,7 +259,7 @@ def mass_of(record: Record, axis: Axis) -> float:
         return np.inf
 
 
-@pytest.mark.parametrize("fault", REMEDIES)
+@pytest.mark.parametrize("fault", long_unless([*REMEDIES][1::2].__contains__, REMEDIES))
 def test_the_remedy_helps_when_it_is_followed_literally(fault: str) -> None:
     log, truth = log_of(fault), log_of(fault).run.axis.drive.mass
     text = next(finding.text for finding in found_in(fault) if finding.code in FAULTS[fault][1])

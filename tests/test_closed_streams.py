@@ -26,7 +26,7 @@ def command(arguments: list[str], *closed: int) -> subprocess.CompletedProcess[s
     return subprocess.run(words, capture_output=True, text=True, preexec_fn=close)
 
 
-@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)])
+@pytest.mark.parametrize("closed", [(0, 1, 2), *(pytest.param((one,), marks=pytest.mark.long) for one in range(3))])
 def test_a_command_goes_its_way_without_its_streams(tmp_path: Path, closed: tuple[int, ...]) -> None:
     run = command(["simulate", "prbs", "--out", str(tmp_path / "run.csv"), "--duration", "1"], *closed)
     assert run.returncode == 0

@@ -11,6 +11,7 @@ import pmfid
 from pmfid import Equation, EquationModel, Term
 from pmfid.errors import UsageError
 from pmfid.export.firmware import C_TYPES, remark
+from tests.conftest import long_unless
 from tests.firmware.build import GCC, REQUIRED, WARNINGS, command
 
 PREFIXES = [
@@ -76,7 +77,7 @@ def compile_all(folder: Path, prefix: str) -> None:
 
 
 @needs_gcc
-@pytest.mark.parametrize("prefix", PREFIXES)
+@pytest.mark.parametrize("prefix", long_unless([*PREFIXES][::3].__contains__, PREFIXES))
 def test_a_prefix_that_is_taken_compiles(tmp_path: Path, prefix: str) -> None:
     pmfid.export_firmware(estimator_of("mass"), tmp_path, prefix=prefix)
     compile_all(tmp_path, prefix)
@@ -90,7 +91,7 @@ def test_a_prefix_that_would_not_compile_is_refused(tmp_path: Path, prefix: str)
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", long_unless(NAMES[::3].__contains__, NAMES))
 def test_a_name_that_is_taken_compiles(tmp_path: Path, name: str) -> None:
     pmfid.export_firmware(estimator_of(name), tmp_path, prefix="axis")
     compile_all(tmp_path, "axis")
@@ -113,7 +114,7 @@ def test_a_name_that_would_not_compile_is_refused(tmp_path: Path, name: str, sec
 
 
 @needs_gcc
-@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("unit", long_unless(UNITS[1:9:2].__contains__, UNITS))
 def test_a_unit_stays_within_its_comment(tmp_path: Path, unit: str) -> None:
     """Code in a unit ran in the example once."""
     pmfid.export_firmware(estimator_of("mass", unit), tmp_path, prefix="axis")

@@ -18,6 +18,7 @@ from pmfid.records.outliers import repair_record
 from pmfid.records.record import Record
 from studies.machines import AXES, MOTIONS, machine_record
 from studies.paper.truth import CartRecord
+from tests.conftest import long_unless
 
 AXIS = "rotary"
 #: Kind of fault -> rows from 0 on that are wrong, of 3000; a jump: from there on.
@@ -71,7 +72,9 @@ def test_wrong_counts_are_left_out_and_their_rows_named(fault: str, size: int) -
             assert np.abs(off - off[50]).max() <= 1 + rough
 
 
-@pytest.mark.parametrize("method", ["auto", "iv", "interval", "output-error", "rls"])
+@pytest.mark.parametrize(
+    "method", long_unless(("auto", "rls").__contains__, ["auto", "iv", "interval", "output-error", "rls"])
+)
 def test_no_method_gets_a_wrong_sample(method: str) -> None:
     record = recorded(AXIS, "prbs", 1024)
     clean = identified(record, method)

@@ -27,6 +27,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
 from studies.monitoring.pipe import write_axis
+from tests.conftest import long_unless
 from tests.pipe_faults import FAULTS, HEADER, Row, Text, lines, restamped
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -99,7 +100,7 @@ def test_without_a_time_every_line_is_the_next_sample(axis: Axis, name: str) -> 
         assert len(samples) - len(clean) == (name == "a line cut in two")
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", long_unless([*FAULTS][::3].__contains__, FAULTS))
 def test_the_change_is_found_after_a_fault(axis: Axis, calibration: Calibration, rows: list[Row], name: str) -> None:
     rng, fault = np.random.default_rng(len(name)), FAULTS[name]
     run = monitored(axis, calibration, fault.do(rows, int(rng.integers(200, 600)), rng))

@@ -320,7 +320,7 @@ def test_no_secret_comes_out_of_a_start_that_is_refused(running: Running, monkey
             with monkeypatch.context() as patch:
                 content = None if name.isupper() else (running.place / name).read_text()
                 _spoil(running.place, name, how, patch)
-                late = threading.Timer(30, os.kill, (os.getpid(), signal.SIGTERM))  # it would serve for ever
+                late = threading.Timer(120, os.kill, (os.getpid(), signal.SIGTERM))  # it would serve for ever
                 late.start()
                 reported = called("serve", str(running.place / "plant.toml"), "--json", "--until-end", code=2)
                 late.cancel()
