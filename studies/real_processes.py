@@ -15,8 +15,8 @@ from pmfid.linear.experiment import Experiment
 from pmfid.linear.solve import visit
 from pmfid.models.equation import ESTIMATE
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.simulation.process import Controller, simulate_late, simulate_loop
 from pmfid.types import Floats
+from studies.late_processes import Controller, simulate_late, simulate_loop
 from studies.paper.truth import Study, Task, table
 
 #: Ratio of the powers of output and noise.

@@ -11,9 +11,9 @@ from pmfid.encoder import fine_counts
 from pmfid.estimators.recursive import BCRLS, RLS
 from pmfid.estimators.srivc import RSRIVC
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.simulation.process import simulate_varying
 from pmfid.simulation.signals import prbs
 from pmfid.types import Floats
+from studies.late_processes import simulate_varying
 from studies.paper.truth import Study, Task, table
 
 DT, SECONDS, CLOCK, CUTOFF = 0.01, 1000.0, 10, 10.0

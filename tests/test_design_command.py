@@ -194,7 +194,6 @@ def test_relaxing_as_reported_is_enough(tmp_path: Path) -> None:
         (["--criterion", "Q"], "criterion = 'Q' (given as an option)"),
         (["--unknown", "weight"], "no parameter"),
         (["--starts", "0"], "starts = 0"),
-        (["--workers", "0"], "workers"),
         (["--certify", "-1"], "certify"),
     ],
 )

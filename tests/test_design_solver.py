@@ -47,8 +47,6 @@ def test_nearly_every_start_reaches_the_best(criterion: str, unknown: int) -> No
 def test_the_same_seed_gives_the_same_input() -> None:
     one, other = (solve(case(3), "D", starts=4, seed=9) for _ in range(2))
     assert one.u.tolist() == other.u.tolist()
-    threads = solve(case(3), "D", starts=4, seed=9, workers=2)
-    assert threads.value == pytest.approx(one.value, rel=1e-9)
     assert one.predicted_std["mass"] == pytest.approx(np.sqrt(np.linalg.inv(one.fisher)[0, 0]))
 
 
@@ -218,7 +216,7 @@ def test_an_input_without_a_bound_is_named() -> None:
 
 
 def test_starts_must_be_positive() -> None:
-    with pytest.raises(pmfid.UsageError, match="starts and workers"):
+    with pytest.raises(pmfid.UsageError, match="starts must be"):
         solve(case(), starts=0)
 
 

@@ -15,7 +15,8 @@ from pmfid.estimators.srivc import fit_process, fixed_filters, solve_by_descent
 from pmfid.linear.experiment import Grid, respond
 from pmfid.linear.process import Process
 from pmfid.linear.responses import respond_bounded
-from pmfid.simulation.process import Controller, simulate_late, simulate_loop, simulate_process
+from pmfid.simulation.process import simulate_process
+from studies.late_processes import Controller, simulate_late, simulate_loop
 from studies.real_processes import CASES, work
 
 DT = 0.05

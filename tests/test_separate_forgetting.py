@@ -7,7 +7,8 @@ import pytest
 
 import pmfid
 from pmfid import RLS, RSRIVC, TransferFunction, UsageError
-from pmfid.simulation.process import simulate_process, simulate_varying
+from pmfid.simulation.process import simulate_process
+from studies.late_processes import simulate_varying
 from tests.conftest import CART_DT, cart_run
 from tests.test_transfer_function import LAG, build, make_record
 

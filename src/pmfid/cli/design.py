@@ -54,7 +54,6 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
 @CRITERION
 @STARTS
 @SEED
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Threads of the search.")
 @click.option(
     "--certify",
     type=click.FloatRange(min=0),
@@ -79,7 +78,6 @@ def design(
     want: tuple[str, ...],
     truth: tuple[str, ...],
     rounds: int,
-    workers: int,
     certify: float,
     motions: int,
     out: Path | None,
@@ -89,7 +87,7 @@ def design(
     """Find the input that tells most about an axis within its limits.
 
     With records of designed runs, or --want or --truth: estimate from these runs and design the next one, until the
-    wanted deviation is reached; --workers, --certify and --motions do not act then.
+    wanted deviation is reached; --certify and --motions do not act then.
 
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
     """
@@ -101,9 +99,7 @@ def design(
         from pmfid.report.design import write_design
 
         loaded = _load(spec, options)
-        found = run_design(
-            loaded, workers=workers, certify=certify or None, progress=lambda done, total, _: tell(done / total)
-        )
+        found = run_design(loaded, certify=certify or None, progress=lambda done, total, _: tell(done / total))
         appraisal = run_appraisal(loaded, found)
         together = run_campaign(loaded, motions) if motions > 1 else None
         if out is not None:

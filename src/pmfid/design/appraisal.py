@@ -237,7 +237,8 @@ def appraise(design: Design, combination: Mapping[str, float] | None = None, see
     worths = {name: worth_of(ready, u) for name, u in inputs.items()}
     price = price_of_robustness(design, combination) if problem.scenarios else None
     found = Appraisal(design, ready.rule, standard, worths, design.warnings, price)
-    return replace(found, warnings=(*design.warnings, *_warnings(found)))
+    warnings = *_stiction_warnings(design, worths["design"]), *_encoder_warnings(worths, found.recommended)
+    return replace(found, warnings=(*design.warnings, *warnings))
 
 
 def worth_of(ready: Setting, u: Floats) -> Worth:
@@ -292,11 +293,6 @@ def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
     variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
     variance[np.any(vectors[:, ~known] ** 2 > 0, axis=1)] = math.inf
     return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
-
-
-def _warnings(found: Appraisal) -> list[str]:
-    stiction = _stiction_warnings(found.design, found.worths["design"])
-    return [*stiction, *_encoder_warnings(found.worths, found.recommended)]
 
 
 def _stiction_warnings(design: Design, worth: Worth) -> list[str]:

@@ -138,7 +138,7 @@ class _BoundSearch:
             heapq.heappush(self.heap, (-node.bound, next(self.order), node))
 
     def _root(self) -> _Node:
-        weight = share(self.rule, _support(self.maps, self.rule, self.oracle, self.u)) / self.value
+        weight = share(self.rule, best_mixture(self.maps, self.rule, self.oracle, [self.u])[0]) / self.value
         node = self._make_node([], weight, [self.u])
         self._close(node)
         return node
@@ -243,8 +243,3 @@ def _find_split(where: WeightFrame, box: Box, one: Floats, other: Floats) -> tup
     j = int(np.argmax(np.abs(a - b)))
     margin = 0.1 * (box.upper[j] - box.lower[j])
     return j, float(np.clip((a[j] + b[j]) / 2.0, box.lower[j] + margin, box.upper[j] - margin))
-
-
-def _support(maps: Affine, rule: Criterion, oracle: Oracle, u: Floats) -> Floats:
-    """Information of the best mixture, as far as a few local searches find it."""
-    return best_mixture(maps, rule, oracle, [u])[0]

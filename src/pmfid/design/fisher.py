@@ -60,7 +60,7 @@ def drive_regime(drive: Drive, nominal: Mapping[str, float], names: tuple[str, .
     if direction == 0:
         return _rest(len(names))
     side = {1: "_forward", -1: "_backward"}[direction]
-    viscous, coulomb = (_present(nominal, name, side) for name in ("viscous_friction", "coulomb_friction"))
+    viscous, coulomb = (name if name in nominal else name + side for name in ("viscous_friction", "coulomb_friction"))
     mass = nominal["mass"]
     # force on the mass per unit of (position, velocity, input, 1)
     force = np.array([0.0, -nominal[viscous], drive.equation.input_gain, -direction * nominal[coulomb]])
@@ -77,10 +77,6 @@ def drive_regime(drive: Drive, nominal: Mapping[str, float], names: tuple[str, .
     field = np.array([[0.0, 1.0, 0.0, 0.0], force / mass])
     split = (field[:, :2], field[:, 2], field[:, 3])
     return Regime(*split, np.array([1.0, 0.0]), slope[:, :, :2], slope[:, :, 2], slope[:, :, 3], np.eye(2))
-
-
-def _present(nominal: Mapping[str, float], name: str, side: str) -> str:
-    return name if name in nominal else name + side
 
 
 def _rest(size: int) -> Regime:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -222,14 +221,11 @@ def solve(
     combination: Mapping[str, float] | None = None,
     starts: int = 20,
     seed: int = 0,
-    workers: int = 1,
     progress: Progress | None = None,
     certify: float | None = None,
     gap: float = 0.01,
 ) -> Design:
     """Search for the best input, from random starts.
-
-    The result is the same for the same seed and number of workers.
 
     Parameters
     ----------
@@ -243,8 +239,6 @@ def solve(
         Number of random starts, >= 1.
     seed
         Seed of the starts.
-    workers
-        Number of threads, >= 1.
     progress
         Function that is called after every start.
     certify
@@ -281,12 +275,13 @@ def solve(
     (True, 0.4)
     """
     began = time.perf_counter()
-    if starts < 1 or workers < 1:
-        raise UsageError(f"starts and workers must be at least 1, got {starts} and {workers}")
+    if starts < 1:
+        raise UsageError(f"starts must be at least 1, got {starts}")
     ready = setting(problem, criterion, combination)
     check_identifiable(problem, ready.maps[0])
-    results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), workers, progress)
-    design = ready.design(_refine(ready, max(results, key=lambda found: found[0])[1]))
+    results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), progress)
+    best = max(results, key=lambda found: found[0])[1]
+    design = ready.design(_climber(ready).ascend(best, tolerance=1e-8, steps=300)[1])
     if not design.value > 0:
         raise NotIdentifiableError(
             f"no input within the limits tells {', '.join(problem.names)} in one run; give the motion more time or "
@@ -340,26 +335,15 @@ def price_of_robustness(design: Design, combination: Mapping[str, float] | None 
 
 
 def _all_starts(
-    ready: Setting, seeds: list[np.random.SeedSequence], workers: int, progress: Progress | None
+    ready: Setting, seeds: list[np.random.SeedSequence], progress: Progress | None
 ) -> list[tuple[float, Floats]]:
     """(log value, input) of each start."""
-    results: list[tuple[float, Floats]] = []
-
-    def work(part: list[np.random.SeedSequence]) -> list[tuple[float, Floats]]:
-        climber = _climber(ready)
-        mine = []
-        for seed in part:
-            mine.append(climber.start(np.random.default_rng(seed)))
-            results.append(mine[-1])
-            if progress:
-                progress(len(results), len(seeds), float(np.exp(max(value for value, _ in results))))
-        return mine
-
-    if workers == 1:
-        return work(seeds)
-    with ThreadPoolExecutor(workers) as pool:
-        parts = list(pool.map(work, (seeds[i::workers] for i in range(workers))))
-    return [parts[i % workers][i // workers] for i in range(len(seeds))]
+    climber, results = _climber(ready), list[tuple[float, Floats]]()
+    for seed in seeds:
+        results.append(climber.start(np.random.default_rng(seed)))
+        if progress:
+            progress(len(results), len(seeds), float(np.exp(max(value for value, _ in results))))
+    return results
 
 
 def _climber(ready: Setting) -> Climber:
@@ -367,7 +351,3 @@ def _climber(ready: Setting) -> Climber:
     if not oracle.feasible():
         raise_infeasible(ready.problem)
     return Climber(ready.maps, ready.rule, oracle, ready.problem.average == "worst")
-
-
-def _refine(ready: Setting, u: Floats) -> Floats:
-    return _climber(ready).ascend(u, tolerance=1e-8, steps=300)[1]

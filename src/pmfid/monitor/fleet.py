@@ -130,18 +130,13 @@ class MonitorFleet:
     >>> import numpy as np
     >>> from pmfid import RIV, Drive, Encoder
     >>> from pmfid.monitor import Monitor, MonitorFleet, calibrate
-    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, CART_RESOLUTION, position_control, random_moves
-    >>> def work(cart, seconds, seed):
-    ...     rng = np.random.default_rng(seed)
-    ...     moves = random_moves(round(seconds / CART_DT), CART_DT, 0.4, 0.8, 0.5, rng)
-    ...     motion, counts = position_control(cart, moves, CART_DT, **CART_CONTROL, resolution=CART_RESOLUTION)
-    ...     return motion.u, counts
-    >>> riv = RIV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=0.99)
-    >>> u, counts = work(CART, 200.0, 1)
+    >>> from pmfid.simulation import CART, make_scenario
+    >>> work = make_scenario("moves", seed=1, duration=200.0)
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(work.resolution), work.dt, 50.0, forgetting=0.99)
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-    >>> calibration = calibrate(riv, theta, u, counts, hours=0.5)
+    >>> calibration = calibrate(riv, theta, work.motion.u, work.counts, hours=0.5)
     >>> fleet = MonitorFleet(Monitor(riv, calibration), axes=2)
-    >>> rows = fleet.run([0, 1], u[:500] * np.ones((2, 1)), counts[:500] * np.ones((2, 1), np.int64))
+    >>> rows = fleet.run([0, 1], np.tile(work.motion.u[:500], (2, 1)), np.tile(work.counts[:500], (2, 1)))
     >>> rows.theta.shape, fleet.axes
     ((2, 500, 3), 2)
     """

@@ -109,20 +109,14 @@ class Monitor(WatchedAxis, Presentable):
     >>> import numpy as np
     >>> from pmfid import RIV, Drive, Encoder
     >>> from pmfid.monitor import Alarm, Monitor, Watch, calibrate
-    >>> from pmfid.simulation import CART, CART_CONTROL, CART_DT, CART_RESOLUTION
-    >>> from pmfid.simulation import mass_step, position_control, random_moves
-    >>> def work(cart, seconds, seed):
-    ...     rng = np.random.default_rng(seed)
-    ...     moves = random_moves(round(seconds / CART_DT), CART_DT, 0.4, 0.8, 0.5, rng)
-    ...     motion, counts = position_control(cart, moves, CART_DT, **CART_CONTROL, resolution=CART_RESOLUTION)
-    ...     return motion.u, counts
-    >>> riv = RIV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=0.99)
-    >>> u, counts = work(CART, 200.0, 1)
+    >>> from pmfid.simulation import CART, make_scenario
+    >>> work = make_scenario("moves", seed=1, duration=200.0)
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(work.resolution), work.dt, 50.0, forgetting=0.99)
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-    >>> calibration = calibrate(riv, theta, u, counts, hours=0.5)
+    >>> calibration = calibrate(riv, theta, work.motion.u, work.counts, hours=0.5)
     >>> monitor = Monitor(riv, calibration, Watch("glr"))
-    >>> u, counts = work(mass_step(CART, 1.44, at=30.0), 60.0, 2)
-    >>> rows = monitor.run(u, counts)
+    >>> loaded = make_scenario("moves-mass-step", seed=2, duration=60.0)
+    >>> rows = monitor.run(loaded.motion.u, loaded.counts)
     >>> [(event.parameter, round(event.changed_at)) for _, _, event in rows.events if isinstance(event, Alarm)]
     [('mass', 30)]
     """

@@ -228,9 +228,7 @@ def _scenarios(robust: RobustSpec, nominal: Mapping[str, float]) -> tuple[dict[s
 Progress = Callable[[int, int, float], None]
 
 
-def run_design(
-    spec: Spec, *, workers: int = 1, certify: float | None = None, progress: Progress | None = None
-) -> Design:
+def run_design(spec: Spec, *, certify: float | None = None, progress: Progress | None = None) -> Design:
     """The design that a specification asks for; certify: seconds for a proved bound, None: none. Raises as `solve`."""
     return solve(
         make_problem(spec),
@@ -238,7 +236,6 @@ def run_design(
         combination=spec.experiment.weights,
         starts=spec.search.starts,
         seed=spec.search.seed,
-        workers=workers,
         certify=certify,
         progress=progress,
     )

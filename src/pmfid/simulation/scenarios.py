@@ -25,11 +25,6 @@ def mass_step(parameters: DriveParameters, mass: float, at: float) -> Schedule:
     at
         Time of the change [s], > 0.
 
-    Returns
-    -------
-    Schedule
-        Parameters over time.
-
     Raises
     ------
     ValueError
@@ -55,11 +50,6 @@ def mass_ramp(parameters: DriveParameters, mass: float, at: float, ramp: float) 
         Start of the change [s], > 0.
     ramp
         Duration of the change [s], >= 0.
-
-    Returns
-    -------
-    Schedule
-        Parameters over time.
 
     Raises
     ------
@@ -89,11 +79,6 @@ def friction_growth(parameters: DriveParameters, factor: float, at: float, ramp:
         Start of the change [s], > 0.
     ramp
         Duration of the change [s], >= 0.
-
-    Returns
-    -------
-    Schedule
-        Parameters over time.
 
     Raises
     ------
@@ -128,11 +113,6 @@ def slipping_belt(parameters: DriveParameters, part: float, at: float) -> Schedu
         Later input gain over the earlier one.
     at
         Time of the change [s], > 0.
-
-    Returns
-    -------
-    Schedule
-        Parameters over time.
 
     Raises
     ------
@@ -282,17 +262,12 @@ class Scenario:
 
 
 def resolution_of(increments: int) -> float:
-    """Return the travel per count of the cart for an encoder.
+    """Return the travel per count of the cart [m] for an encoder.
 
     Parameters
     ----------
     increments
         Counts per turn, >= 1.
-
-    Returns
-    -------
-    float
-        Travel per count [m].
 
     Raises
     ------
@@ -340,11 +315,6 @@ def make_scenario(
         Faults of the encoder.
     schedule
         Parameters over time, in place of the scenario's own.
-
-    Returns
-    -------
-    Scenario
-        Motion, counts and parameters.
 
     Raises
     ------
@@ -415,11 +385,6 @@ def axis_toml(scenario: Scenario) -> str:
     ----------
     scenario
         A simulated run.
-
-    Returns
-    -------
-    str
-        Content of the file.
 
     Examples
     --------

@@ -24,7 +24,7 @@ def _check_amplitude(amplitude: float) -> None:
 
 
 def prbs(samples: int, *, clock: int, amplitude: float, rng: np.random.Generator) -> Floats:
-    """Return a random binary sequence.
+    """Return a random binary sequence (samples,) of +-amplitude [V].
 
     Parameters
     ----------
@@ -36,11 +36,6 @@ def prbs(samples: int, *, clock: int, amplitude: float, rng: np.random.Generator
         Size of the values [V], > 0.
     rng
         Generator of the values.
-
-    Returns
-    -------
-    ndarray
-        (samples,) values +-amplitude [V].
 
     Raises
     ------
@@ -63,7 +58,7 @@ def prbs(samples: int, *, clock: int, amplitude: float, rng: np.random.Generator
 
 
 def mls(stages: int, clock: int, amplitude: float) -> Floats:
-    """Return one period of a maximum length sequence.
+    """Return one period of a maximum length sequence: ((2**stages - 1) * clock,) values +-amplitude [V].
 
     Its autocorrelation at multiples of the clock is 1 at zero and -1/(2**stages - 1) elsewhere.
 
@@ -75,11 +70,6 @@ def mls(stages: int, clock: int, amplitude: float) -> Floats:
         Samples for which each value is held, >= 1.
     amplitude
         Size of the values [V], > 0.
-
-    Returns
-    -------
-    ndarray
-        ((2**stages - 1) * clock,) values +-amplitude [V].
 
     Raises
     ------
@@ -104,7 +94,7 @@ def mls(stages: int, clock: int, amplitude: float) -> Floats:
 
 
 def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float, rng: np.random.Generator) -> Floats:
-    """Return a sum of sines of equal size and random phase.
+    """Return a sum of sines (samples,) of equal size and random phase [V].
 
     Parameters
     ----------
@@ -118,11 +108,6 @@ def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float,
         Largest value of the sum [V], > 0.
     rng
         Generator of the phases.
-
-    Returns
-    -------
-    ndarray
-        (samples,) signal [V].
 
     Raises
     ------
@@ -180,7 +165,7 @@ SHAPES: dict[str, Callable[[Floats], Floats]] = {"s-curve": _smooth_step, "trape
 
 
 def trapezoid(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
-    """Return a position reference from 0 to `stroke`, with a trapezoid as its velocity.
+    """Return a position reference (samples,) from 0 to `stroke` [m], with a trapezoid as its velocity.
 
     A third of the time each is for acceleration, cruise (at 1.5 stroke/move_time) and braking.
 
@@ -194,11 +179,6 @@ def trapezoid(samples: int, dt: float, stroke: float, move_time: float) -> Float
         Length of the move [m], with its sign.
     move_time
         Time of the move [s], > 0; the position is held afterwards.
-
-    Returns
-    -------
-    ndarray
-        (samples,) position [m].
 
     Raises
     ------
@@ -215,7 +195,7 @@ def trapezoid(samples: int, dt: float, stroke: float, move_time: float) -> Float
 
 
 def s_curve(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
-    """Return a position reference from 0 to `stroke` with least jerk.
+    """Return a position reference (samples,) from 0 to `stroke` [m] with least jerk.
 
     Acceleration is zero at both ends. The peak velocity is 1.875 stroke/move_time.
 
@@ -223,11 +203,6 @@ def s_curve(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
     ----------
     samples, dt, stroke, move_time
         As of `trapezoid`.
-
-    Returns
-    -------
-    ndarray
-        (samples,) position [m].
 
     Raises
     ------
@@ -251,7 +226,7 @@ def _check_dwell(dwell_time: float) -> None:
 def stop_and_go(
     samples: int, dt: float, stroke: float, move_time: float, dwell_time: float, shape: str = "s-curve"
 ) -> Floats:
-    """Return a position reference of moves to `stroke` and back to 0, with a dwell after each.
+    """Return a position reference (samples,) [m] of moves to `stroke` and back to 0, with a dwell after each.
 
     Parameters
     ----------
@@ -261,11 +236,6 @@ def stop_and_go(
         Time of each dwell [s], >= 0.
     shape
         "s-curve" or "trapezoid".
-
-    Returns
-    -------
-    ndarray
-        (samples,) position [m].
 
     Raises
     ------
@@ -292,7 +262,7 @@ def _rise(shape: str) -> Callable[[Floats], Floats]:
 
 
 def steps(samples: int, dt: float, stroke: float, hold_time: float) -> Floats:
-    """Return a position reference that jumps between `stroke` and 0.
+    """Return a position reference (samples,) [m] that jumps between `stroke` and 0.
 
     Parameters
     ----------
@@ -300,11 +270,6 @@ def steps(samples: int, dt: float, stroke: float, hold_time: float) -> Floats:
         As of `trapezoid`.
     hold_time
         Time for which each value is held [s], > 0.
-
-    Returns
-    -------
-    ndarray
-        (samples,) position [m].
 
     Raises
     ------
@@ -330,7 +295,7 @@ def random_moves(
     rng: np.random.Generator,
     shape: str = "s-curve",
 ) -> Floats:
-    """Return a position reference of moves between random positions in [0, stroke].
+    """Return a position reference (samples,) [m] of moves between random positions in [0, stroke].
 
     Parameters
     ----------
@@ -342,11 +307,6 @@ def random_moves(
         Generator of positions and dwells.
     shape
         "s-curve" or "trapezoid".
-
-    Returns
-    -------
-    ndarray
-        (samples,) position [m].
 
     Raises
     ------

@@ -1,0 +1,86 @@
+"""Linear processes whose input is late, under control, or whose parameters change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from pmfid.simulation.process import make_state_space, simulate_process
+from pmfid.types import Floats
+
+
+def simulate_late(
+    b: ArrayLike, a: ArrayLike, u: ArrayLike, dt: float, dead_time: float, *, hold: str = "zoh"
+) -> Floats:
+    """Output (n,) from rest under the input u (n,) `dead_time` [s] ago, 0 before; b, a as in `simulate_process`, but
+    the numerator may have the order of the denominator.
+
+    Steps of their own go from each sample to the switch of the late input and on to the next sample."""
+    u, b, a = np.asarray(u, float), np.atleast_1d(np.asarray(b, float)), np.asarray(a, float)
+    whole = int(np.floor(dead_time / dt + 1e-9))
+    rest = max(0.0, dead_time - whole * dt)
+    late = np.r_[np.zeros(whole), u][: u.size]
+    through = b[0] / a[0] if b.size == a.size else 0.0
+    strict = (b - through * a)[1:] if b.size == a.size else b
+    if rest <= 1e-9 * dt:
+        return np.asarray(simulate_process(strict, a, late, dt, hold=hold) + through * late)
+    before = np.r_[0.0, late[:-1]]
+    between = before if hold == "zoh" else before + (late - before) * (1 - rest / dt)
+    both = np.column_stack([between, late]).ravel()  # at each sample, and where the late input comes to its value
+    at_samples = simulate_process(strict, a, both, np.resize([rest, dt - rest], both.size - 1), hold=hold)[::2]
+    return np.asarray(at_samples + through * between)
+
+
+@dataclass(frozen=True)
+class Controller:
+    """u = gain (1 + lead s / (lag s + 1)) (reference - y), by differences backward; lead, lag [s]."""
+
+    gain: float
+    lead: float = 0.0
+    lag: float = 0.0
+
+
+def simulate_loop(
+    b: ArrayLike, a: ArrayLike, controller: Controller, reference: ArrayLike, noise: ArrayLike, dt: float
+) -> tuple[Floats, Floats]:
+    """u, y (n,) of a strictly proper process from rest under a controller that reads y with its noise (n,)."""
+    r, v = np.asarray(reference, float), np.asarray(noise, float)
+    A, B, C = make_state_space(np.atleast_1d(np.asarray(b, float)), np.asarray(a, float))
+    n = A.shape[0]
+    block = np.zeros((n + 1, n + 1))
+    block[:n, :n], block[:n, n] = A, B
+    move = expm(block * dt)
+    x, slope, before, u, y = np.zeros(n), 0.0, 0.0, np.zeros(r.size), np.zeros(r.size)
+    for k in range(r.size):
+        y[k] = C @ x + v[k]
+        error = r[k] - y[k]
+        slope = (controller.lag * slope + error - before) / (controller.lag + dt)
+        before = error
+        u[k] = controller.gain * (error + controller.lead * slope)
+        x = move[:n, :n] @ x + move[:n, n] * u[k]
+    return u, y
+
+
+def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt: float) -> Floats:
+    """Output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
+
+    theta: time [s] -> a_0 to a_{n-1}, b_0 (n + 1,); they count as constant over each sample, at its middle, by the
+    power series of the exponential to fifth order: slow parameters, and poles well below 1 / dt.
+    """
+    u = np.asarray(u, float)
+    move, x, y = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(u.size)
+    for k in range(u.size - 1):
+        values = theta((k + 0.5) * dt)
+        move[:n, 1:] = np.eye(n)
+        move[n - 1, :n], move[n - 1, n] = -values[:n], values[n]
+        x[n] = u[k]
+        term = x.copy()
+        for power in range(1, 6):
+            term = move @ term * (dt / power)
+            x += term
+        y[k + 1] = x[0]
+    return y
