@@ -24,7 +24,7 @@ from pmfid.diagnostics.balance import (
 from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import PmfidError
 from pmfid.pipeline.result import DriveResult
-from pmfid.report.figures import COLOURS, GREY, MAGENTA, decimation, figure_style
+from pmfid.report.figures import COLOURS, GREY, MAGENTA, decimation, open_figure
 from pmfid.report.html import Section, svg
 from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
@@ -35,9 +35,7 @@ def followed_figure(
 ) -> Figure:
     """Measured and simulated output (n,) over time t (n,) [s], below them an error (n,); output, left: labels of both.
     shaded: time [s] of the first samples, which the start was fitted to."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 4.4), layout="constrained")
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    with open_figure(4.4, 2, sharex=True, height_ratios=(3, 2)) as (figure, (upper, lower)):
         for signal, label, style in zip(signals, ("measured", "simulated"), ("-", "--"), strict=True):
             i = decimation(signal)
             upper.plot(t[i], signal[i], style, lw=0.9, label=label)
@@ -64,9 +62,7 @@ def simulation_figure(balance: Balance) -> Figure:
 def residual_figure(balance: Balance) -> Figure:
     """The residual over velocity and position: samples, and means with two standard errors."""
     own = balance.estimator.equation.motion
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.4), layout="constrained")
-        panels = figure.subplots(1, 2, sharey=True)
+    with open_figure(3.4, 1, 2, sharey=True) as (figure, panels):
         views = (
             (balance.velocity, balance.residual, balance.by_velocity, f"filtered velocity [{own.speed}]"),
             (balance.position, balance.beside_velocity, balance.by_position, f"filtered position [{own.travel}]"),
@@ -85,9 +81,7 @@ def residual_figure(balance: Balance) -> Figure:
 def friction_figure(balance: Balance) -> Figure:
     """Friction force over velocity, measured, with the model's line."""
     own = balance.estimator.equation.motion
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.8), layout="constrained")
-        axes = figure.subplots()
+    with open_figure(3.8) as (figure, (axes,)):
         if balance.friction is not None:
             left = balance.friction.left
             _dots(axes, balance.friction.velocity, balance.friction.force)
@@ -106,9 +100,7 @@ def correlation_figure(balance: Balance) -> Figure:
     """Correlation of the residual with itself and with the input force, with bounds of three standard deviations."""
     found, dt = correlations(balance), balance.estimator.dt
     lags = np.arange(found.own.size) * dt
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.2), layout="constrained")
-        own, cross = figure.subplots(1, 2)
+    with open_figure(3.2, 1, 2) as (figure, (own, cross)):
         own.plot(lags, found.own, label="residual")
         own.plot(lags, found.encoder, "--", color=GREY, label="encoder's error alone, filtered")
         own.set_ylabel("autocorrelation [-]")

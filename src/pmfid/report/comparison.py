@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from pmfid.pipeline.identify import Comparison
 from pmfid.pipeline.result import ProcessResult
-from pmfid.report.figures import GREY, figure_style
+from pmfid.report.figures import COLOURS, GREY, open_figure
 from pmfid.report.html import Section, svg, write_json, write_report
 from pmfid.report.tuning import TUNING
 
@@ -62,10 +62,7 @@ def comparison_dots(comparison: Comparison) -> Figure:
     first = next(iter(comparison.results.values()))
     methods = list(comparison.results)
     lines, columns = -(-len(first.names) // TUNING.comparison_panels), min(TUNING.comparison_panels, len(first.names))
-    with figure_style():
-        figure = Figure(figsize=(10, lines * (1.2 + 0.34 * len(methods))), layout="constrained")
-        grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
-        panels = grid.ravel()
+    with open_figure(lines * (1.2 + 0.34 * len(methods)), lines, columns, sharey=True) as (figure, panels):
         for panel, name, unit in zip(panels, first.names, first.units, strict=False):
             for row, result in enumerate(comparison.results.values()):
                 if name not in result.names:
@@ -73,7 +70,7 @@ def comparison_dots(comparison: Comparison) -> Figure:
                 i = result.names.index(name)
                 if result.interval_95 is not None:
                     panel.plot(result.interval_95[i], [row, row], color=GREY, linewidth=1.4, zorder=2)
-                panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color="#0072B2", capsize=3)
+                panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color=COLOURS[0], capsize=3)
             panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " "))
             panel.locator_params(axis="x", nbins=4)
         for panel in panels[len(first.names) :]:

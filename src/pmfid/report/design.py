@@ -17,7 +17,7 @@ from pmfid.design.encoder_error import is_counted
 from pmfid.design.fisher import CRITERIA
 from pmfid.design.problem import Design, Problem
 from pmfid.design.rounds import Commissioning
-from pmfid.report.figures import COLOURS, GREY, MAGENTA, Style, figure_style
+from pmfid.report.figures import COLOURS, GREY, MAGENTA, Style, open_figure
 from pmfid.report.html import Section, svg, write_json, write_report
 from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
@@ -32,9 +32,7 @@ Inputs = Mapping[str, tuple[Floats, Floats, Floats]]
 
 def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
     """Input, velocity and position over time, with their limits dashed."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 6.2), layout="constrained")
-        panels = figure.subplots(3, 1, sharex=True)
+    with open_figure(6.2, 3, sharex=True) as (figure, panels):
         for axes, label, limit in zip(
             panels,
             ("input [unit of u]", "velocity [m/s]", "position [m]"),
@@ -57,9 +55,7 @@ def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
 
 def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -> Figure:
     """Value of the criterion for the samples so far; curves: name -> (t (N,), value (N,))."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.2), layout="constrained")
-        axes = figure.add_subplot()
+    with open_figure(3.2) as (figure, (axes,)):
         for name, look in _looks(curves):
             axes.plot(*curves[name], **look)
         axes.set_ylabel(ylabel)
@@ -75,9 +71,7 @@ def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, 
     pairs = list(combinations(range(len(names)), 2))
     if not pairs:
         return None
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.6 if len(pairs) > 1 else 4.4), layout="constrained")
-        panels = figure.subplots(1, len(pairs), squeeze=False)[0]
+    with open_figure(3.6 if len(pairs) > 1 else 4.4, 1, len(pairs)) as (figure, panels):
         for axes, (i, j) in zip(panels, pairs, strict=True):
             for name, look in _looks(fishers):
                 _ellipse(axes, fishers[name] * np.outer(scale, scale) / 1e4, (i, j), look)
@@ -143,7 +137,7 @@ def write_design(out: Path, appraisal: Appraisal, campaign: Campaign | None = No
     title = f"Input for {unknown}: criterion {design.criterion}"
     sections = _sections(appraisal)
     if campaign is not None:
-        motions = _campaign_motions(campaign)
+        motions = {f"motion_{number}": (each.u, each.x, each.v) for number, each in enumerate(campaign.motions, 1)}
         for name, columns in motions.items():
             _write_csv(out / f"{name}.csv", design.t, *columns)
         figure = svg(motion_figure(design.problem, motions))
@@ -243,10 +237,6 @@ def campaign_words(campaign: Campaign) -> str:
         f"Per run the motions together tell {campaign.gain:.3g} times as much as the best single one repeated "
         f"({campaign.single.criterion} {campaign.value:.4g}); any number of motions, {campaign.ideal:.4g}."
     )
-
-
-def _campaign_motions(campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    return {f"motion_{number}": (each.u, each.x, each.v) for number, each in enumerate(campaign.motions, 1)}
 
 
 def rounds_table(state: Commissioning) -> Rows:

@@ -62,6 +62,14 @@ def figure_style() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any) -> Iterator[tuple[Figure, list[Axes]]]:
+    """A figure in that style, `height` inches high, and its panels, row by row; subplots: of `Figure.subplots`."""
+    with figure_style():
+        figure = Figure(figsize=(TUNING.figures_width, height), layout="constrained")
+        yield figure, list(figure.subplots(rows, columns, squeeze=False, **subplots).ravel())
+
+
 def plain_ticks(axis: Axis) -> None:
     """Plain numbers at the ticks of a logarithmic axis; call it after the scale is set. Else they are formulas, which
     `figure_style` does not typeset."""
@@ -113,8 +121,7 @@ def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike]
     over_time = {f"nominal {name}": value for name, value in values.items() if value.ndim}
     t = _time(t, {"track": track.status, **over_time})
     names = [name for name in track.names if not name.startswith("prefilter_")]
-    with figure_style():
-        figure, panels = _panels(len(names), 1.9)
+    with open_figure(0.9 + 1.9 * len(names), len(names), sharex=True) as (figure, panels):
         for name, axes in zip(names, panels, strict=True):
             _estimate_panel(axes, t, track, name, values.get(name))
         _finish_time(panels[-1], t)
@@ -157,8 +164,7 @@ def comparison_figure(
     """
     named = {f"{title}, {name}": k.status for title, curves in tracks.items() for name, k in curves.items()}
     t, settled = _time(t, {"truth": truth, **named}), []
-    with figure_style():
-        figure, panels = _panels(len(tracks), 1.9, sharey=True)
+    with open_figure(0.9 + 1.9 * len(tracks), len(tracks), sharex=True, sharey=True) as (figure, panels):
         for (title, curves), axes in zip(tracks.items(), panels, strict=True):
             for colour, (label, track) in zip(cycle(COLOURS), curves.items(), strict=False):
                 _line(axes, t, _mask_start(track, parameter), color=colour, label=label)
@@ -182,8 +188,7 @@ def signals_figure(
 ) -> Figure:
     """Input and velocity over time, each (n,). Raises UsageError if the lengths differ."""
     t = _time(t, {"u": u, "velocity": velocity})
-    with figure_style():
-        figure, panels = _panels(2, 1.7)
+    with open_figure(0.9 + 1.7 * 2, 2, sharex=True) as (figure, panels):
         signals = ((u, "input", input_unit), (velocity, "velocity", velocity_unit))
         for axes, (signal, name, unit) in zip(panels, signals, strict=True):
             _line(axes, t, np.asarray(signal, float), lw=0.8)
@@ -199,9 +204,7 @@ def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
     """
     t, bits = _time(t, {"status": status}), np.asarray(status)
     occurring = [bit for bit in Status if np.any(bits & bit)]
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 0.8 + 0.3 * max(1, len(occurring))), layout="constrained")
-        axes = figure.add_subplot()
+    with open_figure(0.8 + 0.3 * max(1, len(occurring))) as (figure, (axes,)):
         for row, bit in enumerate(occurring):
             colour = COLOURS[1] if bit in DOUBTFUL else COLOURS[0]
             axes.broken_barh(stretches(t, (bits & bit) != 0), (row - 0.35, 0.7), color=colour, lw=1.5)
@@ -216,9 +219,7 @@ def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
 def residual_figure(t: ArrayLike, residual: ArrayLike, *, unit: str = "N") -> Figure:
     """Residual (n,) over time t (n,) [s], and its histogram. Raises UsageError if the lengths differ."""
     t, e = _time(t, {"residual": residual}), np.asarray(residual, float)
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 2.6), layout="constrained")
-        axes, side = figure.subplots(1, 2, sharey=True, width_ratios=(4, 1))
+    with open_figure(2.6, 1, 2, sharey=True, width_ratios=(4, 1)) as (figure, (axes, side)):
         _line(axes, t, e, lw=0.8)
         counts, edges = np.histogram(e[np.isfinite(e)], bins=40)
         side.stairs(counts, edges, orientation="horizontal", fill=True, color=COLOURS[0])
@@ -243,12 +244,6 @@ def _time(t: ArrayLike, others: Mapping[str, ArrayLike]) -> Floats:
 def _end(t: Floats) -> float:
     """The end of the last sample, one period after its beginning."""
     return float(t[-1] + (t[-1] - t[0]) / max(1, t.size - 1))
-
-
-def _panels(rows: int, height: float, sharey: bool = False) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(TUNING.figures_width, 0.9 + height * rows), layout="constrained")
-    panels = figure.subplots(rows, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0]
-    return figure, list(panels)
 
 
 def _line(axes: Axes, t: Floats, y: Floats, **style: Any) -> None:

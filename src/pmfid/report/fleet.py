@@ -20,7 +20,7 @@ from pmfid.errors import printable
 from pmfid.fleet.history import History
 from pmfid.fleet.tuning import TUNING as FLEET_TUNING
 from pmfid.fleet.verdicts import when
-from pmfid.report.figures import COLOURS, GREY, figure_style
+from pmfid.report.figures import COLOURS, GREY, open_figure
 from pmfid.report.html import Cell, Section, Table, svg, write_json, write_report
 from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
@@ -40,9 +40,7 @@ MOVING, LEAST_HEIGHT = ("changed", "drifts"), 2.0
 
 def spread_figure(found: History) -> Figure:
     """A panel for each parameter: relative distance from the median of the type, and relative change, of each axis."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.4), layout="constrained")
-        panels = figure.subplots(1, len(found.names), squeeze=False)[0]
+    with open_figure(3.4, 1, len(found.names)) as (figure, panels):
         for panel, name in zip(panels, found.names, strict=True):
             _panel(panel, found, name)
         panels[0].set_ylabel("change within the history in %")
@@ -115,10 +113,8 @@ def trend_figure(found: History) -> Figure:
     import polars as pl
 
     named = moving(found)["axis"].to_list()
-    with figure_style():
-        rows = -(-len(named) // 3)
-        figure = Figure(figsize=(TUNING.figures_width, 1.0 + 1.9 * rows), layout="constrained")
-        panels = figure.subplots(rows, 3, squeeze=False).ravel()
+    rows = -(-len(named) // 3)
+    with open_figure(1.0 + 1.9 * rows, rows, 3) as (figure, panels):
         for panel, axis in zip(panels, named, strict=False):
             own = found.periods.filter((pl.col("axis") == axis) & (pl.col("quality") != "none"))
             for colour, (line, marker), name in zip(COLOURS, cycle(LINES), found.names, strict=False):
@@ -161,9 +157,7 @@ def map_figure(found: History) -> Figure:
         column = max(0, int(np.searchsorted(edges, period, "right")) - 1) if period == period else 0
         level = levels["change" if "changed" in findings.split() else "no estimate" if quality == "none" else quality]
         grid[place[axis], column] = min(level, grid[place[axis], column])
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 1.2 + 0.14 * max(8, len(order))), layout="constrained")
-        axes = figure.subplots()
+    with open_figure(1.2 + 0.14 * max(8, len(order))) as (figure, (axes,)):
         norm = BoundaryNorm(np.arange(len(MAP) + 1) - 0.5, len(MAP))
         axes.imshow(grid, cmap=ListedColormap(list(MAP.values())), norm=norm, aspect="auto", interpolation="nearest")
         _labels(axes, found, order, edges)

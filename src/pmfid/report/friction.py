@@ -9,9 +9,8 @@ from matplotlib.figure import Figure
 
 from pmfid.estimators.friction_curve import FrictionCurve
 from pmfid.pipeline.friction import curve_json
-from pmfid.report.figures import COLOURS, GREY, figure_style
+from pmfid.report.figures import COLOURS, GREY, open_figure
 from pmfid.report.html import Section, svg, write_json, write_report
-from pmfid.report.tuning import TUNING
 
 
 def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
@@ -35,9 +34,7 @@ def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
 
 def curve_figure(found: FrictionCurve) -> Figure:
     """The curve with a band of two standard deviations, in grey what the record does not visit."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.8), layout="constrained")
-        axes = figure.subplots()
+    with open_figure(3.8) as (figure, (axes,)):
         for number, way in enumerate((found.velocity < 0, found.velocity > 0)):
             v, force, std = found.velocity[way], found.force[way], found.std[way]
             label = "two standard deviations" if number == 0 else None

@@ -27,7 +27,7 @@ from pmfid.report.figures import (
     _legend,
     _line,
     decimation,
-    figure_style,
+    open_figure,
     plain_ticks,
     stretches,
 )
@@ -73,9 +73,7 @@ def run_figure(data: RunData) -> Figure:
     """Estimates against nominal, state and validity as a strip, input, motion and innovation."""
     p, strip = len(data.names), _strip_rows(data)
     heights = [1.9] * p + [0.25 + 0.2 * len(strip)] + [1.1] * 3
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 1.1 + sum(heights)), layout="constrained")
-        panels = list(figure.subplots(p + 4, 1, sharex=True, height_ratios=heights))
+    with open_figure(1.1 + sum(heights), p + 4, sharex=True, height_ratios=heights) as (figure, panels):
         for i in range(p):
             _estimate_panel(panels[i], data, i)
         _strip_panel(panels[p], data.t, strip)
@@ -165,9 +163,7 @@ def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
 
 def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) -> Figure:
     """Rate of false alarms over the threshold, of each detector relative to its threshold for mtbf_hours."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.4), layout="constrained")
-        axes = figure.add_subplot()
+    with open_figure(3.4) as (figure, (axes,)):
         for colour, (name, tail) in zip(cycle(COLOURS), tails.items(), strict=False):
             unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
             rate = np.arange(1, maxima.size + 1) / tail.hours

@@ -34,11 +34,11 @@ from pmfid.report.figures import (
     _finish_time,
     _label,
     _line,
-    _panels,
     _words,
     decimation,
     estimate_figure,
     figure_style,
+    open_figure,
     residual_figure,
 )
 from pmfid.report.friction import curve_figure
@@ -62,9 +62,7 @@ def with_samples(figure: Figure) -> Figure:
 
 def bars_figure(names: Sequence[str], units: Sequence[str], theta: Sequence[float], std: Sequence[float]) -> Figure:
     """Each parameter on an axis of its own, with two standard deviations where they are known."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 0.3 + 0.85 * len(names)), layout="constrained")
-        panels = figure.subplots(len(names), 1, squeeze=False)[:, 0]
+    with open_figure(0.3 + 0.85 * len(names), len(names)) as (figure, panels):
         for axes, name, unit, value, bar in zip(panels, names, units, theta, std, strict=True):
             known = np.isfinite(bar)
             axes.errorbar(value, 0, xerr=2 * bar if known else None, fmt="o", color=COLOURS[0], capsize=4)
@@ -82,8 +80,7 @@ def fleet_figure(t: ArrayLike, tracks: Tracks, label: str) -> Figure:
     """The estimates of the first axes over t (m,), and the median of all."""
     time, single = np.asarray(t, float), np.size(t) == 1
     theta = np.where(tracks.flagged(Status.STARTING)[..., None], np.nan, tracks.theta)
-    with figure_style():
-        figure, panels = _panels(len(tracks.names), 1.9)
+    with open_figure(0.9 + 1.9 * len(tracks.names), len(tracks.names), sharex=True) as (figure, panels):
         for i, (axes, name, unit) in enumerate(zip(panels, tracks.names, tracks.units, strict=True)):
             for one in theta[: TUNING.plots_most_axes, :, i]:
                 _line(axes, time, one, color=GREY, lw=0.6, alpha=0.6, marker="." if single else None)
@@ -100,8 +97,7 @@ def experiment_figure(experiment: Experiment) -> Figure:
     """Input, output and reference over time."""
     signals = {"u": experiment.u, "y": experiment.y, "reference": experiment.reference}
     there = {name: values for name, values in signals.items() if values is not None}
-    with figure_style():
-        figure, panels = _panels(len(there), 1.7)
+    with open_figure(0.9 + 1.7 * len(there), len(there), sharex=True) as (figure, panels):
         for axes, (name, values) in zip(panels, there.items(), strict=True):
             shown = decimation(values)
             axes.plot(experiment.times[shown], values[shown], lw=0.8)

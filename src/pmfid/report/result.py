@@ -24,7 +24,7 @@ from pmfid.report.figures import (
     GREY,
     decimation,
     estimate_figure,
-    figure_style,
+    open_figure,
     plain_ticks,
     residual_figure,
     signals_figure,
@@ -113,7 +113,7 @@ def write_process(out: Path, result: ProcessResult) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "result.json", result.to_json())
     sections = [
-        _process_parameters(result),
+        Section("Parameters", _describe_process(result), (parameter_header(result), parameter_rows(result))),
         _dynamics(result.process),
         *([Section("Measured and simulated output", svg=svg(output_figure(result)))] if result.fit is not None else []),
         Section("Frequency response", BAND, svg=svg(bode_figure(result))),
@@ -126,11 +126,9 @@ def write_process(out: Path, result: ProcessResult) -> None:
 BAND = "Band: two standard deviations."
 
 
-def _process_parameters(result: ProcessResult) -> Section:
+def _describe_process(result: ProcessResult) -> str:
     text = f"{result.name}: {result.samples} samples. {result.fit_text.capitalize()}."
-    return Section(
-        "Parameters", "\n\n".join([text, *findings_lines(result)]), (parameter_header(result), parameter_rows(result))
-    )
+    return "\n\n".join([text, *findings_lines(result)])
 
 
 def _dynamics(process: Process) -> Section:
@@ -151,13 +149,10 @@ def _residual_text(result: ProcessResult) -> str:
 
 def output_figure(result: ProcessResult) -> Figure:
     """Measured and simulated output of every record over time."""
-    with figure_style():
-        records = result.experiments
-        figure = Figure(figsize=(TUNING.figures_width, 2.2 * len(records)), layout="constrained")
-        checks = result.assessment
-        parts = list(zip(checks.records, checks.samples, checks.simulated, strict=True))
-        for row, experiment in enumerate(records):
-            axes = figure.add_subplot(len(records), 1, row + 1)
+    records, checks = result.experiments, result.assessment
+    parts = list(zip(checks.records, checks.samples, checks.simulated, strict=True))
+    with open_figure(2.2 * len(records), len(records)) as (figure, panels):
+        for row, (experiment, axes) in enumerate(zip(records, panels, strict=True)):
             shown = decimation(experiment.y)
             axes.plot(experiment.times[shown], experiment.y[shown], color=GREY, label="measured")
             for record, samples, simulated in parts:
@@ -189,12 +184,9 @@ def bode_of(process: Process, dt: float) -> Figure:
     w = np.logspace(low, max(high, low + TUNING.result_decades), TUNING.result_points)
     G, magnitude, phase = process.frequency_response(w)
     size, angle = 20 * np.log10(np.abs(G)), np.unwrap(np.angle(G))
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 5.0), layout="constrained")
-        upper = figure.add_subplot(2, 1, 1)
+    with open_figure(5.0, 2, sharex=True) as (figure, (upper, lower)):
         _draw_band(upper, w, size, 2 * 20 / np.log(10) * magnitude)
         upper.set_ylabel("magnitude [dB]")
-        lower = figure.add_subplot(2, 1, 2, sharex=upper)
         _draw_band(lower, w, np.degrees(angle), 2 * np.degrees(phase))
         lower.set_ylabel("phase [degrees]")
         lower.set_xlabel("frequency [rad/s]")
@@ -210,9 +202,7 @@ def step_figure(process: Process) -> Figure:
     slowest = float(np.max(1 / np.maximum(speeds, 1e-3 * fastest), initial=1 / fastest))
     t = np.linspace(0, TUNING.result_settling * slowest + 2 * process.delay, TUNING.result_points)
     y, std = process.step_response(t)
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 2.6), layout="constrained")
-        axes = figure.add_subplot()
+    with open_figure(2.6) as (figure, (axes,)):
         _draw_band(axes, t, y, 2 * std)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("response to a unit step")
@@ -221,22 +211,14 @@ def step_figure(process: Process) -> Figure:
 
 def correlation_figure(result: ProcessResult) -> Figure:
     """Autocorrelation of the residual, its correlation with the input, and their bounds."""
-    checks = result.assessment
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 4.2), layout="constrained")
-        panels = (
-            (np.arange(checks.autocorrelation.size), checks.autocorrelation, checks.autocorrelation_bound, "residual"),
-            (
-                checks.lags,
-                checks.cross,
-                checks.cross_bound,
-                "residual and reference"
-                if any(e.reference is not None for e in result.experiments)
-                else "residual and input",
-            ),
-        )
-        for row, (lags, values, bound, label) in enumerate(panels):
-            axes = figure.add_subplot(2, 1, row + 1)
+    checks, lags = result.assessment, np.arange(result.assessment.autocorrelation.size)
+    whose = "reference" if any(e.reference is not None for e in result.experiments) else "input"
+    parts = (
+        (lags, checks.autocorrelation, checks.autocorrelation_bound, "residual"),
+        (checks.lags, checks.cross, checks.cross_bound, f"residual and {whose}"),
+    )
+    with open_figure(4.2, 2) as (figure, panels):
+        for axes, (lags, values, bound, label) in zip(panels, parts, strict=True):
             axes.axhspan(-bound, bound, color="#DDDDDD")
             axes.vlines(lags, 0, values, color=COLOURS[0])
             axes.plot(lags, values, "o", color=COLOURS[0], markersize=3)
@@ -277,9 +259,7 @@ def search_figure(search: Search) -> Figure:
         best.setdefault(row.n + row.m + 1, index)
     sizes = sorted(best)
     values = [search.candidates[best[size]].bic - search.best.bic for size in sizes]
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.0), layout="constrained")
-        axes = figure.add_subplot()
+    with open_figure(3.0) as (figure, (axes,)):
         axes.plot(sizes, values, "o-", color=COLOURS[0])
         for size, value in zip(sizes, values, strict=True):
             row = search.candidates[best[size]]

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from pmfid.diagnostics.balance import Balance
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -18,7 +17,7 @@ from pmfid.models.equation import (
     Equation,
 )
 from pmfid.pipeline.terms import NestedModel, TermSearch
-from pmfid.report.figures import COLOURS, figure_style
+from pmfid.report.figures import COLOURS, open_figure
 from pmfid.report.html import Section, svg, write_json, write_report
 from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
@@ -124,21 +123,19 @@ def _number(value: float, digits: int = 4) -> str:
 def friction_figure(found: TermSearch) -> Figure:
     """Friction over velocity: what the record says at the chosen model's mass, and the models."""
     last = found.chosen.balance
-    models = [model for model in found.models if model.balance is not None]
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 4.2), layout="constrained")
-        axes = figure.subplots()
+    models = [(model.label, model.balance) for model in found.models if model.balance is not None]
+    with open_figure(4.2) as (figure, (axes,)):
         speeds = np.zeros(0)
         if last is not None and last.friction is not None:
             left = last.friction.left
             speeds = left.x
             force = last.model_friction(left.x) + left.mean
             axes.errorbar(left.x, force, left.error, fmt="o", ms=3, color="black", label="the record", zorder=3)
-        for number, model in enumerate(models):
+        for number, (name, balance) in enumerate(models):
             colour = COLOURS[number % len(COLOURS)]
             for side in _sides(speeds):
-                label = model.label if side[0] > 0 or not np.any(speeds > 0) else None
-                axes.plot(side, _curve(model.balance, side), color=colour, lw=1.2, label=label)
+                label = name if side[0] > 0 or not np.any(speeds > 0) else None
+                axes.plot(side, balance.model_friction(side), color=colour, lw=1.2, label=label)
         axes.axhline(0, color="grey", lw=0.5)
         axes.set_xlabel("velocity [unit of y per s]")
         axes.set_ylabel("friction [N]")
@@ -150,7 +147,3 @@ def _sides(speeds: Floats) -> list[Floats]:
     """Velocities to draw at, to either side of rest."""
     ends = float(np.min(speeds, initial=0.0)), float(np.max(speeds, initial=0.0))
     return [np.linspace(end / TUNING.terms_points, end, TUNING.terms_points) for end in ends if end]
-
-
-def _curve(balance: Balance | None, velocity: Floats) -> Floats:
-    return np.full(velocity.size, np.nan) if balance is None else balance.model_friction(velocity)

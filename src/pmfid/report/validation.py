@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from pmfid.diagnostics.free_run import FreeRun
 from pmfid.pipeline.validation import Validation
 from pmfid.report.checks import followed_figure
-from pmfid.report.figures import COLOURS, figure_style, plain_ticks
+from pmfid.report.figures import COLOURS, open_figure, plain_ticks
 from pmfid.report.html import Section, svg, write_json, write_report
 from pmfid.report.tuning import TUNING
 
@@ -91,9 +91,7 @@ def run_figure(run: FreeRun, unit: str) -> Figure:
 
 def horizon_figure(found: Validation) -> Figure:
     """Errors over the interval of restarts; the last point is the error without a restart."""
-    with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, 3.6), layout="constrained")
-        axes = figure.subplots()
+    with open_figure(3.6) as (figure, (axes,)):
         for number, run in enumerate(found.runs):
             colour, duration = COLOURS[number % len(COLOURS)], float(run.t[-1] - run.t[0])
             seconds = [*(part.seconds for part in run.horizons), duration]
