@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import AfterValidator, Field, WrapValidator, model_validator
 
 from pmfid.config.toml_file import FileSection
 from pmfid.config.units import gain, keep_unit, quantity
@@ -29,16 +29,10 @@ SHAPES: dict[str, Callable[..., Shape]] = {"stribeck": Stribeck, "square": Squar
 Positive = Annotated[float, Field(gt=0)]
 
 
-def _travel(value: object, check: ValidatorFunctionWrapHandler) -> object:
-    return keep_unit(value, check, quantity)
-
-
-def _gain(value: object, check: ValidatorFunctionWrapHandler) -> object:
-    return keep_unit(value, check, gain)
-
-
+_TRAVEL = WrapValidator(lambda value, check: keep_unit(value, check, quantity))
+_GAIN = WrapValidator(lambda value, check: keep_unit(value, check, gain))
 #: A length, an angle or a speed: a number in SI, or a text with its unit.
-Travel = Annotated[float, Field(gt=0), WrapValidator(_travel)]
+Travel = Annotated[float, Field(gt=0), _TRAVEL]
 Name = Annotated[str, Field(min_length=1)]
 
 
@@ -50,7 +44,11 @@ def _usable_gain(value: float | Literal["estimate"]) -> float | Literal["estimat
 
 
 #: A force per unit of input: a number in SI, a text with its unit, or "estimate".
-Gain = Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain), WrapValidator(_gain)]
+Gain = Annotated[
+    Literal["estimate"] | float,
+    AfterValidator(_usable_gain),
+    _GAIN,
+]
 FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with start, step and values'
 
 
@@ -120,24 +118,29 @@ class ModelConfig(FileSection):
         False, description="true if a controller holds a transfer function with poles in the right half-plane"
     )
     axis: AxisKind = Field("linear", description='"linear" or "rotary", or leave it out if units determine it')
-    input_gain: Annotated[Literal["estimate"] | float, AfterValidator(_usable_gain), WrapValidator(_gain)] | None = (
-        Field(
-            None,
-            description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative if they '
-            'point apart, or "estimate" to '
-            "find it",
-        )
+    input_gain: (
+        Annotated[
+            Literal["estimate"] | float,
+            AfterValidator(_usable_gain),
+            _GAIN,
+        ]
+        | None
+    ) = Field(
+        None,
+        description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative if they '
+        'point apart, or "estimate" to '
+        "find it",
     )
     friction: Literal["symmetric", "directional"] = Field(
         "symmetric", description="whether friction differs between forward and backward"
     )
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
-    stribeck: Annotated[Positive | Literal["estimate"], WrapValidator(_travel)] | None = Field(
+    stribeck: Annotated[Positive | Literal["estimate"], _TRAVEL] | None = Field(
         None, description='the speed over which friction at rest falls, in unit of y per s, or "estimate" to find it'
     )
     quadratic: bool = Field(False, description="true if friction grows with the square of the speed as well")
-    gravity: Annotated[bool | Positive, WrapValidator(_travel)] = Field(
+    gravity: Annotated[bool | Positive, _TRAVEL] = Field(
         False, description="true if gravity turns a rotary axis and y is in rad, or the turn in the unit of y"
     )
     cogging: Travel | None = Field(None, description="the pitch of a cogging force in the unit of y")

@@ -24,14 +24,6 @@ def _usable_scale(value: float | str) -> float | str:
     return value
 
 
-def _check_output_unit(text: str) -> str:
-    return known_unit(text, OUTPUTS)
-
-
-def _check_input_unit(text: str) -> str:
-    return known_unit(text, INPUTS)
-
-
 def _forward(value: tuple[float, float]) -> tuple[float, float]:
     if not value[0] < value[1]:
         raise ValueError("the first time must be before the second")
@@ -39,8 +31,8 @@ def _forward(value: tuple[float, float]) -> tuple[float, float]:
 
 
 Span = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_forward)]
-OutputUnit = Annotated[str, AfterValidator(_check_output_unit)]
-InputUnit = Annotated[str, AfterValidator(_check_input_unit)]
+OutputUnit = Annotated[str, AfterValidator(lambda text: known_unit(text, OUTPUTS))]
+InputUnit = Annotated[str, AfterValidator(lambda text: known_unit(text, INPUTS))]
 
 #: Resolution of an output without counts: finer than any encoder.
 NO_ENCODER = 1e-29

@@ -106,17 +106,13 @@ def _recur(T: Floats, forced: list[Floats], start: Floats) -> list[Floats]:
 
 
 def _combine_modes(Q: Floats, modes: list[Floats]) -> Floats:
-    """Real part of Q modes, in blocks so small that the product stays in one thread: more threads only wait."""
+    """Real part of Q modes."""
     real, imag = np.array([mode.real.ravel() for mode in modes]), np.array([mode.imag.ravel() for mode in modes])
-    result = np.empty(real.shape)
-    for first in range(0, real.shape[1], TUNING.experiment_block):
-        part = slice(first, first + TUNING.experiment_block)
-        result[:, part] = Q.real @ real[:, part] - Q.imag @ imag[:, part]
-    return result
+    return product(Q.real, real) - product(Q.imag, imag)
 
 
 def product(matrix: Floats, rows: Floats) -> Floats:
-    """matrix (n, n) times rows (n, N), in blocks for the same reason."""
+    """matrix (n, n) times rows (n, N), in blocks so small that it stays in one thread: more threads only wait."""
     result = np.empty(rows.shape)
     for first in range(0, rows.shape[1], TUNING.experiment_block):
         part = slice(first, first + TUNING.experiment_block)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -339,7 +339,7 @@ def calibrate(
     first = next(runs)
     _check(first)
     scale = make_scale(first)
-    x, w = _stack([scale.standardise(blocks) for blocks in (first, *runs)])
+    x, w = map(np.stack, zip(*(scale.standardise(blocks) for blocks in (first, *runs)), strict=True))
     sigma = np.sqrt((x**2).mean(axis=(0, 1)))
     x, scale = x / sigma, replace(scale, sigma=scale.sigma * sigma)
     plain = Calibration(theta, scale, (), {}, np.ones(theta.size), hours)
@@ -452,20 +452,10 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
 
 def fit_tail(statistic: Floats, block_time: float, top: int = TUNING.calibration_tail) -> Tail:
     """The tail of the `top` maxima over intervals of the statistic (runs, n) of blocks of block_time [s]."""
-    maxima, hours = _maxima(statistic, block_time)
-    top = min(top, maxima.size // 4)
-    return _tail(maxima, hours, top)
-
-
-def _maxima(statistic: Floats, block_time: float) -> tuple[Floats, float]:
-    """Maxima over intervals, falling, and their hours."""
     size = max(1, round(TUNING.interval_time / block_time))
     n = statistic.shape[1] // size
     maxima = np.sort(statistic[:, : n * size].reshape(-1, size).max(axis=1))[::-1]
-    return maxima, maxima.size * size * block_time / 3600
-
-
-def _tail(maxima: Floats, hours: float, top: int) -> Tail:
+    hours, top = maxima.size * size * block_time / 3600, min(top, maxima.size // 4)
     level = float(maxima[top])
     slope = float(np.mean(maxima[:top] - level))
     return Tail(level, slope, top / hours, hours, tuple(float(value) for value in maxima[: top + 1]))
@@ -486,10 +476,6 @@ def _precision(detector: ChiSquare, x: Floats, w: Floats) -> tuple[tuple[float, 
         total += found[:, k].T @ found[:, k]
     inverse = np.linalg.inv(total / (x.shape[0] * x.shape[1]))
     return tuple(tuple(float(value) for value in row) for row in inverse)
-
-
-def _stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-    return np.stack([x for x, _ in parts]), np.stack([w for _, w in parts])
 
 
 def _check(blocks: Blocks) -> None:

@@ -188,12 +188,11 @@ class Again(Protocol):
     def __call__(self, one: T, /) -> T: ...
 
 
-def _repickle(one: T) -> T:
-    again: T = pickle.loads(pickle.dumps(one))
-    return again
-
-
-COPIES: Mapping[str, Again] = {"copy.copy": copy.copy, "copy.deepcopy": copy.deepcopy, "pickle": _repickle}
+COPIES: Mapping[str, Again] = {
+    "copy.copy": copy.copy,
+    "copy.deepcopy": copy.deepcopy,
+    "pickle": lambda one: pickle.loads(pickle.dumps(one)),
+}
 
 
 class ContractError(PmfidError, AssertionError):
