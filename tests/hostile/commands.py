@@ -294,7 +294,7 @@ def _simulate(rng: Rng, folder: Path) -> Case:
 
 def _design(rng: Rng, folder: Path) -> Case:
     chosen = options(rng, 0.1, unknown=[*SPEC_NAMES, "colour"], criterion=["trace", "D", "c", "F"], starts=["1", "2"])
-    chosen += options(rng, 0.1, seed=["0", "3"], motions=["1", "2"]) + _out(rng, 0.01)
+    chosen += options(rng, 0.1, seed=["0", "3"]) + _out(rng, 0.01)
     chosen += ["--certify", str(rng.choice(["0", "0.01", "-1", "nan", "x"], p=[0.8, 0.14, 0.02, 0.02, 0.02]))]
     chosen += _flags(rng, 0.6, "--json")
     return Case(("design", "spec.toml", *chosen), {"spec.toml": spec(rng, 22.75e-6).encode()})

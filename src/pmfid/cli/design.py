@@ -13,7 +13,6 @@ from pmfid.cli.terminal import JSON, print_json, progress
 from pmfid.errors import PmfidError, UsageError
 
 if TYPE_CHECKING:
-    from pmfid.design.campaigns import Campaign
     from pmfid.pipeline.designs import Spec
 
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
@@ -62,14 +61,6 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
     metavar="S",
     help="Seconds of the processor at most for a proof of how near the optimum is; 0 for none.",
 )
-@click.option(
-    "--motions",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    metavar="K",
-    help="Also a campaign of K different motions, with the best share of the runs for each.",
-)
 @OUT
 @JSON
 def design(
@@ -79,7 +70,6 @@ def design(
     truth: tuple[str, ...],
     rounds: int,
     certify: float,
-    motions: int,
     out: Path | None,
     as_json: bool,
     **options: object,
@@ -87,7 +77,7 @@ def design(
     """Find the input that tells most about an axis within its limits.
 
     With records of designed runs, or --want or --truth: estimate from these runs and design the next one, until the
-    wanted deviation is reached; --certify and --motions do not act then.
+    wanted deviation is reached; --certify does not act then.
 
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
     """
@@ -95,21 +85,20 @@ def design(
         _commission(spec, records, want, truth, rounds, out, as_json, options)
         return
     with _infeasible_as_json(as_json), progress("design") as tell:
-        from pmfid.pipeline.designs import run_appraisal, run_campaign, run_design
+        from pmfid.pipeline.designs import run_appraisal, run_design
         from pmfid.report.design import write_design
 
         loaded = _load(spec, options)
         found = run_design(loaded, certify=certify or None, progress=lambda done, total, _: tell(done / total))
         appraisal = run_appraisal(loaded, found)
-        together = run_campaign(loaded, motions) if motions > 1 else None
         if out is not None:
-            write_design(out, appraisal, together)
+            write_design(out, appraisal)
     if as_json:
-        print_json(appraisal.to_json() | _campaign(together))
+        print_json(appraisal.to_json())
     else:
         from pmfid.cli.design_tables import print_appraisal
 
-        print_appraisal(appraisal, together, out)
+        print_appraisal(appraisal, out)
 
 
 @click.command(hidden=True, deprecated="use pmfid design SPEC.toml RECORD")
@@ -164,13 +153,6 @@ def _commission(
         from pmfid.cli.design_tables import print_commissioning
 
         print_commissioning(state, out)
-
-
-def _campaign(together: Campaign | None) -> dict[str, object]:
-    if together is None:
-        return {}
-    numbers = {name: getattr(together, name) for name in ("value", "gain", "ideal")}
-    return {"campaign": numbers | {"weights": [float(weight) for weight in together.weights]}}
 
 
 def _load(spec: Path, options: dict[str, object]) -> Spec:

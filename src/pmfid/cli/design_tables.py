@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pmfid.design.appraisal import Appraisal
-    from pmfid.design.campaigns import Campaign
     from pmfid.design.rounds import Commissioning
 
 
-def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path | None) -> None:
+def print_appraisal(appraisal: Appraisal, out: Path | None) -> None:
     """The design compared with the standard inputs, its predicted standard deviations, and its warnings."""
-    from pmfid.report.design import campaign_table, campaign_words, criteria_table, price_words, proof, std_table
+    from pmfid.report.design import criteria_table, price_words, proof, std_table
 
     unknown = ", ".join(name.replace("_", " ") for name in appraisal.design.problem.unknown)
     _table(f"Input for {unknown}", criteria_table(appraisal))
@@ -23,9 +22,6 @@ def print_appraisal(appraisal: Appraisal, together: Campaign | None, out: Path |
     _lines(*(f"warning: {text}" for text in appraisal.warnings))
     if appraisal.price is not None:
         _lines(price_words(appraisal.price))
-    if together is not None:
-        _table("Campaign", campaign_table(together))
-        _lines(campaign_words(together))
     if out is not None:
         _lines(f"report: {out / 'report.html'}", f"motion: {out / 'design.csv'}")
 

@@ -8,7 +8,6 @@ sequential(problem, experiment, ...)        # design, run, estimate, and design 
 
 from pmfid.design.appraisal import appraise
 from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.campaigns import campaign
 from pmfid.design.fisher import information, sensitivities
 from pmfid.design.problem import Design, InfeasibleError, Limits, Problem
 from pmfid.design.rounds import sequential, simulated_experiment
@@ -23,7 +22,6 @@ __all__ = [
     "Problem",
     "appraise",
     "calibrate",
-    "campaign",
     "evaluate",
     "information",
     "price_of_robustness",

@@ -179,15 +179,12 @@ def share(rule: Criterion, mean: Floats) -> Floats:
     return rule.gradient(mean) * rule.value(mean)
 
 
-def best_mixture(
-    maps: Affine, rule: Criterion, oracle: Oracle, inputs: list[Floats], seed: int = 0
-) -> tuple[Floats, list[Floats]]:
-    """Information of the best mixture found, and the inputs that carry it.
+def best_mixture(maps: Affine, rule: Criterion, oracle: Oracle, u: Floats) -> Floats:
+    """Information (p, p) of the best mixture of inputs found, from u (K,) on.
 
     Adds, one at a time, the input with the largest share of the tangent (Fedorov 1972; Wynn 1970).
     """
-    rng = np.random.default_rng(seed)
-    inputs = list(inputs)
+    rng, inputs = np.random.default_rng(0), [u]
     for _ in range(TUNING.ascent_motions):
         informations = np.array([maps.information(u) for u in inputs])
         weights = proportions(rule, informations)
@@ -197,7 +194,7 @@ def best_mixture(
         if np.sum(rule.gradient(mean) * maps.information(u)) < 1.001:
             break
         inputs.append(u)
-    return mean, inputs
+    return np.asarray(mean)
 
 
 def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.Generator) -> Floats:

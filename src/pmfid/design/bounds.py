@@ -138,7 +138,7 @@ class _BoundSearch:
             heapq.heappush(self.heap, (-node.bound, next(self.order), node))
 
     def _root(self) -> _Node:
-        weight = share(self.rule, best_mixture(self.maps, self.rule, self.oracle, [self.u])[0]) / self.value
+        weight = share(self.rule, best_mixture(self.maps, self.rule, self.oracle, self.u)) / self.value
         node = self._make_node([], weight, [self.u])
         self._close(node)
         return node

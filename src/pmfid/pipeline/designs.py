@@ -16,7 +16,6 @@ from pmfid.config.record import EncoderConfig, RecordConfig
 from pmfid.config.toml_file import FileSection, load_sections
 from pmfid.design.appraisal import Appraisal, appraise
 from pmfid.design.calibration import DesignedRun
-from pmfid.design.campaigns import Campaign, campaign
 from pmfid.design.problem import Design, Limits, Problem
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.solver import solve
@@ -238,18 +237,6 @@ def run_design(spec: Spec, *, certify: float | None = None, progress: Progress |
         seed=spec.search.seed,
         certify=certify,
         progress=progress,
-    )
-
-
-def run_campaign(spec: Spec, motions: int) -> Campaign:
-    """A campaign of at most `motions` motions that are the most informative together. Raises as `campaign`."""
-    return campaign(
-        make_problem(spec),
-        spec.experiment.criterion,
-        motions=motions,
-        combination=spec.experiment.weights,
-        starts=spec.search.starts,
-        seed=spec.search.seed,
     )
 
 

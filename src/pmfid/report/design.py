@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pmfid.design.appraisal import Appraisal, accumulate_value
-from pmfid.design.campaigns import Campaign
 from pmfid.design.encoder_error import is_counted
 from pmfid.design.fisher import CRITERIA
 from pmfid.design.problem import Design, Problem
@@ -123,11 +122,8 @@ Rows = tuple[list[str], list[list[str]]]
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
-def write_design(out: Path, appraisal: Appraisal, campaign: Campaign | None = None) -> None:
-    """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`.
-
-    With a campaign also one CSV for each of its motions.
-    """
+def write_design(out: Path, appraisal: Appraisal) -> None:
+    """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "design.json", appraisal.to_json())
     design = appraisal.design
@@ -135,14 +131,7 @@ def write_design(out: Path, appraisal: Appraisal, campaign: Campaign | None = No
         _write_csv(out / f"{name}.csv", design.t, *columns)
     unknown = ", ".join(_words(name) for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
-    sections = _sections(appraisal)
-    if campaign is not None:
-        motions = {f"motion_{number}": (each.u, each.x, each.v) for number, each in enumerate(campaign.motions, 1)}
-        for name, columns in motions.items():
-            _write_csv(out / f"{name}.csv", design.t, *columns)
-        figure = svg(motion_figure(design.problem, motions))
-        sections.append(Section("Campaign", campaign_words(campaign), campaign_table(campaign), figure))
-    write_report(out / "report.html", title, sections)
+    write_report(out / "report.html", title, _sections(appraisal))
 
 
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
@@ -217,26 +206,6 @@ _STD_TEXT = (
     "The Cramér-Rao bound for one run, with what was known before: no unbiased estimate does better where the error of "
     "the position is white with the variance given and the start is known."
 )
-
-
-def campaign_table(campaign: Campaign) -> Rows:
-    """One row for each motion: share of the runs, how many of 10 and of 100 runs that is, value alone."""
-    header = ["motion", "share of the runs", "of 10 runs", "of 100 runs", f"{campaign.single.criterion} alone"]
-    rows = [
-        [f"motion {number}", f"{weight:.3f}", str(ten), str(hundred), f"{motion.value:.4g}"]
-        for number, (weight, ten, hundred, motion) in enumerate(
-            zip(campaign.weights, campaign.runs(10), campaign.runs(100), campaign.motions, strict=True), 1
-        )
-    ]
-    return header, rows
-
-
-def campaign_words(campaign: Campaign) -> str:
-    """What a campaign brings."""
-    return (
-        f"Per run the motions together tell {campaign.gain:.3g} times as much as the best single one repeated "
-        f"({campaign.single.criterion} {campaign.value:.4g}); any number of motions, {campaign.ideal:.4g}."
-    )
 
 
 def rounds_table(state: Commissioning) -> Rows:
