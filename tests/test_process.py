@@ -285,16 +285,10 @@ def test_responses_take_one_frequency_and_refuse_one_time():
         process.frequency_response("a")
 
 
-def test_detrended_and_decimated():
+def test_detrended():
     whole = Experiment(SECOND.u + 2.0, SECOND.y + 2.0, dt=SECOND.dt)  # the gain is 1
     fit = srivc(SECOND).fit_experiments([whole.detrended()])
     np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=0.01)
-    thinned = whole.decimated(3)
-    assert thinned.dt == pytest.approx(3 * SECOND.dt)
-    slower = replace(srivc(SECOND), dt=thinned.dt)
-    np.testing.assert_allclose(slower.fit_experiments([thinned]).theta, SECOND.theta, rtol=1e-6)
-    with pytest.raises(UsageError, match="input changes"):
-        whole.decimated(2)
 
 
 # --- the command ------------------------------------------------------------------------------------------------------

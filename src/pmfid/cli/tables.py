@@ -119,10 +119,10 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     from rich.table import Table
 
     from pmfid.diagnostics.processes import search_notes
-    from pmfid.report.result import search_header, search_rows
+    from pmfid.report.result import SEARCH_HEADER, search_rows
 
     table = Table(title=_safe(f"{name}: poles n, zeros m, dead time in samples"))
-    for heading in search_header():
+    for heading in SEARCH_HEADER:
         table.add_column(_safe(heading), justify="right")
     for row in search_rows(search):
         table.add_row(*map(_safe, row))

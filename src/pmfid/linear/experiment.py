@@ -276,28 +276,6 @@ class Experiment(Presentable):
         that is taken out of the output, but not out of the input, is one of the process, too."""
         return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
 
-    def decimated(self, factor: int) -> Experiment:
-        """Every factor-th sample. Raises UsageError if the held input changes in between: what it did then would be
-        lost; leave samples of y out instead (NaN), which keeps the input."""
-        if factor < 1 or self.hold != "zoh":
-            raise UsageError(
-                f"decimation needs a held input and a factor of at least 1, got {factor} and {self.hold!r}"
-            )
-        kept = np.arange(0, self.u.size, factor)
-        if not np.array_equal(np.repeat(self.u[kept], factor)[: self.u.size], self.u, equal_nan=True):
-            raise UsageError(
-                f"the input changes within {factor} samples; write NaN for the outputs to leave out instead"
-            )
-        t, r = self.t, self.reference
-        thinned = replace(
-            self,
-            u=self.u[kept],
-            y=self.y[kept],
-            t=None if t is None else t[kept],
-            reference=None if r is None else r[kept],
-        )
-        return thinned if self.dt is None else replace(thinned, dt=self.dt * factor)
-
     def stretches(self, delay: int = 0) -> list[RecordStretch]:
         """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
         u, t = self.u, self.times

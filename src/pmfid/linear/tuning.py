@@ -93,8 +93,6 @@ class LinearTuning:
     solve_rounding: float = 1e-20
     #: A pole that would grow by more than this power of e within the record is at the bound of `stable`.
     solve_edge: float = 0.9
-    #: Part of a sensitivity that must not follow from the others.
-    solve_apart: float = 1e-7
     #: Unknown poles from which on the first optimum may be a local one.
     solve_several: int = 3
     #: Another optimum is better if its sum of squares is lower by this part.

@@ -337,7 +337,7 @@ def _spread(found: History) -> Section | None:
             "usual, so they are "
             "drawn at 0 across and are judged by their own past alone."
         )
-    return Section("From the others, and from their own past", text, svg=svg(spread_figure(found)), first=False)
+    return Section("From the others, and from their own past", text, svg=svg(spread_figure(found)))
 
 
 def _map(found: History) -> Section | None:

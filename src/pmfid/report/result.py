@@ -116,7 +116,7 @@ def write_process(out: Path, result: ProcessResult) -> None:
         Section("Parameters", _describe_process(result), (parameter_header(result), parameter_rows(result))),
         _dynamics(result.process),
         *([Section("Measured and simulated output", svg=svg(output_figure(result)))] if result.fit is not None else []),
-        Section("Frequency response", BAND, svg=svg(bode_figure(result))),
+        Section("Frequency response", BAND, svg=svg(bode_of(result.process, result.estimator.dt))),
         Section("Step response", BAND, svg=svg(step_figure(result.process))),
         Section("Residual", _residual_text(result), svg=svg(correlation_figure(result))),
     ]
@@ -165,11 +165,6 @@ def output_figure(result: ProcessResult) -> Figure:
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles[:2], labels[:2], loc="outside upper right", ncols=2)
     return figure
-
-
-def bode_figure(result: ProcessResult) -> Figure:
-    """The Bode figure of a result; see `bode_of`."""
-    return bode_of(result.process, result.estimator.dt)
 
 
 def bode_of(process: Process, dt: float) -> Figure:
@@ -232,9 +227,8 @@ def _draw_band(axes: Axes, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> No
     axes.plot(x, y, color=COLOURS[0])
 
 
-def search_header() -> tuple[str, ...]:
-    """Headings of the columns of `search_rows`."""
-    return ("n", "m", "delay", "criterion", "fit [%]", "condition")
+#: Headings of the columns of `search_rows`.
+SEARCH_HEADER = ("n", "m", "delay", "criterion", "fit [%]", "condition")
 
 
 def search_rows(search: Search) -> list[list[str]]:
@@ -286,7 +280,7 @@ def write_search(out: Path, search: Search, name: str) -> None:
         "Condition: of the scaled sensitivities; large if poles and zeros nearly cancel."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])
-    table = (search_header(), search_rows(search))
+    table = (SEARCH_HEADER, search_rows(search))
     sections = [Section("Structures", text, table), Section("Criterion", svg=svg(search_figure(search)))]
     write_report(out / "order.html", f"{name}: poles, zeros and dead time", sections)
 

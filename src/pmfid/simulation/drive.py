@@ -303,19 +303,23 @@ def position_control(
     >>> bool(abs(motion.x[-1] - 0.2) < CART.coulomb_friction / (CART.input_gain * CART_CONTROL["kp"]))
     True
     """
-    check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
+    _check_lattice(dt, resolution, phase)
     for name, gain in (("kp", kp), ("kd", kd)):
         if not (np.isfinite(gain) and gain >= 0.0):
             raise ValueError(f"{name} must be finite and >= 0, got {gain}; reverse input_gain for a reversed motor")
     check_number("u_max", u_max, above=0.0, remedy="give the largest input in V")
-    check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
-    check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
     target = check_signal("reference", reference)
     columns = make_schedule(parameters).sample(sample_times(target.size, dt), dt)
     x, v, direction, moving, u, counts = simulate_position_control(
         target, dt, *columns, 0.0, 0.0, kp, kd, u_max, resolution, phase, *faults.draw(target.size)
     )
     return make_motion(dt, u, x, v, direction, moving), wrap_counts(counts, bits)
+
+
+def _check_lattice(dt: float, resolution: float, phase: float) -> None:
+    check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
+    check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
+    check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
 
 
 #: Runge-Kutta steps per sample, on each side of the input's switch.
@@ -528,9 +532,7 @@ def _run(
     steps: int,
     **control: float,
 ) -> MachineRun:
-    check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
-    check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
-    check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
+    _check_lattice(dt, resolution, phase)
     check_whole("steps", steps, 1, np.inf, "give the steps of the integration per sample")
     if machine.force_noise and rng is None:
         raise ValueError("a machine with force noise needs rng=np.random.default_rng(seed)")
