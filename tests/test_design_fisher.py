@@ -162,9 +162,9 @@ def test_unknown_criteria_and_combinations() -> None:
     with pytest.raises(pmfid.UsageError, match="did you mean 'trace'"):
         criterion_of(problem(), "trase")
     with pytest.raises(pmfid.UsageError, match="needs combination"):
-        criterion_of(problem(), "c", {"offset": 1.0})
+        criterion_of(problem(combination={"offset": 1.0}), "c")
     assert criterion_of(problem(), "T").name == "trace"
-    assert criterion_of(problem(), "c", {"mass": 2.0}).combination == pytest.approx([1.0, 0.0, 0.0])
+    assert criterion_of(problem(combination={"mass": 2.0}), "c").combination == pytest.approx([1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -39,17 +39,17 @@ class Choice:
     usual: Mapping[str, float]
 
 
-def choose(design: Design, combination: Mapping[str, float] | None = None, *, starts: int = 5, seed: int = 0) -> Choice:
+def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
     """The best input for the problem of a design: that design, others with a larger least speed, or a standard input.
 
-    combination: for criterion "c"; starts, seed: of the search for the others. Where the noise is not that of an
+    starts, seed: of the search for the others. Where the noise is not that of an
     encoder it is taken for white, the start for unknown.
     """
     problem = design.problem
-    inputs = {"design": design.u} | dict(_others(design, combination, starts, seed))
+    inputs = {"design": design.u} | dict(_others(design, starts, seed))
     covariances = {name: expected_covariance(problem, u) for name, u in inputs.items()}
-    name = best_input(problem, criterion_of(problem, design.criterion, combination), covariances)
-    chosen = design if name == "design" else evaluate(problem, inputs[name], design.criterion, combination=combination)
+    name = best_input(problem, criterion_of(problem, design.criterion), covariances)
+    chosen = design if name == "design" else evaluate(problem, inputs[name], design.criterion)
     return Choice(name, chosen, stds(problem, covariances[name]), stds(problem, covariances.get(USUAL)))
 
 
@@ -82,17 +82,13 @@ def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
     return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}
 
 
-def _others(
-    design: Design, combination: Mapping[str, float] | None, starts: int, seed: int
-) -> Iterator[tuple[str, Floats]]:
+def _others(design: Design, starts: int, seed: int) -> Iterator[tuple[str, Floats]]:
     """Names and inputs (K,) within the same limits."""
     problem = design.problem
     for factor in TUNING.appraisal_faster if problem.limits.min_speed > 0 else ():
         limits = replace(problem.limits, min_speed=factor * problem.limits.min_speed)
         try:
-            faster = solve(
-                replace(problem, limits=limits), design.criterion, combination=combination, starts=starts, seed=seed
-            )
+            faster = solve(replace(problem, limits=limits), design.criterion, starts=starts, seed=seed)
         except InfeasibleError:
             continue
         yield f"design, least speed x {factor}", faster.u
@@ -195,15 +191,13 @@ class Appraisal(Presentable):
         return plain_dict(self.to_json())
 
 
-def appraise(design: Design, combination: Mapping[str, float] | None = None, seed: int = 0) -> Appraisal:
+def appraise(design: Design, seed: int = 0) -> Appraisal:
     """Compare a design with the standard inputs.
 
     Parameters
     ----------
     design
         Result of `solve` or `evaluate`.
-    combination
-        {parameter: weight} for the criterion "c".
     seed
         Seed of the PRBS.
 
@@ -231,11 +225,11 @@ def appraise(design: Design, combination: Mapping[str, float] | None = None, see
     (True, True)
     """
     problem = design.problem
-    ready = setting(problem, design.criterion, combination)
+    ready = setting(problem, design.criterion)
     standard = standard_inputs(problem, seed)
     inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
     worths = {name: worth_of(ready, u) for name, u in inputs.items()}
-    price = price_of_robustness(design, combination) if problem.scenarios else None
+    price = price_of_robustness(design) if problem.scenarios else None
     found = Appraisal(design, ready.rule, standard, worths, design.warnings, price)
     warnings = *_stiction_warnings(design, worths["design"]), *_encoder_warnings(worths, found.recommended)
     return replace(found, warnings=(*design.warnings, *warnings))

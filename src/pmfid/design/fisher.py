@@ -350,11 +350,10 @@ class Criterion:
         return self.name != "ME"
 
 
-def criterion_of(problem: Problem, name: str, combination: Mapping[str, float] | None = None) -> Criterion:
+def criterion_of(problem: Problem, name: str) -> Criterion:
     """The criterion of that name for the unknown parameters of a problem.
 
-    combination: weights {unknown parameter: weight} for "c".
-    Raises UsageError for an unknown name or a wrong combination.
+    Raises UsageError for an unknown name or a wrong combination of the problem.
     """
     known = {**{key: key for key in CRITERIA}, "T": "trace"}
     if name not in known:
@@ -362,7 +361,7 @@ def criterion_of(problem: Problem, name: str, combination: Mapping[str, float] |
     size = len(problem.unknown)
     if known[name] != "c":
         return Criterion(known[name], size)
-    weights = dict(combination or {})
+    weights = dict(problem.combination)
     if not any(weights.values()) or set(weights) - set(problem.unknown):
         raise UsageError(f"criterion c needs combination, weights of {problem.unknown}, got {weights}")
     vector = np.array([weights.get(key, 0.0) for key in problem.unknown]) * problem.scale[:size]

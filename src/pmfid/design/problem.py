@@ -287,6 +287,8 @@ class Problem:
     scenarios
         Other parameter sets {name: value} in which the limits must hold as well; missing values are nominal. The end
         counts in them only where it has a tolerance.
+    combination
+        {unknown parameter: weight} for the criterion "c".
     average
         Criterion over the nominal case and the scenarios: "mean" (geometric) or "worst"; None: the nominal case.
 
@@ -325,6 +327,7 @@ class Problem:
     scaled: bool = True
     directions: tuple[int, ...] = ()
     scenarios: tuple[Mapping[str, float], ...] = field(default=())
+    combination: Mapping[str, float] = field(default_factory=dict)
     average: str | None = None
 
     def __post_init__(self) -> None:

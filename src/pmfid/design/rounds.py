@@ -100,7 +100,6 @@ def sequential(
     wanted: Mapping[str, float],
     *,
     criterion: str = "D",
-    combination: Mapping[str, float] | None = None,
     rounds: int = 10,
     starts: int = 20,
     seed: int = 0,
@@ -118,7 +117,7 @@ def sequential(
         Function from a `Design` to its `DesignedRun`: a machine, a file, or `simulated_experiment`.
     wanted
         {unknown parameter: standard deviation, in its unit}; empty: all the rounds.
-    criterion, combination, starts, seed
+    criterion, starts, seed
         As of `solve`.
     rounds
         Largest number of rounds, >= 1.
@@ -155,8 +154,8 @@ def sequential(
     done: list[Round] = []
     current = problem
     while len(done) < rounds and not (done and wanted and is_reached(problem, done[-1].known, wanted)):
-        design = solve(current, criterion, combination=combination, starts=starts, seed=seed + len(done))
-        chosen = choose(design, combination, starts=_few(starts), seed=seed).design
+        design = solve(current, criterion, starts=starts, seed=seed + len(done))
+        chosen = choose(design, starts=_few(starts), seed=seed).design
         run = experiment(chosen)
         known = calibrate(problem, [*(each.run for each in done), run])
         done.append(Round(run, known, chosen))
@@ -170,7 +169,6 @@ def redesign(
     wanted: Mapping[str, float],
     *,
     criterion: str = "D",
-    combination: Mapping[str, float] | None = None,
     starts: int = 20,
     seed: int = 0,
 ) -> Commissioning:
@@ -185,13 +183,13 @@ def redesign(
         return state
     current = rounds[-1].known.update(problem) if rounds else problem
     try:
-        found = solve(current, criterion, combination=combination, starts=starts, seed=seed + len(runs))
+        found = solve(current, criterion, starts=starts, seed=seed + len(runs))
     except InfeasibleError as error:
         if not rounds:
             raise
         said = ", ".join(f"{name} = {rounds[-1].known.parameters[name]:.6g}" for name in problem.names)
         raise InfeasibleError(f"the runs say {said}; with that {error}", error.relaxations) from None
-    return replace(state, choice=choose(found, combination, starts=_few(starts), seed=seed))
+    return replace(state, choice=choose(found, starts=_few(starts), seed=seed))
 
 
 def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -51,15 +51,13 @@ class Setting:
         return Design(*common, feasible=not broken, warnings=tuple(warnings))
 
 
-def setting(problem: Problem, criterion: str, combination: Mapping[str, float] | None = None) -> Setting:
+def setting(problem: Problem, criterion: str) -> Setting:
     """Raises UsageError for an unknown criterion or a wrong combination."""
-    rule = criterion_of(problem, criterion, combination)
+    rule = criterion_of(problem, criterion)
     return Setting(problem, tuple(affine(problem, case) for case in problem.cases), rule, input_set(problem))
 
 
-def evaluate(
-    problem: Problem, u: ArrayLike, criterion: str = "D", *, combination: Mapping[str, float] | None = None
-) -> Design:
+def evaluate(problem: Problem, u: ArrayLike, criterion: str = "D") -> Design:
     """Evaluate a given input.
 
     Parameters
@@ -70,8 +68,6 @@ def evaluate(
         (K,) input [V], one value per interval.
     criterion
         Name of the criterion: "trace", "D", "A", "E", "ME" or "c".
-    combination
-        {parameter: weight} for the criterion "c".
 
     Returns
     -------
@@ -93,7 +89,7 @@ def evaluate(
     >>> evaluate(problem, np.full(10, 2.0)).feasible, evaluate(problem, np.full(10, 4.0)).feasible
     (True, False)
     """
-    return setting(problem, criterion, combination).design(np.asarray(u, float))
+    return setting(problem, criterion).design(np.asarray(u, float))
 
 
 def _parks(problem: Problem, v: Floats) -> bool:
@@ -218,7 +214,6 @@ def solve(
     problem: Problem,
     criterion: str = "D",
     *,
-    combination: Mapping[str, float] | None = None,
     starts: int = 20,
     seed: int = 0,
     progress: Progress | None = None,
@@ -233,8 +228,6 @@ def solve(
         Equation, parameters and limits.
     criterion
         Name of the criterion: "trace", "D", "A", "E", "ME" or "c".
-    combination
-        {parameter: weight} for the criterion "c".
     starts
         Number of random starts, >= 1.
     seed
@@ -277,7 +270,7 @@ def solve(
     began = time.perf_counter()
     if starts < 1:
         raise UsageError(f"starts must be at least 1, got {starts}")
-    ready = setting(problem, criterion, combination)
+    ready = setting(problem, criterion)
     check_identifiable(problem, ready.maps[0])
     results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), progress)
     best = max(results, key=lambda found: found[0])[1]
@@ -296,15 +289,13 @@ def solve(
     return replace(design, starts=starts, reached=reached, bound=bound, solve_seconds=seconds)
 
 
-def price_of_robustness(design: Design, combination: Mapping[str, float] | None = None, starts: int = 20) -> float:
+def price_of_robustness(design: Design, starts: int = 20) -> float:
     """Return the part of the nominal information that robustness costs.
 
     Parameters
     ----------
     design
         Design of a problem with scenarios.
-    combination
-        {parameter: weight} for the criterion "c".
     starts
         Starts of the search for the best nominal input.
 
@@ -330,8 +321,8 @@ def price_of_robustness(design: Design, combination: Mapping[str, float] | None 
     True
     """
     nominal = replace(design.problem, scenarios=(), average=None)
-    best = solve(nominal, design.criterion, combination=combination, starts=starts)
-    return 1.0 - evaluate(nominal, design.u, design.criterion, combination=combination).value / best.value
+    best = solve(nominal, design.criterion, starts=starts)
+    return 1.0 - evaluate(nominal, design.u, design.criterion).value / best.value
 
 
 def _all_starts(

@@ -195,6 +195,7 @@ def make_problem(spec: Spec) -> Problem:
         scaled=experiment.scaled,
         directions=motion.directions,
         scenarios=_scenarios(spec.robust, nominal),
+        combination=experiment.weights,
         average=spec.robust.average,
     )
 
@@ -232,7 +233,6 @@ def run_design(spec: Spec, *, certify: float | None = None, progress: Progress |
     return solve(
         make_problem(spec),
         spec.experiment.criterion,
-        combination=spec.experiment.weights,
         starts=spec.search.starts,
         seed=spec.search.seed,
         certify=certify,
@@ -242,7 +242,7 @@ def run_design(spec: Spec, *, certify: float | None = None, progress: Progress |
 
 def run_appraisal(spec: Spec, design: Design) -> Appraisal:
     """A design of the specification compared with the standard inputs."""
-    return appraise(design, spec.experiment.weights, spec.search.seed)
+    return appraise(design, spec.search.seed)
 
 
 def run_commissioning(
@@ -257,10 +257,9 @@ def run_commissioning(
     Raises UsageError for a truth with names that the drive does not have, and as `sequential` and `redesign` do.
     """
     problem = make_problem(spec)
-    how = {"criterion": spec.experiment.criterion, "combination": spec.experiment.weights}
-    search = {"starts": spec.search.starts, "seed": spec.search.seed}
+    criterion, starts, seed = spec.experiment.criterion, spec.search.starts, spec.search.seed
     if truth is None:
-        return redesign(problem, runs, wanted, **how, **search)  # type: ignore[arg-type]
+        return redesign(problem, runs, wanted, criterion=criterion, starts=starts, seed=seed)
     unknown = [name for name in truth if name not in problem.nominal]
     if unknown or runs:
         raise UsageError(
@@ -268,8 +267,8 @@ def run_commissioning(
             if unknown
             else "give recorded runs, or the truth for a simulation, not both"
         )
-    experiment = simulated_experiment(problem, truth, np.random.default_rng(spec.search.seed))
-    return sequential(problem, experiment, wanted, rounds=rounds, **how, **search)  # type: ignore[arg-type]
+    experiment = simulated_experiment(problem, truth, np.random.default_rng(seed))
+    return sequential(problem, experiment, wanted, criterion=criterion, rounds=rounds, starts=starts, seed=seed)
 
 
 def read_run(spec: Spec, path: Path) -> DesignedRun:
