@@ -94,7 +94,7 @@ def design(
         if out is not None:
             write_design(out, appraisal)
     if as_json:
-        print_json(appraisal.to_json())
+        print_json(appraisal.to_dict())
     else:
         from pmfid.cli.design_tables import print_appraisal
 

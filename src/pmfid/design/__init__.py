@@ -11,7 +11,7 @@ from pmfid.design.calibration import DesignedRun, calibrate
 from pmfid.design.fisher import information, sensitivities
 from pmfid.design.problem import Design, InfeasibleError, Limits, Problem
 from pmfid.design.rounds import sequential, simulated_experiment
-from pmfid.design.solver import evaluate, price_of_robustness, solve
+from pmfid.design.solver import evaluate, solve
 from pmfid.design.standard import standard_inputs
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "calibrate",
     "evaluate",
     "information",
-    "price_of_robustness",
     "sensitivities",
     "sequential",
     "simulated_experiment",

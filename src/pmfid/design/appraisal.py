@@ -13,7 +13,7 @@ from pmfid.design.encoder_error import expected_covariance, is_counted
 from pmfid.design.fisher import Criterion, affine, criterion_of, eliminate
 from pmfid.design.problem import Design, InfeasibleError, Problem
 from pmfid.design.simulated import simulated_information
-from pmfid.design.solver import Setting, evaluate, price_of_robustness, setting, solve
+from pmfid.design.solver import Setting, evaluate, setting, solve
 from pmfid.design.standard import StandardInput, standard_inputs
 from pmfid.design.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
@@ -148,27 +148,6 @@ class Appraisal(Presentable):
         covariances = {name: worth.covariance for name, worth in self.worths.items()}
         return best_input(self.design.problem, self.rule, covariances)
 
-    def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints; null for infinite and unproved numbers."""
-        design, worth = self.design, self.worths["design"]
-        return {
-            "criterion": design.criterion,
-            "value": worth.value,
-            "bound": design.bound,
-            "gap": design.gap,
-            "standard": {name: self.worths[name].value for name in self.standard},
-            "gain": {name: _finite(gain) for name, gain in self.gain.items()},
-            "surviving": worth.surviving,
-            "predicted_std": {name: _finite(std) for name, std in worth.predicted_std.items()},
-            "predicted_std_encoder": {name: _finite(std) for name, std in worth.std_encoder.items()},
-            "recommended": self.recommended,
-            "solve_seconds": design.solve_seconds,
-            "starts": design.starts,
-            "feasible": design.feasible,
-            "warnings": list(self.warnings),
-            "price_of_robustness": self.price,
-        }
-
     def summary(self) -> Summary:
         """Predicted standard deviations of each input; the lines are of the design and of the recommended input."""
         unknown = self.design.problem.unknown
@@ -188,7 +167,26 @@ class Appraisal(Presentable):
 
     def to_dict(self) -> dict[str, object]:
         """What `--json` prints."""
-        return plain_dict(self.to_json())
+        design, worth = self.design, self.worths["design"]
+        return plain_dict(
+            {
+                "criterion": design.criterion,
+                "value": worth.value,
+                "bound": design.bound,
+                "gap": design.gap,
+                "standard": {name: self.worths[name].value for name in self.standard},
+                "gain": self.gain,
+                "surviving": worth.surviving,
+                "predicted_std": worth.predicted_std,
+                "predicted_std_encoder": worth.std_encoder,
+                "recommended": self.recommended,
+                "solve_seconds": design.solve_seconds,
+                "starts": design.starts,
+                "feasible": design.feasible,
+                "warnings": self.warnings,
+                "price_of_robustness": self.price,
+            }
+        )
 
 
 def appraise(design: Design, seed: int = 0) -> Appraisal:
@@ -229,10 +227,16 @@ def appraise(design: Design, seed: int = 0) -> Appraisal:
     standard = standard_inputs(problem, seed)
     inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
     worths = {name: worth_of(ready, u) for name, u in inputs.items()}
-    price = price_of_robustness(design) if problem.scenarios else None
+    price = _price_of_robustness(design) if problem.scenarios else None
     found = Appraisal(design, ready.rule, standard, worths, design.warnings, price)
     warnings = *_stiction_warnings(design, worths["design"]), *_encoder_warnings(worths, found.recommended)
     return replace(found, warnings=(*design.warnings, *warnings))
+
+
+def _price_of_robustness(design: Design) -> float:
+    """1 - (nominal value of a design with scenarios) / (best nominal value)."""
+    nominal = replace(design.problem, scenarios=(), average=None)
+    return 1.0 - evaluate(nominal, design.u, design.criterion).value / solve(nominal, design.criterion).value
 
 
 def worth_of(ready: Setting, u: Floats) -> Worth:
@@ -312,7 +316,3 @@ def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str
         f"does: the axis comes to rest on a machine a little heavier, or the counts repeat along the motion; run the "
         f"input {recommended!r}, or design with a larger min_speed, apart from whole counts per sample"
     ]
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

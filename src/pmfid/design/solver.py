@@ -289,42 +289,6 @@ def solve(
     return replace(design, starts=starts, reached=reached, bound=bound, solve_seconds=seconds)
 
 
-def price_of_robustness(design: Design, starts: int = 20) -> float:
-    """Return the part of the nominal information that robustness costs.
-
-    Parameters
-    ----------
-    design
-        Design of a problem with scenarios.
-    starts
-        Starts of the search for the best nominal input.
-
-    Returns
-    -------
-    float
-        1 - (nominal value of the design) / (best nominal value).
-
-    Raises
-    ------
-    UsageError, InfeasibleError
-        As `solve`.
-
-    Examples
-    --------
-    >>> from pmfid import Drive
-    >>> from pmfid.design import Limits, Problem, price_of_robustness, solve
-    >>> nominal = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
-    >>> limits = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
-    >>> lighter = ({"mass": 1.2},)
-    >>> problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 10, limits, resolution=1e-5, scenarios=lighter)
-    >>> 0.0 < price_of_robustness(solve(problem, starts=3), starts=3) < 1.0
-    True
-    """
-    nominal = replace(design.problem, scenarios=(), average=None)
-    best = solve(nominal, design.criterion, starts=starts)
-    return 1.0 - evaluate(nominal, design.u, design.criterion).value / best.value
-
-
 def _all_starts(
     ready: Setting, seeds: list[np.random.SeedSequence], progress: Progress | None
 ) -> list[tuple[float, Floats]]:

@@ -125,7 +125,7 @@ SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 def write_design(out: Path, appraisal: Appraisal) -> None:
     """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "design.json", appraisal.to_json())
+    write_json(out / "design.json", appraisal.to_dict())
     design = appraisal.design
     for name, columns in motions_of(appraisal).items():
         _write_csv(out / f"{name}.csv", design.t, *columns)
