@@ -13,7 +13,7 @@ import numpy as np
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from pmfid.simulation import CART, CART_LOADED, Scenario, Schedule, make_scenario, mass_step
+from pmfid.simulation import CART, CART_LOADED, Scenario, Schedule, change_parameters, make_scenario
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block
 
@@ -23,7 +23,7 @@ LOADED = 7
 
 def cart(number: int, seconds: float, step: float) -> Scenario:
     """A cart that moves between random places; the one with number LOADED gets its load after `step` s."""
-    loaded = mass_step(CART, CART_LOADED.mass, step)
+    loaded = change_parameters(CART, step, mass=CART_LOADED.mass)
     return make_scenario(
         "moves", seed=number + 1, duration=seconds, schedule=loaded if number == LOADED else Schedule(((0.0, CART),))
     )

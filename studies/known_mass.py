@@ -15,7 +15,7 @@ import pmfid
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.pipeline.result import Result
 from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
-from pmfid.simulation.scenarios import slipping_belt
+from pmfid.simulation.scenarios import change_parameters
 from studies.friction_axes import BENCHES
 from studies.machines import Axis, machine_record
 from studies.paper.truth import CartRecord, Study, Task, table
@@ -107,7 +107,7 @@ def slipped(axis: Axis, drift: bool, seed: int) -> CartRecord:
     """Random binary input, 1024 increments: the belt slips after a third of the run, at once or over a third."""
     rng, n = np.random.default_rng([seed, 11]), LENGTH * axis.samples
     duration, resolution = n * axis.dt, 4 * axis.resolution
-    steps = slipping_belt(axis.drive, SLIPPED, BEFORE * duration).changes
+    steps = change_parameters(axis.drive, BEFORE * duration, input_gain=SLIPPED * axis.drive.input_gain).changes
     u = prbs(n, clock=axis.clock, amplitude=axis.volt, rng=rng)
     x = simulate_drive(Schedule(steps, (0.0, DRIFT * duration if drift else 0.0)), u, axis.dt).x
     return CartRecord(u, quantize(x, resolution, resolution * rng.random()), resolution)

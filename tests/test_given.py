@@ -21,7 +21,7 @@ from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.result import DriveResult, parameter_rows
 from pmfid.simulation import CART, DriveParameters, Machine, Schedule, prbs, quantize, simulate_drive
-from pmfid.simulation.scenarios import slipping_belt
+from pmfid.simulation.scenarios import change_parameters
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES
 from studies.machines import Axis, machine_record, record_of
@@ -388,7 +388,7 @@ def slipping(axis: Axis, part: float, at: float, ramp: float = 0.0, seed: int = 
     rng = np.random.default_rng(seed)
     n = 3 * axis.samples
     u = prbs(n, clock=axis.clock, amplitude=axis.volt, rng=rng)
-    steps = slipping_belt(axis.drive, part, at).changes
+    steps = change_parameters(axis.drive, at, input_gain=part * axis.drive.input_gain).changes
     x = simulate_drive(Schedule(steps, (0.0, ramp)), u, axis.dt).x
     return CartRecord(u, quantize(x, axis.resolution * 4, axis.resolution * rng.random()), axis.resolution * 4)
 

@@ -21,14 +21,12 @@ from pmfid.simulation import (
     SCENARIOS,
     Faults,
     Schedule,
-    friction_growth,
+    change_parameters,
     make_scenario,
-    mass_ramp,
     position_control,
     prbs,
     random_moves,
     simulate_drive,
-    slipping_belt,
     steps,
     stop_and_go,
     trapezoid,
@@ -42,7 +40,7 @@ HEAVY = replace(CART, mass=1.44)
 
 
 def test_a_ramp_is_a_straight_line_between_steps() -> None:
-    schedule = mass_ramp(CART, 1.44, 2.0, 4.0)
+    schedule = change_parameters(CART, 2.0, 4.0, mass=1.44)
     t = np.array([0.0, 1.99, 2.0, 3.0, 5.0, 6.0, 9.0])
     mass, viscous, *_ = schedule.sample(t, 0.01)
     assert mass == pytest.approx([1.07, 1.07, 1.07, 1.1625, 1.3475, 1.44, 1.44], abs=1e-8)
@@ -57,11 +55,12 @@ def test_a_ramp_of_one_sample_is_a_step() -> None:
 
 
 def test_friction_and_belt() -> None:
-    _, viscous, coulomb, gain, _ = friction_growth(CART, 1.5, 1.0, 1.0).sample([0.5, 1.5, 3.0], 0.01)
+    worn = change_parameters(CART, 1.0, 1.0, viscous_friction=19.2, coulomb_friction=1.2)
+    _, viscous, coulomb, gain, _ = worn.sample([0.5, 1.5, 3.0], 0.01)
     assert viscous == pytest.approx([12.8, 16.0, 19.2])
     assert coulomb == pytest.approx([0.8, 1.0, 1.2])
     assert gain == pytest.approx([2.0, 2.0, 2.0])
-    assert slipping_belt(CART, 0.8, 1.0).sample([0.5, 1.0], 0.01)[3].tolist() == [2.0, 1.6]
+    assert change_parameters(CART, 1.0, input_gain=1.6).sample([0.5, 1.0], 0.01)[3].tolist() == [2.0, 1.6]
 
 
 @pytest.mark.parametrize(

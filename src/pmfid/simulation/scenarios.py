@@ -13,119 +13,38 @@ from pmfid.simulation.signals import multisine, prbs, random_moves, steps, stop_
 from pmfid.types import Counts, Floats
 
 
-def mass_step(parameters: DriveParameters, mass: float, at: float) -> Schedule:
-    """Return a schedule in which the mass changes at once: a load is put down.
+def change_parameters(parameters: DriveParameters, at: float, ramp: float = 0.0, **changes: float) -> Schedule:
+    """Return a schedule in which parameters change, at once or along a ramp.
+
+    A load is put down, a container fills, a guide runs dry, a belt slips. If the input gain falls, an estimator that
+    goes on with the old one finds every parameter larger by the old gain over the new one.
 
     Parameters
     ----------
     parameters
         Parameters from time 0 on.
-    mass
-        Later mass [kg], > 0.
-    at
-        Time of the change [s], > 0.
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
-
-    Examples
-    --------
-    >>> from pmfid.simulation import CART, mass_step
-    >>> [(time, parameters.mass) for time, parameters in mass_step(CART, 1.44, at=10.0).changes]
-    [(0.0, 1.07), (10.0, 1.44)]
-    """
-    return Schedule(((0.0, parameters), (at, replace(parameters, mass=mass))))
-
-
-def mass_ramp(parameters: DriveParameters, mass: float, at: float, ramp: float) -> Schedule:
-    """Return a schedule in which the mass moves to a new value: a container fills.
-
-    Parameters
-    ----------
-    parameters, mass
-        As of `mass_step`.
     at
         Start of the change [s], > 0.
     ramp
         Duration of the change [s], >= 0.
+    changes
+        New values by name.
 
     Raises
     ------
     ValueError
         If an argument is out of range.
+    TypeError
+        If a drive has no parameter of a name.
 
     Examples
     --------
-    >>> from pmfid.simulation import CART, mass_ramp
-    >>> mass, *others = mass_ramp(CART, 1.47, at=10.0, ramp=4.0).sample([9.0, 12.0, 15.0], dt=0.01)
+    >>> from pmfid.simulation import CART, change_parameters
+    >>> mass, *others = change_parameters(CART, at=10.0, ramp=4.0, mass=1.47).sample([9.0, 12.0, 15.0], dt=0.01)
     >>> mass.round(3).tolist()
     [1.07, 1.27, 1.47]
     """
-    return Schedule(((0.0, parameters), (at, replace(parameters, mass=mass))), (0.0, ramp))
-
-
-def friction_growth(parameters: DriveParameters, factor: float, at: float, ramp: float) -> Schedule:
-    """Return a schedule in which viscous and Coulomb friction grow: a guide runs dry.
-
-    Parameters
-    ----------
-    parameters
-        Parameters from time 0 on.
-    factor
-        Later friction over the earlier one, >= 0.
-    at
-        Start of the change [s], > 0.
-    ramp
-        Duration of the change [s], >= 0.
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
-
-    Examples
-    --------
-    >>> from pmfid.simulation import CART, friction_growth
-    >>> worn = friction_growth(CART, 1.5, at=10.0, ramp=4.0).changes[-1][1]
-    >>> round(worn.viscous_friction, 3), round(worn.coulomb_friction, 3)
-    (19.2, 1.2)
-    """
-    worn = replace(
-        parameters,
-        viscous_friction=factor * parameters.viscous_friction,
-        coulomb_friction=factor * parameters.coulomb_friction,
-    )
-    return Schedule(((0.0, parameters), (at, worn)), (0.0, ramp))
-
-
-def slipping_belt(parameters: DriveParameters, part: float, at: float) -> Schedule:
-    """Return a schedule in which only a part of the force arrives: a belt slips.
-
-    An estimator that goes on with the old input_gain finds every parameter larger by 1 / part.
-
-    Parameters
-    ----------
-    parameters
-        Parameters from time 0 on.
-    part
-        Later input gain over the earlier one.
-    at
-        Time of the change [s], > 0.
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
-
-    Examples
-    --------
-    >>> from pmfid.simulation import CART, slipping_belt
-    >>> slipping_belt(CART, 0.8, at=10.0).changes[-1][1].input_gain
-    1.6
-    """
-    return Schedule(((0.0, parameters), (at, replace(parameters, input_gain=part * parameters.input_gain))))
+    return Schedule(((0.0, parameters), (at, replace(parameters, **changes))), (0.0, ramp))
 
 
 CART = DriveParameters(mass=1.07, viscous_friction=12.8, coulomb_friction=0.8, input_gain=2.0)
@@ -170,14 +89,15 @@ REFERENCES: Mapping[str, Signal] = MappingProxyType(
         "standstill": _rest_in_the_middle,
     }
 )
+_WORN = {"viscous_friction": 1.5 * CART.viscous_friction, "coulomb_friction": 1.5 * CART.coulomb_friction}
 #: Schedule of the parameters, from the duration of the run [s].
 CHANGES: Mapping[str, Callable[[float], Schedule]] = MappingProxyType(
     {
         "constant": lambda duration: Schedule(((0.0, CART),)),
-        "mass-step": lambda duration: mass_step(CART, CART_LOADED.mass, duration / 2.0),
-        "mass-ramp": lambda duration: mass_ramp(CART, CART_LOADED.mass, duration / 3.0, duration / 3.0),
-        "friction-growth": lambda duration: friction_growth(CART, 1.5, duration / 3.0, duration / 3.0),
-        "slipping-belt": lambda duration: slipping_belt(CART, 0.8, duration / 2.0),
+        "mass-step": lambda duration: change_parameters(CART, duration / 2.0, mass=CART_LOADED.mass),
+        "mass-ramp": lambda duration: change_parameters(CART, duration / 3.0, duration / 3.0, mass=CART_LOADED.mass),
+        "friction-growth": lambda duration: change_parameters(CART, duration / 3.0, duration / 3.0, **_WORN),
+        "slipping-belt": lambda duration: change_parameters(CART, duration / 2.0, input_gain=0.8 * CART.input_gain),
     }
 )
 
