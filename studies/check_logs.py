@@ -224,6 +224,18 @@ def _held_input(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
     return logged(run, run.u[np.arange(run.u.size) // every * every], run.counts)
 
 
+def _unsigned(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
+    run = run_of(seed, axes, VARIED, coarsest=4)
+    return logged(run, np.abs(run.u), run.counts)
+
+
+def _set_point(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
+    run = run_of(seed, axes, VARIED)
+    early = np.roll(run.counts, -int(rng.integers(1, 8))) * run.resolution
+    log = logged(run, early, run.counts, record_input="goal")
+    return replace(log, columns={"goal": log.columns["u"], "y": log.columns["y"]})
+
+
 def _little(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
     run = run_of(seed, axes)
     if seed % 3 == 0:
@@ -275,6 +287,8 @@ FAULTS: Mapping[str, tuple[Callable[[int, Rng, Mapping[str, Axis]], Logged], fro
         "input of another clock": (_drift, frozenset({"drift"})),
         "output held": (_held_output, frozenset({"held_output"})),
         "input held": (_held_input, frozenset({"held_input"})),
+        "unsigned input": (_unsigned, frozenset({"unsigned"})),
+        "set point as input": (_set_point, frozenset({"command"})),
         "too little motion": (_little, frozenset({"little_motion"})),
         "sample rate too low": (_rate_low, frozenset({"rate_low"})),
         "sample rate too high": (_rate_high, frozenset({"rate_high"})),

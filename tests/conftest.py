@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.findings import Finding
 from pmfid.simulation.drive import quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
@@ -28,6 +29,24 @@ needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is no
 
 #: What a command that was started says while it works, on a busy machine of any work.
 PROGRESS = re.compile(r"^pmfid: .*after \d+ s\n", re.MULTILINE)
+
+#: Most characters of a sentence and of a remedy.
+LONGEST = 140
+
+
+@pytest.fixture(autouse=True, scope="session")
+def short_findings() -> Iterator[None]:
+    """Holds every finding that a test produces to two short lines."""
+    construct = Finding.__init__
+
+    def checked(self: Finding, *values: Any, **named: Any) -> None:
+        construct(self, *values, **named)
+        long = [part for part in (self.sentence, self.remedy) if len(part) > LONGEST]
+        assert not long, f"{len(long[0])} characters: {long[0]}"
+
+    with mock.patch.object(Finding, "__init__", checked):
+        yield
+
 
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 

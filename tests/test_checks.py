@@ -110,7 +110,7 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
     wrong = any(finding.severity == "wrong" for finding in found_in(fault))
     assert terminal.exit_code == as_json.exit_code == (3 if wrong else 1)
     said = pmfid.check(log.columns, axis=log.configuration)
-    assert [line.partition(": ")[2] for line in terminal.stdout.splitlines()[1:]] == [one.text for one in said]
+    assert terminal.stdout.splitlines()[1:] == [line for one in said for line in one.lines]
     assert json.loads(as_json.stdout)["findings"] == [finding.to_json() for finding in said]
     if set(codes(found_in(fault))) <= OF_LOG:  # what they do to the model is said, too
         assert set(found_in(fault)) <= set(said)
@@ -118,7 +118,7 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
         assert said == found_in(fault)
     result = plainly(log.record(), log.configuration)
     if isinstance(result, NotIdentifiableError):
-        assert all(sentence in str(result) for sentence in sentences)
+        assert str(result) == sentences[0]  # the others are left to the check
         return
     assert [note for note in result.notes if note in sentences] == sentences
     shown = result.to_json()
@@ -325,7 +325,7 @@ def test_an_input_that_is_logged_late_is_moved_and_no_dead_time() -> None:
     u, counts, encoder = run.motion.u, run.counts, pmfid.Encoder(run.resolution)
     late = pmfid.identify(np.roll(u, 1)[1:], counts[1:], model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)
     text = " ".join(finding.text for finding in late.findings)
-    assert "before the time of its row" in text
+    assert "s early" in text
     assert "move the input's column earlier" in text
     assert 'dead_time = "estimate"' not in text
     right = pmfid.identify(u[1:], counts[1:], model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)

@@ -317,7 +317,7 @@ def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: 
 def test_constant_input_and_speed(tmp_path: Path, method: str) -> None:
     record = written(tmp_path, moved(np.full(3000, 3.0)))
     text = complaint(run(record, "--json", "--method", method), code=3)
-    assert "too little excitation; record reversals" in text
+    assert "too little excitation: record reversals" in text
 
 
 #: Steps of an encoder [m] and samples until the input starts.

@@ -99,13 +99,14 @@ def test_the_mistake_stands_first_where_an_identification_is_refused(fault: str)
         identify(logged("light", fault), axis_of())
     text = str(caught.value)
     assert text.startswith(MISTAKES[fault])
-    assert "; as the record is read now: " in text
+    assert isinstance(caught.value.__cause__, NotIdentifiableError)
 
 
 def test_the_mistake_stands_before_a_negative_mass() -> None:
-    with pytest.raises(NotIdentifiableError, match="mass comes out as -") as refused:
+    with pytest.raises(NotIdentifiableError) as refused:
         identify(logged("damped", "reversed"), axis_of(method="ls"))
     assert str(refused.value).startswith(MISTAKES["reversed"])
+    assert "mass comes out as -" in str(refused.value.__cause__)
 
 
 def test_the_remedy_for_a_reversed_sign_helps_when_followed_literally() -> None:

@@ -14,8 +14,10 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.config.axis import Axis, load_axis
+from pmfid.errors import UsageError
 from pmfid.pipeline.guess.axis_file import guess
-from pmfid.pipeline.guess.columns import role_of, step_of
+from pmfid.pipeline.guess.columns import step_of
+from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import kind_of
 from pmfid.simulation import CART, Scenario, make_scenario
 from tests.conftest import unjudged
@@ -153,6 +155,7 @@ def test_the_step_of_a_column_is_found(step: float) -> None:
 ROLES = {"Zeit [ms]": "time", "MotorTorque": "input", "iq": "input", "Strom (A)": "input", "Lage": "position"}
 ROLES |= {"i_mA": "input", "F_kN": "input", "phi_deg": "position", "n_rpm": "velocity"}
 ROLES |= {"ActualPosition": "position", "Drehzahl": "velocity", "encoder": "counts", "Sollposition": "other"}
+ROLES |= {"tau2": "input", "motor_current_a": "input", "vel1": "velocity", "q_3": "position", "tau_fric1": "other"}
 
 
 @pytest.mark.parametrize("name", ROLES)
@@ -175,6 +178,78 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     assert "resolution is 1: lengths are in counts; give the travel of a count in [encoder]" in record.notes
     (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
     assert "TO DO: taken to be in m or rad, else write" in line
+
+
+def _swing(n: int, dt: float, gravity: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Torque and angle of a pendulum of 0.05 kg m2 that a random torque drives."""
+    torque = np.repeat(rng.choice([-0.6, -0.3, 0.3, 0.6], n // 40 + 1), 40)[:n]
+    angle, speed, seen = 0.0, 0.0, np.empty(n)
+    for k in range(n):
+        seen[k] = angle
+        for _ in range(4):
+            drag = 0.05 * speed + 0.05 * np.tanh(speed / 1e-3) + gravity * np.sin(angle)
+            speed += dt / 4 * (torque[k] - drag) / 0.05
+            angle += dt / 4 * speed
+    return torque, seen
+
+
+@pytest.mark.parametrize("gravity", [0.0, 0.5])
+def test_a_pendulum_is_written_with_its_gravity_and_no_other_axis(tmp_path: Path, gravity: float) -> None:
+    """Of two joints the one that moves by its own torque; the command is not its torque."""
+    rng, dt, n = np.random.default_rng(5), 0.005, 2000
+    torque, angle = _swing(n, dt, gravity, rng)
+    frame = {
+        "time": dt * np.arange(n),
+        "q": np.column_stack([np.floor(np.abs(np.sin(np.arange(n) / 900)) * 2) * 1e-3, 1e-3 * np.floor(angle / 1e-3)]),
+        "tau_cmd": np.column_stack([np.zeros(n), np.roll(torque, 9)]),
+        "tau_meas": np.column_stack([rng.normal(size=n), torque]),
+    }
+    np.savez(tmp_path / "arm.npz", **frame)
+    model = guess_axis(tmp_path / "arm.npz").model
+    record = guess_axis(tmp_path / "arm.npz").record
+    assert (record.input, record.output) == ("tau_meas_2", "q_2")
+    assert (model.axis, model.gravity) == (("rotary", True) if gravity else ("linear", False))
+
+
+def test_two_topics_in_one_table_are_one_record(tmp_path: Path) -> None:
+    """Rows of a command and rows of a state, 2 ms apart: the input was taken for missing."""
+    t, u, y = run().motion.t, run().motion.u, position()
+    rows = np.full((2 * t.size, 3), np.nan)
+    rows[::2], rows[1::2] = np.c_[t, u, t * np.nan], np.c_[t + 0.002, t * np.nan, np.interp(t + 0.002, t, y)]
+    pl.DataFrame(dict(zip(("t", "/cmd/force", "/state/position"), rows.T, strict=True))).fill_nan(None).write_csv(
+        tmp_path / "log.csv"
+    )
+    axis = guess_axis(tmp_path / "log.csv")
+    record = kind_of(axis).read([tmp_path / "log.csv"], axis)
+    assert (axis.record.input, record.dt) == ("/cmd/force", pytest.approx(0.01))
+    assert record.u[:-1] == pytest.approx(0.8 * u[: record.u.size - 1] + 0.2 * u[1 : record.u.size], abs=1e-6)
+    assert any("rows of their own" in note for note in record.notes)
+
+
+def test_a_joint_is_named_and_a_few_digits_are_no_encoder(tmp_path: Path) -> None:
+    angle = [float(f"{value:.5g}") for value in 50 + 20 * np.sin(np.arange(3000) / 200)]
+    frame = {"t": run().motion.t[:1000], "u1": run().motion.u[:1000], "y1": position()[:1000]}
+    frame |= {"u2": run().motion.u[:1000], "y2": np.array(angle[:1000])}
+    pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
+    text = guess(tmp_path / "log.csv", output="y2").text
+    assert 'input = "u2"' in text
+    assert "resolution = 0.001 " in text
+    with pytest.raises(UsageError, match="did you mean 'y2'"):
+        guess(tmp_path / "log.csv", output="y22")
+
+
+def test_a_servo_without_a_torque_is_refused_with_what_its_controller_gives(tmp_path: Path) -> None:
+    t = np.arange(2000) * 0.01
+    goal = np.sin(t**1.5)
+    frame = {
+        "timestamp": t,
+        "position": np.roll(goal, 3),
+        "goal_position": goal,
+        "input_volts": 12 + 0.1 * np.sin(9 * t),
+    }
+    pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
+    with pytest.raises(UsageError, match="add the column goal_position - position"):
+        guess(tmp_path / "log.csv")
 
 
 def _relay_log(path: Path, seed: int, step: float) -> None:

@@ -10,8 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Finding", "codes", "make_notes", "sort_findings", "texts"]
+__all__ = ["MOVE", "Finding", "advise", "codes", "make_notes", "sort_findings", "texts"]
 
+#: The remedy that helps most often.
+MOVE = "record a motion with reversals and varying speed"
 Severity = Literal["wrong", "doubt", "note"]
 #: Most important first. wrong: no result that follows is valid; doubt: an error may exceed its error bar; note: what
 #: was done, and how.
@@ -31,6 +33,8 @@ class Finding:
     remedy : str
         What to do, literally; empty if the sentence says so or nothing is to be done.
     severity : str
+    detail : str
+        What only the report, JSON and Python add; empty if there is no more to say.
 
     Examples
     --------
@@ -43,19 +47,35 @@ class Finding:
     sentence: str
     remedy: str = ""
     severity: Severity = "doubt"
+    detail: str = ""
 
     @property
     def text(self) -> str:
-        """The whole of it, on one line."""
+        """Sentence and remedy, on one line."""
         return f"{self.sentence}: {self.remedy}" if self.remedy else self.sentence
 
     @property
     def line(self) -> str:
-        """The whole of it, with its weight in front."""
+        """Sentence and remedy, with their severity in front."""
         return f"{self.severity}: {self.text}"
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The same for a terminal: a line for the sentence, and one for the remedy."""
+        return (f"{self.severity}: {self.sentence}", *([f"  {self.remedy}"] if self.remedy else []))
+
+    @property
+    def paragraph(self) -> str:
+        """All of it, for a report."""
+        return f"{self.line}. {self.detail}" if self.detail else self.line
+
     def to_json(self) -> dict[str, str]:
-        return {"code": self.code, "severity": self.severity, "sentence": self.sentence, "remedy": self.remedy}
+        return dict(vars(self))
+
+
+def advise(findings: Iterable[Finding], usual: str = MOVE) -> str:
+    """What to say after a refusal: the most important finding that is more than a note, else what usually helps."""
+    return next((finding.text for finding in sort_findings(findings) if finding.severity != "note"), usual)
 
 
 def make_notes(code: str, sentences: Iterable[str]) -> list[Finding]:

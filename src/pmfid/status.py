@@ -44,44 +44,68 @@ class Status(IntFlag):
         return tuple(ADVICE[bit] for bit in Status if bit in self)
 
 
-ADVICE = {
-    Status.STARTING: "no estimate yet: wait for motion that excites every parameter",
-    Status.SETTLING: "the filters still remember their start or a gap: samples are not used yet",
+#: Bit -> what is the case, what to do, and what only `pmfid explain` and the report add.
+_WORDS: dict[Status, tuple[str, str, str]] = {
+    Status.STARTING: ("no estimate yet", "wait for motion that excites every parameter", ""),
+    Status.SETTLING: ("the filters still remember their start or a gap: samples are not used yet", "", ""),
     Status.POOR_EXCITATION: (
-        "too little information on some parameter within the memory: move more, or use a longer memory"
+        "too little information on some parameter within the memory",
+        "move more, or use a longer memory",
+        "",
     ),
     Status.COMPENSATION_HELD: (
-        "the pre-filtered input says too little to compensate the bias: held; try other prefilter_zeros"
+        "the pre-filtered input says too little to compensate the bias, which is held",
+        "try other prefilter_zeros",
+        "",
     ),
     Status.INVALID_INPUT: (
-        "an input was not finite, or far beyond all others: unless the counts answer, or it stays, the last one counts"
+        "an input was not finite, or far beyond all others, and was left out",
+        "check what writes the input",
+        "The last input counts in its place, unless the counts answer to it, or it stays.",
     ),
     Status.COUNT_JUMP: (
-        "the counts jumped as no motion does, or further than max_speed allows: left out; unless the counter was set "
-        "to another value, check the wiring and the counter's bits"
+        "the counts jumped as no motion does, or further than max_speed allows: left out",
+        "check the wiring and the counter's bits",
+        "A counter that was set to another value jumps as well, and needs no remedy.",
     ),
-    Status.STANDSTILL: "no counts within standstill_time: the axis is taken to be at rest",
-    Status.RESET: "a number left the range of the format: the estimator started again",
-    Status.FALLBACK: ("the simulated motion does not follow the plant: this is the estimate of the simpler method"),
+    Status.STANDSTILL: ("no counts within standstill_time: the axis is taken to be at rest", "", ""),
+    Status.RESET: ("a number left the range of the format: the estimator started again", "", ""),
+    Status.FALLBACK: (
+        "the simulated motion does not follow the plant: this is the estimate of the simpler method",
+        "",
+        "",
+    ),
     Status.UNMODELLED: (
-        "the equation is off by more than the encoder's step explains: unmodelled friction, load or delay, or a "
-        "parameter that changes; the error bars do not cover it"
+        "the equation is off by more than the encoder's step explains",
+        "search the missing term with pmfid terms",
+        "Unmodelled friction, load or delay, or a parameter that changes; the error bars do not cover it.",
     ),
     Status.FEEDBACK: (
-        "the input follows what the equation leaves unexplained, as under position control through the encoder: biases "
-        "beyond the error bars are possible, the larger the coarser it is; open-loop motion is free of them"
+        "the input follows what the equation leaves unexplained, as under position control",
+        "record an open-loop motion, which is free of this bias",
+        "Biases beyond the error bars are possible; the coarser the encoder, the larger they are.",
     ),
     Status.DEAD_TIME: (
-        "the plant moves later than the model: the input acts late, or friction at low speed differs from the model; "
-        'set dead_time = "estimate"; the error bars do not cover it. Where that is set, it is not known yet, or not '
-        "believed: livelier motion shows it, best steps in open loop; or find it off-line, and give it"
+        "the plant moves later than the model",
+        'set dead_time = "estimate"',
+        "The input acts late, or friction at low speed differs from the model; the error bars do not cover it. If that "
+        "key is set, the dead time is not known yet, or not believed. Livelier motion shows it, best steps in open "
+        "loop; or find it off-line, and give it.",
     ),
+}
+_FINDINGS = {
+    bit: Finding(str(bit.name).lower(), sentence, remedy, detail=detail)
+    for bit, (sentence, remedy, detail) in _WORDS.items()
+}
+ADVICE = {
+    bit: f"{finding.text}. {finding.detail}".rstrip(". ") if finding.detail else finding.text
+    for bit, finding in _FINDINGS.items()
 }
 
 
 def status_findings(status: int) -> list[Finding]:
     """What the bits that are set say."""
-    return [Finding(str(bit.name).lower(), ADVICE[bit]) for bit in Status if bit & status]
+    return [_FINDINGS[bit] for bit in Status if bit & status]
 
 
 def status_names(status: int) -> list[str]:

@@ -44,6 +44,6 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
         said = "" if faults else ", nothing wrong found" if found else ", nothing found"
         click.echo(printable(f"{name}: {samples} samples{said}"))
         for finding in found:
-            click.echo(printable(finding.line))
+            click.echo(printable("\n".join(finding.lines)))
     wrong = any(finding.severity == "wrong" for finding in found)
     ctx.exit(EXIT_WRONG if wrong else EXIT_FOUND if faults else 0)

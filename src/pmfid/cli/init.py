@@ -22,7 +22,8 @@ from pmfid.errors import UsageError, printable
     metavar="AXIS.toml",
     help="Where it goes; never over a file that is there.",
 )
-def init(record: Path, out: Path) -> None:
+@click.option("--output", metavar="COLUMN", help="The column of the output, as of one joint of several.")
+def init(record: Path, out: Path, output: str | None) -> None:
     """Guess from RECORD which columns hold time, input and output, their units and the encoder's step, and write an
     AXIS.toml with the reason of each guess.
 
@@ -40,7 +41,7 @@ def init(record: Path, out: Path) -> None:
             tell.end()
             return str(click.prompt(question, default=usual, err=True))
 
-        found = guess(record, ask if on_terminal else None)
+        found = guess(record, ask if on_terminal else None, output)
     with out.open("x", encoding="utf-8", newline="\n") as file:
         file.write(found.text)
     click.echo(printable(found.text))

@@ -21,6 +21,7 @@ def print_result(result: Result, out: Path | None) -> None:
     what to mind."""
     from rich.console import Console
 
+    from pmfid.diagnostics.matter import is_small_doubt
     from pmfid.pipeline.result import DriveResult, ProcessResult
 
     console, table = Console(), _parameters(result)
@@ -31,7 +32,8 @@ def print_result(result: Result, out: Path | None) -> None:
     if isinstance(result, DriveResult):
         console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
     lines = [f"status: {', '.join(dict.fromkeys(result.status))}"] if result.status else []
-    lines += [finding.line for finding in result.findings]
+    lines += [line for finding in result.findings if not is_small_doubt(finding) for line in finding.lines]
+    lines += [f"more: pmfid explain {result.status[0]}"] if result.status else []
     lines += [f"report: {out / 'report.html'}"] if out is not None else []
     for line in lines:
         console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

@@ -45,10 +45,11 @@ def count_jump(counts: Counts) -> str:
     usual = float(np.quantile(_motion(counts, change), 0.99))
     if not change[worst] > TUNING.drives_jump * (usual + 1):
         return ""
-    return (
-        f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most: a counter that "
-        "wraps needs [encoder] bits; for lost counts give max_speed"
-    )
+    return f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most"
+
+
+#: What to do about it.
+JUMP_REMEDY = "give [encoder] bits for a counter that wraps, max_speed for lost counts"
 
 
 def _motion(counts: Counts, change: Counts) -> Counts:
@@ -171,10 +172,9 @@ def late(found: Adequacy) -> Iterator[Finding]:
     equation, dt = found.difference.equation, found.difference.dt
     ways = _ways(found)
     if ways:
-        best, cure = _describe_delay(ways[0], dt), _cure(ways[0], equation)
-        yield Finding(
-            "dead_time", f"a {best} explains the counts better{_compare_ways(ways, dt)}: set {cure} in [model]"
-        )
+        sentence = f"a {_describe_delay(ways[0], dt)} explains the counts better"
+        remedy = f"set {_cure(ways[0], equation)} in [model]"
+        yield Finding("dead_time", sentence, remedy, detail=_compare_ways(ways, dt))
 
 
 def _ways(found: Adequacy) -> list[Lateness]:
@@ -195,9 +195,8 @@ def _ways(found: Adequacy) -> list[Lateness]:
 def _compare_ways(ways: list[Lateness], dt: float) -> str:
     if len(ways) == 1:
         return ""
-    return (
-        f", a {_describe_delay(ways[1], dt)} {'nearly as well' if ways[0].gain - ways[1].gain < ALIKE else 'less so'}"
-    )
+    alike = "explains them nearly as well" if ways[0].gain - ways[1].gain < ALIKE else "explains them less"
+    return f"A {_describe_delay(ways[1], dt)} {alike}."
 
 
 def _describe_delay(way: Lateness, dt: float) -> str:
@@ -213,7 +212,19 @@ def _cure(way: Lateness, equation: Equation) -> str:
 
 
 #: What is said where the model is wrong.
-UNMODELLED = "the counts show an unmodelled effect, or a parameter that changes"
+UNMODELLED = "the counts show an unmodelled effect"
+#: What is said of least squares that nothing confirms.
+NOISE_SEEN = "least squares may show the encoder's noise, for no other method confirms it"
+NOISE_REMEDY = "excite the axis more, or use a finer encoder"
+
+
+def _describe_misfit(found: Adequacy) -> Finding:
+    """The finding on a model that the counts contradict: the force that explains most, and what to do about it."""
+    said = found.described
+    sentence = f"{UNMODELLED}: {said[0]}" if said else f"{UNMODELLED}: no single force explains it"
+    others = f" It may also be {' or '.join(said[1:])}." if said[1:] else ""
+    detail = f"It may be something similar, or a parameter that changes.{others} The standard errors do not cover it."
+    return Finding("unmodelled", sentence, found.cure or "search the missing term with pmfid terms", detail=detail)
 
 
 def judge(
@@ -255,11 +266,12 @@ def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.flo
         if value + 3 * deviation < 0:
             yield Finding(
                 "implausible",
-                f"{name} is negative: check sign and scale of the input and the encoder",
-                severity="wrong",
+                f"{name} is negative",
+                "check sign and scale of the input and the encoder",
+                "wrong",
             )
         elif deviation > 0.5 * abs(value):
-            yield Finding("uncertain", f"{name} is not known to half its value: excite it more, or lower the cutoff")
+            yield Finding("uncertain", f"{name} is not known to half its value", "excite it more, or lower the cutoff")
 
 
 def _bias(
@@ -278,24 +290,22 @@ def _bias(
         better = reference(estimator, u, counts)
     except NotIdentifiableError as error:
         if plain:
-            yield Finding("uncertain", f"least squares may show the encoder's noise, for {error}")
+            yield Finding("uncertain", NOISE_SEEN, NOISE_REMEDY, detail=f"Instrumental variables: {error}.")
         return
     unknown = [name for name, (value, bar) in better.items() if name in _positive(estimator) and bar > 0.5 * abs(value)]
     if unknown and plain:
-        yield Finding(
-            "uncertain", f"nothing can tell {', '.join(unknown)} here: least squares may show the encoder's noise"
-        )
+        yield Finding("uncertain", NOISE_SEEN, NOISE_REMEDY, detail=f"Nothing determines {', '.join(unknown)} here.")
     for name, value, deviation in zip(estimator.names, theta, std, strict=True):
         if name not in better or name in unknown:
             continue
         known, bar = better[name]
         own = abs(value - known)
         if own > np.hypot(deviation, bar) and own > limit * abs(known):
-            yield Finding("biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}")
+            yield Finding("biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}", "use iv")
         elif own > max(deviation, bar) and limit <= 2 * TUNING.drives_biased:
             percent = 100 * own / abs(known)
             yield Finding(
-                "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %"
+                "std_too_small", f"the std of {name} leaves out the method's own error, about {percent:.2g} %", "use iv"
             )
 
 
@@ -339,7 +349,8 @@ def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding
     if "known-step" in estimator.method and per_sample < TUNING.drives_coarse:
         yield Finding(
             "coarse_motion",
-            f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise; use iv",
+            f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise",
+            "use iv",
         )
 
 
@@ -347,7 +358,7 @@ def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
     """A jump of the counts, where nothing keeps it out."""
     sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
     if sentence:
-        yield Finding("count_jump", sentence, severity="wrong")
+        yield Finding("count_jump", sentence, JUMP_REMEDY, "wrong")
 
 
 def recent(estimator: Estimator, samples: int) -> slice:
@@ -397,20 +408,21 @@ def _model(
     try:
         found = examine_estimate(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
-        yield Finding("unmodelled", f"{UNMODELLED}: no motion of the model follows the counts ({error})")
+        yield Finding("unmodelled", f"{UNMODELLED}: no motion of the model follows the counts", detail=f"{error}.")
         return
     if found is None:
         return
     if found.left > ESTIMATOR_TUNING.worst_fit:
         yield Finding(
             "not_followed",
-            f"no motion of the model follows the measured one, {found.left:.0%} of it is left: check input_gain, the "
-            "sign and scale of input and output, and bits of [encoder]",
-            severity="wrong",
+            f"no motion of the model follows the measured one, {found.left:.0%} of it is left",
+            "check input_gain, sign and scale of input and output, and [encoder] bits",
+            "wrong",
         )
     if not found.adequate:
-        yield Finding("unmodelled", f"{UNMODELLED}: {found.says}; the standard errors do not cover it")
-        yield from late(found)
+        yield _describe_misfit(found)
+        if found.left <= ESTIMATOR_TUNING.worst_fit:  # no delay is looked for where nothing follows
+            yield from late(found)
         return
     part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
     yield from _find_hidden_effects(estimator, found, (u[part], counts[part]), theta[own], std[own])
@@ -437,24 +449,25 @@ def _find_hidden_effects(
     if isinstance(estimator, Simulating) and apart[worst] > ESTIMATOR_TUNING.adequacy_contradicted:
         yield Finding(
             "biased",
-            f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains every "
-            f"count has {best[worst]:.4g}; under control through a coarse encoder its error comes back through the "
-            "input, and interval or output-error are the ones to use",
+            f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains the "
+            f"counts has {best[worst]:.4g}",
+            'set method = "interval" or "output-error"',
+            detail="Under control through a coarse encoder its error comes back through the input.",
         )
     if np.any(spread > std):
         yield Finding(
             "model_spread",
-            "unmodelled friction or a dead time, which this record would not show, may move a parameter by more than "
-            "its standard error: a finer encoder or a richer motion would show it",
+            "friction or a dead time that this record would not show may exceed a standard error",
+            "use a finer encoder or a richer motion",
         )
     if np.any(found.unseen[: std.size] > std):
         part = float(np.max(found.unseen[: std.size] / np.maximum(np.abs(theta), ESTIMATOR_TUNING.tiny)))
         yield Finding(
             "model_spread",
-            "what this motion cannot show at all, as a dead zone under an input of one size, would move the parameters "
-            f"by {100 * part:.2g} %, and is in the interval",
-            "an input of several sizes shows it",
-            severity="note",
+            f"what this motion cannot show would move the parameters by {100 * part:.2g} %, and is in the interval",
+            "use an input of several sizes, which shows it",
+            "note",
+            "An example is a dead zone under an input of one size.",
         )
 
 
@@ -473,7 +486,7 @@ def _feedback(
         return
     if not np.max(np.abs(error)) < ESTIMATOR_TUNING.batch_beyond:
         yield Finding(
-            "unmodelled", "the motion simulated with this estimate leaves the range of numbers: do not believe it"
+            "unmodelled", "the motion simulated with this estimate leaves the range of numbers", "do not believe it"
         )
         return
     given = hold_last_input(u)
@@ -481,8 +494,9 @@ def _feedback(
     if correlation_score(error[last], change[last]) > TUNING.significant:
         yield Finding(
             "feedback",
-            "the input follows what the model leaves unexplained, the encoder's error or unmodelled friction, as under "
-            "position control: small biases beyond the standard errors are possible; open-loop motion is free of them",
+            "the input follows what the model leaves unexplained, as under position control",
+            "record an open-loop motion, which is free of this bias",
+            detail="The encoder's error or unmodelled friction comes back, and may bias beyond the standard errors.",
         )
 
 

@@ -15,9 +15,8 @@ from pmfid.types import Floats
 #: Name -> what it means, and what to do.
 FLAGS = {
     "model_spread": (
-        "something that machines have, Stribeck friction or a dead time, would not show in this record, and would move "
-        "a parameter beyond its standard error and the tolerance; of a transfer function, the record does not tell the "
-        "hold of its input"
+        "Stribeck friction or a dead time would not show in this record, and would move a parameter beyond its "
+        "standard error and the tolerance. Of a transfer function, the record does not show the hold of its input."
     ),
     "biased": "the method has an error of its own here, beyond its standard error; the note has the better number",
     "std_too_small": "the standard error leaves out the method's own error; the note says how large that is",
@@ -43,6 +42,9 @@ FLAGS = {
     "saturated": "the input stays at its largest or smallest value: right where the drive gave no more, else cut off",
     "held_output": "the output is read more slowly than the record: keep only the rows with a new value",
     "held_input": "the input changes at every few rows and no other: log it at the rate at which the drive gets it",
+    "unsigned": "the input has no sign, but the axis reverses under load: log the force or current with its sign",
+    "command": "the input is a command: a set point is no force, and a drive may give another torque than asked for",
+    "refused": "pmfid identify gives no estimate of this record, for this reason",
     "little_motion": "the axis moves too little, or too evenly, to tell anything: record reversals and varying speed",
     "rate_low": "the velocity changes by too much from row to row: record at a shorter sample period",
     "rate_high": "nearly all rows are without a count: keep every few of them, with the mean of the input",
@@ -54,6 +56,11 @@ FLAGS = {
 OF_MODEL = frozenset({"unmodelled", "dead_time", "model_spread", "feedback", "biased", "std_too_small"})
 #: What costs nothing where the model explains the record.
 OF_LOG = frozenset({"held_input", "saturated"})
+
+
+def is_small_doubt(finding: Finding) -> bool:
+    """Is it a doubt about the model that is too small for the status, and so for the terminal?"""
+    return finding.severity == "note" and finding.code in OF_MODEL
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,9 @@ class Matter:
     @property
     def says(self) -> str:
         """How much it is, for people."""
-        return f"{self.name} may be {100 * self.part:.2g} % off" if np.isfinite(self.part) else ""
+        if not np.isfinite(self.part):
+            return ""
+        return f"{self.name} may be {f'{100 * self.part:.2g} %' if self.part < 1 else 'all of its size'} off"
 
 
 def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, tolerance: float) -> Matter:

@@ -357,35 +357,36 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
 
 #: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
 FEEDBACK = (
-    "the residual is correlated with later inputs, so the input has the noise in it, as a controller feeds it back: "
-    "the estimate is biased; give the reference of the controller ([record] reference) to srivc, iv or output-error"
+    "the residual is correlated with later inputs, as a controller feeds noise back: the estimate is biased",
+    "give the reference of the controller ([record] reference) to srivc, iv or output-error",
 )
 IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
 DEPENDENT = (
-    "the input explains some of the residual: another dead time, more poles or zeros, or another hold may explain "
-    "more; the standard errors leave out what this moves the estimate by"
+    "the input explains some of the residual, and the standard errors leave that out",
+    "try another dead time, more poles or zeros, or another hold",
 )
 REPEATS = (
-    "the residual does the same in every period of the input: that is an error of the model, not noise, and the error "
-    "bars allow for one like it; another structure may explain it"
+    "the residual repeats with the input's period: an error of the model, for which the error bars allow",
+    "try another structure: pmfid terms",
 )
 OTHER_HOLD = (
-    'with the other hold of the input the model follows the records better: hold = "zoh" is for one that a converter '
-    'holds, "foh" for one that runs on between the samples; try the other, it moves the estimate'
+    "the model follows the records better with the other hold of the input, which moves the estimate",
+    'set [record] hold = "zoh" if a converter holds the input, "foh" if it runs on between samples',
 )
 UNKNOWN_HOLD = (
-    "the record does not tell whether its input is held between the samples or runs on, and that moves a parameter "
-    'beyond its standard error: make sure of [record] hold, "zoh" or "foh", or sample faster'
+    "the record does not show the hold of its input, which moves a parameter beyond its standard error",
+    'make sure of [record] hold, "zoh" or "foh", or sample faster',
 )
 SURPLUS = (
-    "one pole and one zero less explain the record as well: it does not tell where they are, and their standard errors "
-    "mean nothing; use a smaller n and m"
+    "one pole and one zero less explain the record as well: their standard errors mean nothing",
+    "use a smaller n and m",
 )
 MOVED = (
-    "with the colour of the noise in mind the estimate is elsewhere, by more than its standard errors: it has taken "
-    "some of the noise for dynamics; record longer, or use a smaller n and m"
+    "a model of the noise moves the estimate beyond its standard errors: some noise was taken for dynamics",
+    "record longer, or use a smaller n and m",
 )
-UNKNOWN_POLE = "a pole is not known to half its size: record longer, excite it more, or use a smaller n and m"
+UNKNOWN_POLE = ("a pole is not known to half its size", "record longer, excite it more, or use a smaller n and m")
+UNSTABLE = ("the transfer function is unstable: its simulation, and so the fit, says nothing", "")
 
 
 def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
@@ -429,8 +430,8 @@ def findings_on(
     """What the residual tests, the poles and the records give to mind. flags: what of it goes into the status, as
     `flags_on` has it; expected: poles in the right half-plane were asked for."""
     found = [
-        Finding(code, sentence, severity="doubt" if code in flags else "note")
-        for code, holds, sentence in _list_doubts(checks, process, flags, expected)
+        Finding(code, *words, severity="doubt" if code in flags else "note")
+        for code, holds, words in _list_doubts(checks, process, flags, expected)
         if holds
     ]
     missing = sum(int(np.sum(~np.isfinite(experiment.y))) for experiment in experiments)
@@ -439,8 +440,8 @@ def findings_on(
 
 def _list_doubts(
     checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
-) -> tuple[tuple[str, bool, str], ...]:
-    """Code, whether it is the case, and the sentence."""
+) -> tuple[tuple[str, bool, tuple[str, str]], ...]:
+    """Code, whether it is the case, and sentence and remedy."""
     second, hold = checks.second, checks.hold
     unstable = bool(np.any(process.poles.real > 0)) and not expected
     return (
@@ -452,7 +453,7 @@ def _list_doubts(
         ("uncertain", second.surplus, SURPLUS),
         ("uncertain", second.moved, MOVED),
         ("uncertain", "uncertain" in flags and not (second.surplus or second.moved), UNKNOWN_POLE),
-        ("unstable", unstable, "the transfer function is unstable: what it simulates, and so the fit, says nothing"),
+        ("unstable", unstable, UNSTABLE),
     )
 
 

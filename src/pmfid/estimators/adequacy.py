@@ -275,15 +275,18 @@ class Adequacy:
         return float(np.sqrt(excess)) * found.resolution / max(rms(motion), TUNING.tiny)
 
     @property
-    def says(self) -> str:
-        """What is wrong with the model, for people; empty if nothing is."""
-        if self.missed:
-            asked = list(dict.fromkeys(self._describe_force(k) for k in self.named))[: TUNING.most_said]
-            first = self.missed[0]
-            cure = "move the input's column earlier by that time" if self._is_early(first) else self.forces[first].cure
-            like_it = f"the motion asks for {'; or for '.join(asked)}; or for something like it"
-            return f"{like_it}: {cure}" if cure else like_it
-        return "" if self.follows else "no single force explains what is left"
+    def described(self) -> tuple[str, ...]:
+        """The forces that the motion asks for, for people, most important first."""
+        asked = (self._describe_force(k) for k in self.named) if self.missed else ()
+        return tuple(dict.fromkeys(asked))[: TUNING.most_said]
+
+    @property
+    def cure(self) -> str:
+        """What to do about the most important of them; empty if there is none."""
+        if not self.missed:
+            return ""
+        first = self.missed[0]
+        return "move the input's column earlier by that time" if self._is_early(first) else self.forces[first].cure
 
     def _is_early(self, k: int) -> bool:
         """Does force k stand for a negative dead time of a model without one?"""
@@ -293,7 +296,7 @@ class Adequacy:
     def _describe_force(self, k: int) -> str:
         candidate = self.forces[k]
         if self._is_early(k):
-            return f"an input that acts about {-self.size[k]:.2g} s before the time of its row"
+            return f"an input that acts about {-self.size[k]:.2g} s early"
         return f"{candidate.says} of about {self.size[k]:.2g} s" if candidate.name == "dead_time" else candidate.says
 
     @cached_property

@@ -140,7 +140,7 @@ def _sharp(configured: Estimator, best: Best, refused: list[str]) -> _Sharp | No
     if fit.status & Status.FALLBACK or not found.follows:
         doubt = ", and the model does not explain every count"
     elif not found.adequate:
-        doubt = f", and {found.says}"
+        doubt = ", and the counts contradict the model"
     elif np.any(spread > fit.theta_std):
         doubt = "; the error bars of interval leave out unmodelled effects that this record does not show"
     return _Sharp(method, fit, found, doubt)

@@ -330,8 +330,7 @@ class Known:
             rest = "each other or the record"
         return (
             f"{' and '.join(text for _, text in named)} contradict{'s' * (len(named) == 1)} {rest} by "
-            f"{float(np.max(np.abs(apart))):.2g} standard deviations: something of it is wrong, and so is what was put "
-            "together of it; check the values, their units, the input_gain and the model, or leave one out",
+            f"{float(np.max(np.abs(apart))):.2g} standard deviations",
         )
 
     def rescaled(self, found: Fit | Estimate | Posterior) -> tuple[Known, Posterior]:

@@ -33,7 +33,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Fit, Track, join_tracks
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
-from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
+from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findings
 from pmfid.io.tables import Table
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE, Equation
@@ -243,22 +243,20 @@ def _construct(axis: Axis, record: Record) -> Estimator:
 def _check_known(result: DriveResult) -> None:
     """Raises NotIdentifiableError for a mass below its standard deviation, and for a model whose simulated motion is
     another one."""
-    leading = result.estimator.equation.leading
-    mass, std = result.theta[leading], result.theta_std[leading]
-    numbers = (*result.theta, *result.theta_std, result.relative_error)
-    if not np.all(np.isfinite(numbers)):
-        raise NotIdentifiableError(
-            "a parameter or its standard deviation is not finite: this record cannot identify it "
-            "(record a motion with reversals and varying speed)"
-        )
-    advice = "; ".join(result.notes) or "record a motion with reversals and varying speed"
+    _check_sizes(result.estimator, result.theta, result.theta_std, advise(result.findings))
+    if "not_followed" in result.status or not np.isfinite(result.relative_error):
+        raise NotIdentifiableError(advise(result.findings))
+
+
+def _check_sizes(estimator: Estimator, theta: Floats, theta_std: Floats, advice: str = MOVE) -> None:
+    """Raises NotIdentifiableError, with advice, for a mass below its standard deviation."""
+    leading = estimator.equation.leading
+    mass, std = theta[leading], theta_std[leading]
+    if not np.all(np.isfinite((*theta, *theta_std))):
+        raise NotIdentifiableError(f"a parameter or its standard deviation is not finite; {MOVE}")
     if not std < mass:
-        raise NotIdentifiableError(
-            f"{result.estimator.names[leading]} comes out as {mass:.3g} with a standard deviation of {std:.2g}: this "
-            f"record cannot identify it ({advice})"
-        )
-    if "not_followed" in result.status:
-        raise NotIdentifiableError(f"this record does not fit the model: {advice}")
+        name = estimator.names[leading]
+        raise NotIdentifiableError(f"{name} comes out as {mass:.3g} with a standard deviation of {std:.2g}; {advice}")
 
 
 def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> list[Finding]:
@@ -271,19 +269,13 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
         return make_notes(
             "relative_error",
             [
-                f"{sentence}, the encoder's steps in the acceleration above all; the simulated motion leaves "
-                f"{100 * adequacy.left:.2g} % of the measured one"
+                f"{sentence}, by the encoder's steps; the simulated motion leaves {100 * adequacy.left:.2g} % of the "
+                "measured one"
             ],
         )
     if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):
-        advice = (
-            "; ".join(texts(judgement.judged))
-            or "check the columns and the scales of input and output, or lower the cutoff"
-        )
-        raise NotIdentifiableError(
-            f"{sentence}, more than no motion at all would, and no simulated motion follows the measured one: this "
-            f"record cannot identify the parameters as it is read ({advice})"
-        )
+        advice = advise(judgement.judged, "check columns and scales of input and output, or lower the cutoff")
+        raise NotIdentifiableError(f"{sentence}, more than no motion at all would; {advice}")
     return []
 
 
@@ -303,6 +295,8 @@ def _estimate(
         known, there = known.rescaled(fit)
         estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
         fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
+    if known is None:  # what is refused needs no judgement
+        _check_sizes(estimator, fit.theta, fit.theta_std)
     asked = all_known(estimator, record, fit.theta, fit.theta_std)
     judgement = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
     further = fit.theta.size - judgement.spread.size  # parameters that are not linear in the equation
@@ -328,8 +322,11 @@ def _clock_findings(record: Record) -> tuple[Finding, ...]:
     if record.own is None:
         sentence = f"{varies} and drift: nothing in the record says which clock is right"
         return (Finding("uneven_clock", sentence, "log the times of the clock that samples"),)
-    sentence = f"{varies}, this method or model takes even samples: the error of resampling is in no standard error"
-    return (Finding("uneven_clock", sentence, "log at a fixed rate, or use iv without dead_time and lag"),)
+    sentence = f"{varies}, and this method or model takes even samples"
+    detail = "The record was resampled, and the error of that is in no standard error."
+    return (
+        Finding("uneven_clock", sentence, "log at a fixed rate, or use iv without dead_time and lag", detail=detail),
+    )
 
 
 def _widen_errors(result: DriveResult, record: Record) -> Floats:

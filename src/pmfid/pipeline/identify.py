@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import cast
 
@@ -11,7 +10,7 @@ from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import OF_LOG, weigh_findings
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
-from pmfid.findings import Finding, codes, make_notes, sort_findings, texts
+from pmfid.findings import Finding, codes, make_notes, sort_findings
 from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.kinds import Kind, Progress, Records
 from pmfid.pipeline.processes import Processes
@@ -48,7 +47,7 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:
-        raise explain_error(error, kind.check_record(data, axis)) from None
+        raise explain_error(error, kind.check_record(data, axis)) from error
     suspicious = bool(SUSPICIOUS & set(result.status))
     log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
     return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
@@ -63,9 +62,8 @@ def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
 
 
 def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
-    """The same error, after the mistakes in the log that may have caused it."""
-    mistakes = "; ".join(texts(findings))
-    return NotIdentifiableError(f"{mistakes}; as the record is read now: {error}") if mistakes else error
+    """The most important mistake in the log, which may have caused the error; the error itself without one."""
+    return NotIdentifiableError(findings[0].text) if codes(findings) else error
 
 
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
@@ -75,11 +73,16 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     log = kind.check_record(data, axis)
     if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG:
         return log
-    with suppress(NotIdentifiableError, UsageError):
+    try:
         result = cast(DriveResult, identify(data, axis))
-        doubts = (finding for finding in result.findings if finding.severity != "note")
-        return sort_findings((*weigh_findings(log, result.matter), *doubts))
-    return log
+    except NotIdentifiableError as error:
+        text = str(error)
+        sentence, _, remedy = text.partition("; ") if "; " in text else text.rpartition(": ")
+        return sort_findings((*log, Finding("refused", sentence, remedy, "wrong")))
+    except UsageError:
+        return log
+    doubts = (finding for finding in result.findings if finding.severity != "note")
+    return sort_findings((*weigh_findings(log, result.matter), *doubts))
 
 
 @dataclass(frozen=True)

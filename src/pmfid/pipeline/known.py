@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
@@ -12,7 +12,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.known import Known, Posterior, with_gain
-from pmfid.findings import Finding, make_notes
+from pmfid.findings import Finding, advise, make_notes
 from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
@@ -20,6 +20,7 @@ from pmfid.pipeline.stored import Stored
 Found = TypeVar("Found")
 #: Status word if a known value and the record contradict each other.
 CONTRADICTED = "prior_contradicted"
+CONTRADICTED_REMEDY = "check the values, their units, the input_gain and the model, or leave one out"
 
 
 def finds_gain(axis: Axis) -> bool:
@@ -80,8 +81,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
         if not std < abs(gain):
             raise NotIdentifiableError(
-                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}: this record cannot "
-                f"identify it ({'; '.join(result.notes) or 'record a motion with reversals and varying speed'})"
+                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}; {advise(result.findings)}"
             )
         estimator = with_gain(estimator, gain)
     return replace(
@@ -92,8 +92,8 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         model_spread=estimate.model_spread,
         known=known,
     ).with_findings(
-        *(Finding(CONTRADICTED, contradiction) for contradiction in estimate.notes),
-        *make_notes("known", [*notes, _describe_known(known)]),
+        *(Finding(CONTRADICTED, contradiction, CONTRADICTED_REMEDY) for contradiction in estimate.notes),
+        *make_notes("known", [*notes, *_describe_known(known)]),
     )
 
 
@@ -109,10 +109,9 @@ def check_numbers_known(axis: Axis, what: str) -> None:
         raise UsageError(f"{what} takes nothing that is known beforehand: drop given and prior of {', '.join(known)}")
 
 
-def _describe_known(known: Known) -> str:
-    parts = [f"{name} = {value:.6g} is given" for name, value in known.given.items()]
-    parts += [f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items()]
+def _describe_known(known: Known) -> Iterator[str]:
+    yield from (f"{name} = {value:.6g} is given" for name, value in known.given.items())
+    yield from (f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items())
     if known.find_gain:
         names = " or ".join((*known.given, *known.prior))
-        parts.append(f"input_gain follows from that, and a finding on an error of {names} is one on input_gain")
-    return "; ".join(parts)
+        yield f"input_gain follows from {names}: an error there is one of the gain"

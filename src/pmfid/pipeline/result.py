@@ -70,7 +70,7 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
 
 def findings_lines(result: Parametric) -> list[str]:
     """The findings, most important first, a paragraph each."""
-    return [f"{finding.line[0].upper()}{finding.line[1:]}." for finding in result.findings]
+    return [f"{finding.paragraph[0].upper()}{finding.paragraph[1:].rstrip('.')}." for finding in result.findings]
 
 
 def _format_name(result: Parametric, name: str) -> str:

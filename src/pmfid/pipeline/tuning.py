@@ -33,6 +33,19 @@ class PipelineTuning:
     #: Time constants of the filters that show the missing force [samples].
     times: tuple[float, ...] = (3.0, 10.0, 30.0, 100.0)
 
+    # checks.force
+    #: Least part of the travel in either direction of an axis that reverses; widths of means, which no step of an
+    #: encoder outlives [samples].
+    force_reverses: float = 0.2
+    force_widths: tuple[int, ...] = (3, 9, 27, 81)
+    #: Part of an unsigned input that may stay unexplained with the best signs, and in parts of what stays without;
+    #: turns of the search for the signs.
+    force_signed: float = 0.7
+    force_better: float = 0.5
+    force_turns: int = 10
+    #: Least correlation of a command with the output that it sets.
+    force_alike: float = 0.9
+
     # checks.readings
     #: Part of the input that a reading may leave unexplained, of all of it, and of what the record as it stands leaves.
     readings_follows: float = 0.15
@@ -92,6 +105,8 @@ class PipelineTuning:
     timing_drifted: float = 1.5
     timing_sure: float = 4.5
     timing_less: float = 0.95
+    #: The same for the largest drift that is tried, which a motion by another joint asks for as well.
+    timing_less_furthest: float = 0.5
     #: Most further corrections; largest corrected drift, as a multiple of the first.
     timing_corrections: int = 3
     timing_most: float = 1.5
@@ -160,10 +175,23 @@ class PipelineTuning:
     columns_exact: float = 0.02
     #: Largest rounding of a log, as a part of a step: with more rounding any step would fit.
     most_rounded: float = 0.15
+    #: Least part of the rows with a value; part below which the rows of a column are those of one topic of several.
+    columns_filled: float = 0.1
+    columns_topic: float = 0.7
     #: Steps in the range of a column that shows no steps.
     columns_fine: int = 2**20
-    #: Most inputs and most outputs that are tried.
-    most_columns: int = 6
+    #: Most pairs of an input and an output that are tried.
+    most_pairs: int = 36
+    #: Least travel of a joint, as a part of the largest travel of one.
+    least_travel: float = 0.05
+    #: Factor on what a joint explains if it seems to move against its torque: other joints then drive it.
+    turned_joint: float = 0.5
+    #: Part of what a plain drive leaves of the input that a pendulum may leave; least gravity in its standard
+    #: deviations. A pendulum without gravity costs little: its gravity comes out as none.
+    hanging_better: float = 0.8
+    hanging_likely: float = 2.5
+    #: Largest travel of an angle without a unit that may hang [rad]: a longer one is no pendulum's, or no angle.
+    most_turned: float = 1000.0
     #: Least mass of a reading, in its standard deviations.
     columns_significant: float = 4.5
     #: Factor on the unexplained part of a reading that contradicts the column's name.

@@ -126,14 +126,10 @@ def repair_record(record: Record) -> RepairedRecord:
         runs, moves, counts = [], [], record.counts
     rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
     spikes = _spikes(record.u, counts)
-    left_out = [
-        ("count_jump", text)
-        for text in (*_wrong(rows), *(_describe_shift(run) for run in moves[: TUNING.outliers_named]))
-    ]
-    left_out += [("invalid_input", text) for text in _spiky(spikes)]
-    if not left_out:
+    shifts = (_describe_shift(run) for run in moves[: TUNING.outliers_named])
+    findings = (*_wrong(rows), *shifts, *_spiky(spikes))
+    if not findings:
         return RepairedRecord(record)
-    findings = tuple(Finding(code, text) for code, text in left_out)
     return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
 
 
@@ -260,26 +256,27 @@ def _format_rows(rows: list[int]) -> str:
     return f"row{'s' * (len(rows) > 1)} {shown}{more}"
 
 
-def _wrong(rows: list[int]) -> tuple[str, ...]:
+def _wrong(rows: list[int]) -> tuple[Finding, ...]:
     if not rows:
         return ()
-    return (
-        f"the counts of {_format_rows(rows)} fit no motion, and the other counts continue without them: left out; "
-        "check the wiring, and if the axis did move so, give [encoder] guard = false",
+    sentence = f"the counts of {_format_rows(rows)} fit no motion, and were left out"
+    return (Finding("count_jump", sentence, f"check the wiring; {UNGUARDED}", detail="The other counts continue."),)
+
+
+#: If the finding is a mistake.
+UNGUARDED = "if the axis did move so, give [encoder] guard = false"
+
+
+def _describe_shift(run: _WrongRun) -> Finding:
+    sentence = (
+        f"the counts jump by {run.moved} at row {run.last + 1} and stay: undone, as a shifted zero of the counter"
     )
+    return Finding("count_jump", sentence, UNGUARDED)
 
 
-def _describe_shift(run: _WrongRun) -> str:
-    return (
-        f"the counts jump by {run.moved} at row {run.last + 1} and stay: taken for a shifted zero of the counter, and "
-        "undone; if the axis did move so, give [encoder] guard = false"
-    )
-
-
-def _spiky(places: NDArray[np.intp]) -> tuple[str, ...]:
+def _spiky(places: NDArray[np.intp]) -> tuple[Finding, ...]:
     if places.size == 0:
         return ()
-    return (
-        f"the input of {_format_rows(places.tolist())} is far beyond all others, and the counts do not follow: left "
-        "out; if the drive did receive it, give [encoder] guard = false",
-    )
+    sentence = f"the input of {_format_rows(places.tolist())} is far beyond all others, and was left out"
+    remedy = "if the drive did receive it, give [encoder] guard = false"
+    return (Finding("invalid_input", sentence, remedy, detail="The counts do not follow it."),)

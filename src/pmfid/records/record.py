@@ -19,6 +19,7 @@ from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
 from pmfid.records.gaps import describe_missing, fill_gaps
 from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
+from pmfid.records.topics import join_topics
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
@@ -266,6 +267,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     _check_lengths(columns, keys)
     for key, values in columns.items():
         _check_not_empty(f"{key} column {keys[key]!r}", values)
+    columns, topic_notes = join_topics(columns)
     columns, found, clock_notes = _resample(axis, columns)
     jitter = 0.0 if found is None else found.jitter
     scale, scale_notes = _input_scale(table, config.input_scale)
@@ -285,7 +287,9 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         count_notes += (f"position quantised again with a step of {quantize:g}",)
     if config.output_kind == "counts" and resolution == 1:
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
-    notes = notes_of(table) + units.notes + scale_notes + clock_notes + row_notes + motion_notes + count_notes
+    notes = (
+        notes_of(table) + topic_notes + units.notes + scale_notes + clock_notes + row_notes + motion_notes + count_notes
+    )
     u = _scale_column(columns["input"], scale * units.u)
     rotary = units.kind == "rotary"
     own = None

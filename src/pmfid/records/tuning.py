@@ -167,6 +167,10 @@ class RecordTuning:
     #: Of a period, within which a sample is followed at once: it holds for nothing.
     resampling_at_once: float = 1e-3
     resampling_fewest: int = 50
+    # topics
+    #: Part of the rows that may have both values if input and output have rows of their own; least rows of each.
+    most_together: float = 0.05
+    topics_fewest: int = 10
 
 
 TUNING = RecordTuning()

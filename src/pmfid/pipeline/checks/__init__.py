@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pmfid.config.axis import Axis
 from pmfid.findings import Finding, codes, sort_findings
 from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, held_output, jump
+from pmfid.pipeline.checks.force import find_command, find_unsigned
 from pmfid.pipeline.checks.inputs import find_saturation, held_input
 from pmfid.pipeline.checks.readings import find_gravity, no_inertia, no_motion, read_as
 from pmfid.pipeline.checks.timing import drifts, too_fast, too_slow
@@ -24,7 +25,7 @@ Check = Callable[[CheckedLog], Iterator[Finding]]
 #: Families of checks, in this order. A fault of one family would look like faults of later ones, so it ends the search.
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
-    (find_gravity,),
+    (find_unsigned, find_command, find_gravity),
     (read_as,),
     (held_output, find_frozen_counts, held_input, find_saturation),
     (too_slow, jump),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.diagnostics.drives import count_jump
+from pmfid.diagnostics.drives import JUMP_REMEDY, count_jump
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, Stop
 from pmfid.pipeline.tuning import TUNING
@@ -47,7 +47,7 @@ def jump(log: CheckedLog) -> Iterator[Finding]:
     """One change of the counts that is no motion, unless [encoder] max_speed excludes such changes."""
     sentence = count_jump(log.known.counts) if log.axis.encoder.max_speed is None and log.is_machine else ""
     if sentence:
-        yield Finding("count_jump", sentence, severity="wrong")
+        yield Finding("count_jump", sentence, JUMP_REMEDY, "wrong")
 
 
 def held_output(log: CheckedLog) -> Iterator[Finding]:
@@ -56,10 +56,9 @@ def held_output(log: CheckedLog) -> Iterator[Finding]:
     if every > 1:
         yield Finding(
             "held_output",
-            f"the output column {log.axis.record.output!r} changes at every {every}th row and no other: it is read "
-            "more slowly than the record, and the motion seems late and in jumps",
-            f"keep every {every}th row, the first of each with a new value, or log the output at the rate of the "
-            "record",
+            f"the output column {log.axis.record.output!r} changes at every {every}th row and no other",
+            f"keep every {every}th row, the first with a new value, or log the output at the record's rate",
+            detail="It is read more slowly than the record, and the motion seems late and in jumps.",
         )
 
 
@@ -75,19 +74,25 @@ def find_frozen_counts(log: CheckedLog) -> Iterator[Finding]:
         size = counts[first[0]] * (1 if log.axis.record.output_kind == "counts" else log.record.resolution)
         yield Finding(
             "clipped",
-            f"the output column {output!r} ends at {size:.6g} while the axis goes on, {len(ends)} "
-            f"time{'s' * (len(ends) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: the range of the counter or "
-            "the sensor ends there, and what moves on is taken for rest",
+            f"the output column {output!r} ends at {size:.6g} while the axis moves on, first in {_rows(first)}",
             f"use rows {_format_free_rows(ends, counts.size)}, the most without, or record within the range",
+            detail=f"It does so {_times(ends)}. The range of the counter or sensor ends there.",
         )
         return
     yield Finding(
         "stuck",
-        f"the output column {output!r} stands still while the axis goes on, {len(stops)} "
-        f"time{'s' * (len(stops) > 1)}, first in rows {first[0] + 1} to {first[1] + 1}: "
-        "the counter, or what reads it, was stuck",
+        f"the output column {output!r} stands still while the axis moves on, first in {_rows(first)}",
         f"use rows {_format_free_rows(stops, counts.size)}, the most without, and check the wiring",
+        detail=f"It does so {_times(stops)}. The counter, or what reads it, was stuck.",
     )
+
+
+def _rows(stop: Stop) -> str:
+    return f"rows {stop[0] + 1} to {stop[1] + 1}"
+
+
+def _times(stops: list[Stop]) -> str:
+    return f"{len(stops)} time{'s' * (len(stops) > 1)}"
 
 
 def _format_free_rows(stops: list[Stop], rows: int) -> str:

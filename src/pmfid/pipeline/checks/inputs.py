@@ -15,7 +15,7 @@ from pmfid.types import Floats
 
 __all__ = ["find_saturation", "held_input"]
 
-LARGER = "log the force or current that the drive gave with a larger range, or record with a smaller motion"
+LARGER = "log the force or current with a larger range, or record a smaller motion"
 
 
 def held_input(log: CheckedLog) -> Iterator[Finding]:
@@ -25,9 +25,9 @@ def held_input(log: CheckedLog) -> Iterator[Finding]:
     if every > 1:
         yield Finding(
             "held_input",
-            f"the input column {log.axis.record.input!r} changes at every {every}th row and no other: where the drive "
-            "gets it more often than that, the log misses what moved the axis",
+            f"the input column {log.axis.record.input!r} changes at every {every}th row and no other",
             "log the input at the rate at which the drive gets it, or, if that is this one, use it as it is",
+            detail="If the drive gets it more often, the log misses what moved the axis.",
         )
 
 
@@ -42,13 +42,14 @@ def find_saturation(log: CheckedLog) -> Iterator[Finding]:
         return
     sentence = (
         f"the input column {log.axis.record.input!r} stays at {' and '.join(f'{limit:.4g}' for limit in limits)} in "
-        f"{100 * np.mean(there):.2g} % of the rows, first in row {int(np.argmax(there)) + 1}"
+        f"{100 * np.mean(there):.2g} % of the rows"
     )
+    first = f"The first of them is row {int(np.argmax(there)) + 1}."
     if _falls_short(log, there):
-        sentence += ", and falls short of what moves the axis there: the log cuts off the force"
-        yield Finding("saturated", sentence, LARGER)
+        sentence = f"{sentence}, less than what moves the axis"
+        yield Finding("saturated", sentence, LARGER, detail=f"The log cuts off the force. {first}")
     else:
-        yield Finding("saturated", f"{sentence}: right where the drive gave no more", f"else {LARGER}", "note")
+        yield Finding("saturated", sentence, f"if the drive gave more than that, {LARGER}", "note", first)
 
 
 def _varies(u: Floats) -> bool:

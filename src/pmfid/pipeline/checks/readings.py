@@ -12,6 +12,7 @@ from pmfid.findings import Finding
 from pmfid.models.drive import Drive
 from pmfid.pipeline.checks.timing import drifts, too_slow
 from pmfid.pipeline.checks.view import MASS, PLAIN, VISCOUS, CheckedLog, View, best_view, hasty, liveliest
+from pmfid.pipeline.guess.roles import is_position
 from pmfid.pipeline.known import set_any_gain
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
@@ -19,9 +20,7 @@ from pmfid.types import Counts, Floats
 __all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
 
 RATE = 'give [record] output_kind = "velocity"'
-INTEGRATE = (
-    "name the column of the position or the counts, or integrate this one, its cumulative sum times the sample period"
-)
+INTEGRATE = "name the column of the position, or integrate this one: its cumulative sum times the sample period"
 
 
 def read_as(log: CheckedLog) -> Iterator[Finding]:
@@ -33,7 +32,8 @@ def read_as(log: CheckedLog) -> Iterator[Finding]:
         yield other
     elif log.view is not None and log.knows_sign and is_turned(log.view):
         mistake = "the output has the opposite sign of the input"
-        yield _make_finding("reversed", mistake, suggest_sign(log), log.view.unexplained)
+        found = _make_finding("reversed", mistake, suggest_sign(log), log.view.unexplained)
+        yield replace(found, detail="If the sign is right, something else than this input moves the axis.")
 
 
 def find_gravity(log: CheckedLog) -> Iterator[Finding]:
@@ -75,8 +75,10 @@ def _other_reading(log: CheckedLog) -> Finding | None:
     if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
         return None
     bound = left * (TUNING.readings_better if heavy else 1.0 if _is_one_body(view) else TUNING.readings_alike)
-    loosely = velocity < TUNING.readings_loosely and (
-        velocity < bound or (velocity < TUNING.readings_follows and _is_no_body(view))
+    loosely = (
+        not is_position(log.axis.record.output)
+        and velocity < TUNING.readings_loosely
+        and (velocity < bound or (velocity < TUNING.readings_follows and _is_no_body(view)))
     )
     if velocity < min(TUNING.readings_follows, bound, left) or (loosely and _is_in_time(log)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
@@ -187,17 +189,17 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
     """An axis at rest, or one that hardly leaves its count."""
     travel = int(np.ptp(log.record.counts))
     if travel == 0:
-        sentence = f"the output column {log.axis.record.output!r} never changes"
+        sentence = f"the axis does not move: the output column {log.axis.record.output!r} never changes"
         yield Finding("little_motion", sentence, "record a motion, and check that this is the encoder", "wrong")
         return
     if not np.any(log.record.u):
-        sentence = f"the input column {log.axis.record.input!r} is zero throughout"
-        yield Finding("little_motion", sentence, "log what drives the axis", "wrong")
+        sentence = "the input is zero while the axis moves"
+        yield Finding("little_motion", sentence, "record the input that drives it", "wrong")
         return
     if travel < TUNING.readings_fewest and not is_exchanged(log):
         yield Finding(
             "little_motion",
-            f"the axis moves by {travel} counts in all: the encoder's steps hide the motion",
+            f"the axis moves by {travel} counts in all, and the encoder's steps hide the motion",
             "record a longer stroke, or use a finer encoder",
             "wrong",
         )
@@ -209,6 +211,6 @@ def no_inertia(log: CheckedLog) -> Iterator[Finding]:
     if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < TUNING.readings_distinct:
         yield Finding(
             "little_motion",
-            "the acceleration does not follow the input: this record cannot determine a mass",
-            "record a motion with reversals and varying speed",
+            "the acceleration does not follow the input: too little excitation",
+            "record reversals and varying speed",
         )

@@ -108,9 +108,9 @@ def too_slow(log: CheckedLog) -> Iterator[Finding]:
         return
     yield Finding(
         "rate_low",
-        f"the velocity changes by {100 * jumps:.0f} % of its size from row to row: with a sample period of "
-        f"{log.record.dt:g} s the record misses most of the motion",
+        f"the velocity changes by {100 * jumps:.0f} % of its size from row to row",
         f"make a new record at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
+        detail=f"With a sample period of {log.record.dt:g} s the record misses most of the motion.",
     )
 
 
@@ -137,8 +137,7 @@ def too_fast(log: CheckedLog) -> Iterator[Finding]:
         keep = max(2, round(TUNING.timing_plenty / per_sample))
         yield Finding(
             "rate_high",
-            f"the axis moves {per_sample:.2g} counts per row: nearly all rows say nothing, and filters as slow as the "
-            "motion are long",
+            f"the axis moves {per_sample:.2g} counts per row, and nearly all rows say nothing",
             f"keep every {keep}th row, with the mean of the input over the {keep} rows from it on",
         )
 
@@ -152,10 +151,9 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
         return
     yield Finding(
         "drift",
-        f"the input moves against the output by {abs(rate) * n:.2g} rows within {n}, for then the motion explains "
-        "it better throughout: they are of two clocks",
-        f"log both by one clock, or multiply the time of the input by {1 + rate:.6f} and take the latest "
-        "one at each time of the output",
+        f"input and output are of two clocks, which drift apart by {abs(rate) * n:.2g} rows within {n}",
+        f"log both by one clock, or multiply the input's time by {1 + rate:.6f} and take the latest value",
+        detail="With that drift the motion explains the input better throughout.",
     )
 
 
@@ -182,12 +180,18 @@ def _resample_input(u: Floats, rate: float) -> Floats:
     return np.asarray(u[np.minimum(rows, u.size - 1).astype(int)])
 
 
+def _is_better(drift: Drift) -> bool:
+    """Does the drift explain the record better? The largest one that is tried stands for any: it must explain much."""
+    furthest = abs(drift.samples) >= TUNING.timing_furthest
+    return drift.less < (TUNING.timing_less_furthest if furthest else TUNING.timing_less)
+
+
 def _surest(log: CheckedLog, u: Floats, counts: Counts) -> Drift | None:
     views = [view(u, counts, log.encoder, log.record.dt, time) for time in TUNING.drift_times]
     found = [drift for one in views if one is not None and (drift := drift_of(one)) is not None]
     sure = [
         one
         for one in found
-        if abs(one.samples) >= TUNING.timing_drifted and one.sure > TUNING.timing_sure and one.less < TUNING.timing_less
+        if abs(one.samples) >= TUNING.timing_drifted and one.sure > TUNING.timing_sure and _is_better(one)
     ]
     return max(sure, key=lambda one: one.sure, default=None)

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from pmfid.config.units import INPUTS, OUTPUTS, SI, Unit, column_unit
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, did_you_mean
 from pmfid.io.reading import read_table
 from pmfid.io.tables import Table
-from pmfid.pipeline.guess.columns import Pair, numeric, pair_of, role_of, step_of, time_of
+from pmfid.pipeline.guess.columns import Pair, numeric, pair_of, rounding_of, step_of, time_of
+from pmfid.pipeline.guess.roles import is_commanded, role_of
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import UNITS, even_grid, named_unit
 from pmfid.records.outliers import wrap_of
@@ -46,23 +47,33 @@ class AxisGuess:
         return "\n".join([HEADING.format(name=self.name), "\n\n".join(parts), ""])
 
 
-def guess(path: Path, ask: Ask | None = None) -> AxisGuess:
-    """The AXIS.toml that a record suggests; ask: asks for numbers that the record does not show. Raises UsageError if
-    the record cannot be read, or has fewer than two columns of numbers."""
+def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> AxisGuess:
+    """The AXIS.toml that a record suggests; ask: asks for numbers that the record does not show; output: the column of
+    the output, None: guessed. Raises UsageError if the record cannot be read, or has fewer than two columns of
+    numbers."""
     table = read_table(path)
     columns = numeric(table)
     found, dt = _time(table, columns, ask)
+    if output is not None and output not in columns:
+        raise UsageError(f"{path}: {output!r} is no column of numbers that change{did_you_mean(output, columns)}")
     rest = {
         name: values
         for name, values in columns.items()
-        if role_of(name) not in ("time", "number", "acceleration", "other") and name != (found or [""])[0]
+        if name == output
+        or (role_of(name) not in ("time", "number", "acceleration", "other") and name != (found or [""])[0])
     }
-    pair = pair_of(rest, dt)
+    pair = pair_of(rest, dt, output)
     if pair is None:
         listed = ", ".join(table) or "none"
         raise UsageError(
             f"{path}: no two columns can be input and output of an axis, of these: {listed}; "
             "rename them, for example to t, u and counts, or write [record] input and output into an AXIS.toml yourself"
+        )
+    goal = next((name for name in columns if is_commanded(name) and role_of(name) == "other"), None)
+    if goal is not None and pair.explained == 0:
+        raise UsageError(
+            f"{path}: no column holds what drives {pair.output}; log force, torque, current or duty, or add the "
+            f"column {goal} - {pair.output}, which a servo's controller amplifies, as u"
         )
     result = AxisGuess(path.name)
     _record(result, pair, found, dt)
@@ -103,6 +114,7 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
         answer = ask("sample period in s", "0.001") if ask else ""
         return None, _number(answer, TUNING.axis_file_usual)
     name, values, written = found
+    values = values if written else columns.get(name, values)
     mean, grid = even_grid(values)
     step = mean if grid else float(np.median(np.diff(values)))
     if written or named_unit(name):
@@ -138,6 +150,8 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
             result.add("encoder", f"range = {size!r}", f"it wraps, the first time at row {wrap.row}")
         return
     step, found = step_of(output)
+    if pair.kind == "velocity" and found and abs(step / max(rounding_of(output), 1e-300) - 1) < TUNING.columns_exact:
+        step, found = float(np.ptp(output)) / TUNING.columns_fine, False  # digits of a log, no counts per sample
     reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
     unit = column_unit(pair.output, OUTPUTS)
     if unit is None:
@@ -159,6 +173,12 @@ def _format_number(value: float, unit: Unit | None) -> str:
 
 def _model(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
     result.add("model", 'kind = "drive"', "mass and friction")
+    turns = column_unit(pair.output, OUTPUTS)
+    if pair.gravity or (turns is not None and "ang" in turns.of):
+        reason = f"{pair.output} is in {turns.name}" if turns else "a force in the sine of the position fits an angle"
+        result.add("model", 'axis = "rotary"', reason)
+    if pair.gravity:
+        result.add("model", "gravity = true", "a force in the sine of the angle explains most of the input")
     unit = column_unit(pair.input, INPUTS)
     force = "N m" if (measured := column_unit(pair.output, OUTPUTS)) and "ang" in measured.of else "N"
     if unit is not None and unit.of in ("force", "torque"):

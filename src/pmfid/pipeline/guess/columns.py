@@ -5,21 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.config.units import INPUTS, OUTPUTS, Unit, column_unit
+from pmfid.config.units import OUTPUTS, Unit, column_unit
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, times
 from pmfid.pipeline.checks.readings import integrate_velocity, is_turned
-from pmfid.pipeline.checks.view import MASS, View, best_view, liveliest
+from pmfid.pipeline.checks.view import MASS, PLAIN, View, best_view, liveliest
+from pmfid.pipeline.guess.roles import Role, distance_from_measured, number_of, role_of
 from pmfid.pipeline.tuning import TUNING
-from pmfid.records.clock import named_unit
 from pmfid.records.outliers import wrap_of
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 __all__ = ["is_whole", "step_of"]
 
@@ -52,7 +51,17 @@ def step_of(values: Floats) -> tuple[float, bool]:
     allowed = max(TUNING.columns_exact, 1.01 * rounded if rounded < TUNING.most_rounded else 0.0)
     if found.size > 3 and np.mean(off[exact] < allowed) > TUNING.columns_part and reach / step < TUNING.columns_fine:
         return _round_step(step), True
-    return reach / TUNING.columns_fine, False
+    return max(reach / TUNING.columns_fine, _last_digit(found)), False
+
+
+def _last_digit(values: Floats) -> float:
+    """The last digit of the largest of values (n,) that a log wrote with a few significant digits; 0.0 if there are
+    more."""
+    some = values[:: max(1, values.size // 1000)].tolist()
+    for digits in range(3, 8):
+        if all(float(f"{value:.{digits - 1}e}") == value for value in some):
+            return float(10.0 ** (np.floor(np.log10(np.max(np.abs(values)))) - digits + 1))
+    return 0.0
 
 
 def rounding_of(values: Floats) -> float:
@@ -73,51 +82,6 @@ def _round_step(step: float) -> float:
     return step
 
 
-Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
-
-#: Role of a column, and the words of its name: whole words, or the end of one; the first match counts.
-_WORDS: tuple[tuple[Role, str], ...] = (
-    ("other", r"soll\w*|target|ref\w*|set\w*|desired|demand|error|err|fehler|schleppfehler|status|state|temp\w*|limit"),
-    ("time", r"t|time|zeit|timestamp|zeitstempel|stamp|secs?|seconds|sekunden|datum|date|uhrzeit"),
-    ("number", r"index|idx|sample|samples|row|zeile|nr|no|number|nummer|k|n|cycle|zyklus"),
-    ("acceleration", r"a|acc|accel\w*|beschl\w*"),
-    ("counts", r"counts?|cnt|enc|encoder\w*|ticks?|ink\w*|incs?|increments?|zaehler\w*|zähler\w*|impulse?|pulses?"),
-    ("velocity", r"v|vel|velocity|speed|geschw\w*|drehzahl|rpm|omega|w|qd|dq"),
-    ("position", r"y|x|pos\w*|weg|lage|angle|winkel|phi|theta|q|s|istposition|drehwinkel|auslenkung"),
-    ("input", r"u|i|iq|input|torque|moment|drehmoment|current|strom|force|kraft|volts?|voltage|spannung|pwm|effort|tau|"
-              r"duty|stell\w*|motor|m|f|eingang|drive"),
-)  # fmt: skip
-#: Quantity of a unit -> role of the column.
-_MEASURED: dict[str, Role] = {
-    "length": "position",
-    "angle": "position",
-    "speed": "velocity",
-    "angular speed": "velocity",
-}
-
-
-def role_of(name: str) -> Role:
-    """The role of the column with this name; empty if the name shows none."""
-    bare = re.sub(r"\s*[\[(][^\])]*[\])]\s*$", "", name)
-    output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
-    split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # MotorTorque
-    words = [word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
-    if len(words) > 1 and re.search(r"[\s_.,:/-][AVN]$", bare):
-        words = words[:-1]  # "i_A", "u_V": a unit, as "a" and "v" alone are none
-    if output is not None or driven is not None:  # with any name, except for set points
-        set_point = any(re.fullmatch(_WORDS[0][1], word) for word in words)
-        return "other" if set_point else "input" if output is None else _MEASURED[output.of]
-    for role, pattern in _WORDS:
-        if any(re.fullmatch(pattern, word) for word in words):
-            return role
-    joined = "".join(words)
-    for role, pattern in _WORDS:
-        long = "|".join(part for part in pattern.split("|") if len(part.replace(r"\w*", "")) > 3)
-        if re.search(rf"({long})$", joined) or re.match(rf"({long})", joined):
-            return role
-    return "time" if named_unit(name) else ""
-
-
 #: Roles of an output, best first.
 OUTPUT_ROLES: tuple[Role, ...] = ("counts", "position", "velocity")
 
@@ -125,27 +89,36 @@ OUTPUT_ROLES: tuple[Role, ...] = ("counts", "position", "velocity")
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Input and output by name; kind: "counts", "position" or "velocity"; turned: the input drives against the output;
-    explained: part of the input that the motion explains; reason: for people."""
+    explained: part of the input that the motion explains; reason: for people; gravity: the motion explains the input
+    much better with a force in the sine of the angle."""
 
     input: str
     output: str
     kind: str
     turned: bool
     explained: float
-    reason: str
+    reason: str = ""
+    gravity: bool = False
 
 
 def numeric(table: Table) -> dict[str, Floats]:
-    """The columns of numbers that are not constant, by name; missing values are interpolated, which suffices for a
-    guess."""
+    """The columns of numbers that are not constant, by name, at the rows of the position if a table has topics in rows
+    of their own; other missing values are the last ones before, which suffices for a guess."""
     found: dict[str, Floats] = {}
+    rows: Flags | None = None
     for name in table:
         with suppress(UsageError):
             values = column(table, "column", name)
             good = np.isfinite(values)
-            if values.size > 10 and np.mean(good) > 0.5 and np.ptp(values[good]) > 0:
-                found[name] = np.interp(np.arange(values.size), np.flatnonzero(good), values[good])
-    return found
+            if values.size > 10 and np.mean(good) > TUNING.columns_filled and np.ptp(values[good]) > 0:
+                last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
+                found[name] = np.where(good[last], values[last], values[good][0])
+                if np.mean(good) < TUNING.columns_topic and role_of(name) in ("position", "counts"):
+                    rows = good
+    return {
+        name: values[rows] if rows is not None and values.size == rows.size else values
+        for name, values in found.items()
+    }
 
 
 def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, bool] | None:
@@ -168,30 +141,52 @@ def _even(values: Floats) -> bool:
     return bool(np.all(steps > 0) and np.mean(usual) > TUNING.columns_mostly)
 
 
-def pair_of(columns: Mapping[str, Floats], dt: float) -> Pair | None:
-    """Input and output among columns (n,) by name, sampled every dt [s]. Names decide first; among several pairs, the
-    one whose motion explains most of the input. None without two columns."""
+def pair_of(columns: Mapping[str, Floats], dt: float, output: str | None = None) -> Pair | None:
+    """Input and output among columns (n,) by name, sampled every dt [s]. Names decide first: input and output of one
+    joint have one number, and a measured column is better than a command. Among several pairs, the one whose motion
+    explains most of the input. None without two columns. output: the output, None: guessed."""
     roles = {name: role_of(name) for name in columns}
-    outputs = next(
-        (found for role in OUTPUT_ROLES if (found := [name for name in columns if roles[name] == role])), None
-    ) or [name for name in columns if roles[name] in ("", "input")]
-    outputs = _moving(columns, outputs) or outputs
+    named = ([name for name in columns if roles[name] == role] for role in OUTPUT_ROLES)
+    outputs = next(filter(None, named), None) or [name for name in columns if roles[name] in ("", "input")]
+    outputs = [output] if output else outputs
+    columns = {**columns, **{name: _undo_wrap(columns[name]) for name in outputs if roles[name] != "velocity"}}
+    outputs = _moving(columns, _least_distant(outputs)) or outputs
+    stems = {name: re.sub(r"\d+", "", name) if roles[name] else name for name in outputs}
+    travel = {name: float(np.ptp(columns[name])) for name in outputs}
+    most = {stem: max(travel[name] for name in outputs if stems[name] == stem) for stem in stems.values()}
+    outputs = (
+        [output] if output else [name for name in outputs if travel[name] > TUNING.least_travel * most[stems[name]]]
+    )
     inputs = [name for name in columns if roles[name] == "input"] or [name for name in columns if roles[name] == ""]
+    inputs = _least_distant(inputs)
+    pairs = [
+        (name, output)
+        for output in outputs
+        for name in inputs
+        if name != output and columns[name].size == columns[output].size
+    ]
+    joints = [pair for pair in pairs if roles[pair[0]] and roles[pair[1]] and number_of(pair[0])]
+    numbered = [pair for pair in joints if number_of(pair[0]) == number_of(pair[1])]
     tried = [
         one
-        for output in outputs[: TUNING.most_columns]
-        for name in inputs[: TUNING.most_columns]
-        if name != output
-        and columns[name].size == columns[output].size
-        and (one := _try_pair(columns, name, output, roles[output], dt))
+        for name, output in (numbered or pairs)[: TUNING.most_pairs]
+        if (one := _try_pair(columns, name, output, roles[output], dt))
     ]
     if not tried:
         return None
-    best = max(tried, key=lambda one: one.explained)
+    best = max(tried, key=lambda one: one.explained * (TUNING.turned_joint if numbered and one.turned else 1.0))
     others = [f"{one.input} and {one.output} {100 * one.explained:.3g} %" for one in tried if one is not best]
     further = f"; {', '.join(others[:3])}" if others else ""
     reason = f"the motion of {best.output} explains it to {100 * best.explained:.3g} %{further}"
-    return Pair(best.input, best.output, best.kind, best.turned, best.explained, reason)
+    return replace(best, reason=reason)
+
+
+def _least_distant(names: list[str]) -> list[str]:
+    """The columns that are closest to a measurement, of those with the same number."""
+    closest = dict[str, int]()
+    for name in names:
+        closest[number_of(name)] = min(closest.get(number_of(name), 2), distance_from_measured(name))
+    return [name for name in names if distance_from_measured(name) == closest[number_of(name)]]
 
 
 def _moving(columns: Mapping[str, Floats], outputs: list[str]) -> list[str]:
@@ -223,13 +218,34 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
     found = [(kind, _view(columns[name], columns[output], kind, dt)) for kind in kinds]
     seen = [(kind, view) for kind, view in found if view is not None]
     if not seen:
-        return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0, "")
+        return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0)
     # against its name a column is a velocity only if it explains far more as one
     kind, view = min(
         seen, key=lambda pair: _cost(pair[1]) * (TUNING.columns_against if role and pair[0] != role else 1.0)
     )
     explained = max(0.0, 1 - _cost(view))
-    return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, "")
+    if kind == "velocity":
+        return Pair(name, output, kind, is_turned(view), explained)
+    gravity = _hangs(columns[name], columns[output], column_unit(output, OUTPUTS), dt, view.unexplained)
+    return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, gravity=gravity)
+
+
+def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> bool:
+    """Does a force in the sine of the output explain much of what a plain drive leaves of the input, and more than a
+    spring? u, y: (n,); plain: the part that the drive leaves. An output that is no angle, or turns little, has none."""
+    angle = y * (unit.factor if unit else 1.0)
+    if is_whole(y) if unit is None else unit.of != "angle":
+        return False
+    if not TUNING.readings_turned < np.ptp(angle) < TUNING.most_turned:
+        return False
+    encoder, counts = fine_counts(angle)
+    part = liveliest(counts)
+    forms = (replace(PLAIN, gravity=True), replace(PLAIN, spring=True))
+    hanging, sprung = (best_view(u[part], counts[part], encoder, dt, model=form) for form in forms)
+    if hanging is None or hanging.unexplained > TUNING.hanging_better * plain:
+        return False
+    sure = max(abs(hanging.sure(row)) for row in np.eye(hanging.theta.size)[-2:])
+    return sure > TUNING.hanging_likely and (sprung is None or hanging.unexplained < sprung.unexplained)
 
 
 def _kinds(role: Role, unit: Unit | None) -> tuple[str, ...]:
@@ -257,16 +273,18 @@ def _whole(name: str, output: Floats, kind: str) -> str:
     return "counts" if kind == "position" and is_whole(output) and column_unit(name, OUTPUTS) is None else kind
 
 
+def _undo_wrap(y: Floats) -> Floats:
+    """An output (n,) without the jumps of a counter or an angle that begins again."""
+    step, found = step_of(y)
+    wrap = wrap_of(np.floor(y / step + 0.5).astype(np.int64)) if found else None
+    return y if wrap is None else np.asarray(np.unwrap(y, period=wrap.span * step))
+
+
 def _view(u: Floats, y: Floats, kind: str, dt: float) -> View | None:
     if kind == "velocity":
         encoder, counts = fine_counts(integrate_velocity(y, dt))
     elif is_whole(y):
         encoder, counts = Encoder(1.0), y.astype(np.int64)
-        wrap = wrap_of(counts)
-        if wrap is not None:
-            change = np.diff(counts)
-            undone = (change + wrap.span // 2) % wrap.span - wrap.span // 2
-            counts = np.r_[counts[0], counts[0] + np.cumsum(undone)]
     else:
         encoder, counts = fine_counts(y)
     part = liveliest(counts)

@@ -1,0 +1,74 @@
+"""Inputs that are no force: a current without its sign, a command, a set point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from pmfid.findings import Finding
+from pmfid.pipeline.checks.view import CheckedLog
+from pmfid.pipeline.guess.roles import is_commanded
+from pmfid.pipeline.tuning import TUNING
+from pmfid.types import Floats
+
+__all__ = ["find_command", "find_unsigned"]
+
+
+def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
+    """An input that never changes its sign, of an axis that reverses, if the motion explains it with changing signs."""
+    u = log.known.u[log.part]
+    if not log.is_machine or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:
+        return
+    position = log.known.counts[log.part].astype(np.float64)
+    forward = np.sum(np.maximum(np.diff(position), 0)) / max(np.sum(np.abs(np.diff(position))), 1e-300)
+    if not TUNING.force_reverses < forward < 1 - TUNING.force_reverses:
+        return
+    found = [_measure_signs(u, position, width) for width in TUNING.force_widths if u.size > 10 * width]
+    plain, signed = min(found, key=lambda pair: pair[1], default=(0.0, 1.0))
+    if signed < min(TUNING.force_signed, TUNING.force_better * plain):
+        yield Finding(
+            "unsigned",
+            f"the input column {log.axis.record.input!r} has no sign, but the axis reverses under load",
+            "log the force or current with its sign",
+            "wrong",
+            f"With the signs that the motion asks for, it explains the input to {100 * (1 - signed):.3g} %.",
+        )
+
+
+def _measure_signs(u: Floats, position: Floats, width: int) -> tuple[float, float]:
+    """The part of an input (n,) of one sign that acceleration, velocity, direction and load leave, as it is, and with
+    the sign of the force that they give; after means over a width [samples], which are not late."""
+    smooth = uniform_filter1d(uniform_filter1d(position, width), width)
+    velocity = np.gradient(smooth)
+    columns = np.column_stack([np.gradient(velocity), velocity, np.sign(velocity), np.ones(u.size)])
+    columns = uniform_filter1d(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), width, axis=0)
+    size = float(np.linalg.norm(u - np.mean(u)))
+    left = [_fit(columns, uniform_filter1d(u, width))[1] / size]
+    for sign in (np.sign(velocity), np.sign(np.gradient(velocity))):
+        for _ in range(TUNING.force_turns):
+            force, error = _fit(columns, uniform_filter1d(sign * u, width))
+            sign = np.where(force < 0, -1.0, 1.0)
+        left.append(error / size)
+    return left[0], min(left[1:])
+
+
+def _fit(columns: Floats, z: Floats) -> tuple[Floats, float]:
+    """The fit (n,) of columns (n, p) to z (n,), and the norm of what is left."""
+    fit = columns @ np.linalg.lstsq(columns, z, rcond=None)[0]
+    return fit, float(np.linalg.norm(z - fit))
+
+
+def find_command(log: CheckedLog) -> Iterator[Finding]:
+    """An input that is a command: the output itself as it should be, or a torque that a drive was asked for."""
+    name, output = log.axis.record.input, log.axis.record.output
+    u, y = log.record.u, log.encoder.position(log.record.counts)
+    if not log.is_machine or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return
+    if is_commanded(name) and float(np.corrcoef(u, y)[0, 1]) > TUNING.force_alike:
+        sentence = f"the input column {name!r} is the set point of {output!r}, and no force"
+        yield Finding("command", sentence, f"log torque or current, or use {name} - {output} as the input", "wrong")
+    elif is_commanded(name):
+        sentence = f"the input column {name!r} is a command by its name, and the drive may have given another torque"
+        yield Finding("command", sentence, "use the measured torque or current if the log has one", "note")

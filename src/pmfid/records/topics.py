@@ -1,0 +1,36 @@
+"""Rows of two topics in one table, as of a command and a state: each row has the value of one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pmfid.records.tuning import TUNING
+from pmfid.types import Floats
+
+__all__ = ["join_topics"]
+
+
+def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple[str, ...]]:
+    """Columns (n,) of input, output and time at the rows of the output (m,), and notes for people.
+
+    The input holds from its own stamp to the next, and its mean until the next output is taken: no time between the
+    two topics is lost. Columns with both values in their rows stay as they are.
+    """
+    u, y = np.isfinite(columns["input"]), np.isfinite(columns["output"])
+    if "time" not in columns or np.sum(u & y) > TUNING.most_together * min(np.sum(u), np.sum(y)):
+        return dict(columns), ()
+    known = np.isfinite(columns["time"])
+    given, stamps = (columns["time"][known & rows] for rows in (u, y))
+    if min(given.size, stamps.size) < TUNING.topics_fewest or min(np.min(np.diff(given)), np.min(np.diff(stamps))) <= 0:
+        return dict(columns), ()
+    values = columns["input"][known & u]
+    impulse = np.r_[0.0, np.cumsum(values[:-1] * np.diff(given))]
+    ends = np.r_[stamps, stamps[-1] + (stamps[-1] - stamps[-2])]
+    late = np.maximum(ends - given[-1], 0.0)
+    total = np.interp(ends, given, impulse) + values[-1] * late
+    begun = stamps >= given[0]
+    joined = {"input": (np.diff(total) / np.diff(ends))[begun], "output": columns["output"][known & y][begun]}
+    note = "input and output have rows of their own: the mean of the input until the next output is taken"
+    return {**joined, "time": stamps[begun]}, (note,)
