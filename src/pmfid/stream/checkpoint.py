@@ -151,12 +151,23 @@ def _collect_rare(seat: Seat) -> dict[str, Any]:
 def _pack_held(group: Group) -> bytes:
     waiting = np.flatnonzero(group.positions.waits).tolist()
     pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
-    if not pairs:
-        return b""
     heads = [(index, b.epoch, b.first, b.time, b.dt, b.counts.size) for index, b in pairs]
-    u = np.concatenate([np.asarray(block.u, "<f8") for _, block in pairs])
-    counts = np.concatenate([np.asarray(block.counts, "<i8") for _, block in pairs])
-    return _LENGTH.pack(len(pairs)) + np.array(heads, HELD).tobytes() + u.tobytes() + counts.tobytes()
+    return _write_held([np.array(heads, HELD)], [block.u for _, block in pairs], [block.counts for _, block in pairs])
+
+
+def _write_held(heads: Sequence[np.ndarray], u: Sequence[np.ndarray], counts: Sequence[np.ndarray]) -> bytes:
+    """Waiting blocks as bytes, empty for none: their number, their heads, all u, all counts."""
+    number = sum(map(len, heads))
+    whole = (np.concatenate(parts).astype(kind) for parts, kind in ((heads, HELD), (u, "<f8"), (counts, "<i8")))
+    return b"".join([_LENGTH.pack(number), *(part.tobytes() for part in whole)]) if number else b""
+
+
+def _read_held(held: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heads, all u and all counts of waiting blocks."""
+    (number,) = _LENGTH.unpack_from(held)
+    heads = np.frombuffer(held, HELD, number, _LENGTH.size)
+    samples, place = int(heads["samples"].sum()), _LENGTH.size + heads.nbytes
+    return heads, np.frombuffer(held, "<f8", samples, place), np.frombuffer(held, "<i8", samples, place + 8 * samples)
 
 
 @dataclass(frozen=True)
@@ -251,16 +262,10 @@ def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
 def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
     if not held:
         return
-    (number,) = _LENGTH.unpack_from(held)
-    heads = np.frombuffer(held, HELD, number, _LENGTH.size)
-    samples, place = int(heads["samples"].sum()), _LENGTH.size + heads.nbytes
-    u = np.frombuffer(held, "<f8", samples, place)
-    counts = np.frombuffer(held, "<i8", samples, place + u.nbytes)
-    start = 0
+    (heads, u, counts), start = _read_held(held), 0
     for index, epoch, first, begun, dt, n in heads.tolist():
         seat, here = seats[index], slice(start, start + n)
-        block = Block(seat.name, epoch, first, begun, dt, u[here], counts[here])
-        seat.order.hold(len(seat.order.held), block)
+        seat.order.hold(len(seat.order.held), Block(seat.name, epoch, first, begun, dt, u[here], counts[here]))
         start += n
 
 
@@ -285,19 +290,11 @@ def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
 
 def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
     """The waiting blocks of all groups, with the new numbers of their axes."""
-    parts: list[tuple[bytes, bytes, bytes]] = []
-    number = 0
-    for group, start in zip(groups, starts, strict=False):
-        if not group.held:
-            continue
-        (own,) = _LENGTH.unpack_from(group.held)
-        heads = np.frombuffer(group.held, HELD, own, _LENGTH.size).copy()
-        heads["seat"] += start
-        u_at = _LENGTH.size + heads.nbytes
-        counts_at = u_at + 8 * int(heads["samples"].sum())
-        parts.append((heads.tobytes(), group.held[u_at:counts_at], group.held[counts_at:]))
-        number += own
-    return b"".join([_LENGTH.pack(number), *(part[k] for k in range(3) for part in parts)]) if parts else b""
+    parts = [(*_read_held(group.held), start) for group, start in zip(groups, starts, strict=False) if group.held]
+    heads = [one.copy() for one, *_ in parts]
+    for own, (*_, start) in zip(heads, parts, strict=True):
+        own["seat"] += start
+    return _write_held(heads, [u for _, u, _, _ in parts], [counts for _, _, counts, _ in parts])
 
 
 def body_of(

@@ -188,11 +188,11 @@ class MqttSource:
 
     def _axis_of(self, topic: str) -> str:
         """The axis that a topic names, "" where it names none."""
-        levels = topic.split("/")
+        from paho.mqtt.client import topic_matches_sub
+
         for pattern in self.section.topics:
-            parts = pattern.split("/")
-            if AXIS_LEVEL in parts and _matches(parts, levels):
-                return levels[parts.index(AXIS_LEVEL)]
+            if AXIS_LEVEL in pattern and topic_matches_sub(pattern.replace(AXIS_LEVEL, "+"), topic):
+                return topic.split("/")[pattern.split("/").index(AXIS_LEVEL)]
         return ""
 
     @property
@@ -203,11 +203,3 @@ class MqttSource:
         """Ends the connection; the first problem is reported."""
         self._problem = self._problem or problem
         self._over.set()
-
-
-def _matches(parts: list[str], levels: list[str]) -> bool:
-    if parts[-1] == "#":
-        parts, levels = parts[:-1], levels[: len(parts) - 1]
-    return len(parts) == len(levels) and all(
-        part in ("+", AXIS_LEVEL, level) for part, level in zip(parts, levels, strict=True)
-    )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
@@ -311,39 +311,21 @@ def _answer_command(taken: bool) -> Response:
     return JSONResponse({"taken": True}, 202)
 
 
-class LineResponse(Response):
-    """A response of NDJSON that ends when the browser leaves, which only `receive` reports."""
+class LineResponse(StreamingResponse):
+    """A response of NDJSON, which the hub counts until the browser leaves."""
 
     media_type = "application/x-ndjson"
 
     def __init__(self, hub: Hub, lines: AsyncIterator[bytes]) -> None:
-        super().__init__()
-        self._hub, self._lines = hub, lines
+        super().__init__(lines, headers={"x-accel-buffering": "no"})
+        self._hub = hub
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         self._hub.streams += 1
-        writing = asyncio.create_task(self._write(send))
-        leaving = asyncio.create_task(self._wait_for_leave(receive))
         try:
-            done, _ = await asyncio.wait({writing, leaving}, return_when=asyncio.FIRST_COMPLETED)
-            if writing in done:
-                writing.result()
+            await super().__call__(scope, receive, send)
         finally:
             self._hub.streams -= 1
-            for task in (writing, leaving):
-                task.cancel()
-            await asyncio.gather(writing, leaving, return_exceptions=True)
-
-    async def _wait_for_leave(self, receive: Receive) -> None:
-        while (await receive())["type"] != "http.disconnect":
-            pass
-
-    async def _write(self, send: Send) -> None:
-        kind = [(b"content-type", b"application/x-ndjson"), (b"x-accel-buffering", b"no")]
-        await send({"type": "http.response.start", "status": 200, "headers": kind})
-        async for line in self._lines:
-            await send({"type": "http.response.body", "body": line, "more_body": True})
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
 def csv_of(record: Record) -> bytes:
