@@ -91,7 +91,7 @@ def test_the_right_model_is_adequate(name, motion):
     axis, counts = AXES[name], 2000.0 if motion == "prbs" else 150.0
     u, read, resolution = record(axis, "right", motion, counts)
     found = examine(estimator(IntervalML, axis, resolution), u, read)
-    assert found.adequate, found.says
+    assert found.adequate, found.described
 
 
 WRONG = ("quadratic", "directional", "dead time")
@@ -141,7 +141,7 @@ def test_what_is_missing_is_named_and_its_size_is_right():
     found = examine(estimator(IntervalML, axis, resolution), u, read)
     assert found.forces[found.missed[0]].name == "dead_time"
     u, read, resolution = record(axis, "directional", "prbs", 1000.0)
-    assert 'friction = "directional"' in examine(estimator(IntervalML, axis, resolution), u, read).says
+    assert 'friction = "directional"' in examine(estimator(IntervalML, axis, resolution), u, read).cure
 
 
 def test_error_bars_of_output_error_do_not_shrink_with_a_coarser_encoder():

@@ -128,7 +128,7 @@ def test_one_that_is_not_in_the_model_is_named_with_the_remedy_and_the_remedy_he
     run = prbs("stage", 0.6)
     found = examine(made(IV, "stage", 0.0), run.u, run.counts)
     assert not found.adequate
-    assert 'dead_time = "estimate"' in found.says
+    assert 'dead_time = "estimate"' in found.cure
     assert examine(made(IV, "stage", "estimate"), run.u, run.counts).adequate
 
 

@@ -212,7 +212,7 @@ def _cure(way: Lateness, equation: Equation) -> str:
 
 
 #: What is said where the model is wrong.
-UNMODELLED = "the counts show an unmodelled effect"
+UNMODELLED = "an unmodelled effect"
 #: What is said of least squares that nothing confirms.
 NOISE_SEEN = "least squares may show the encoder's noise, for no other method confirms it"
 NOISE_REMEDY = "excite the axis more, or use a finer encoder"
@@ -221,7 +221,7 @@ NOISE_REMEDY = "excite the axis more, or use a finer encoder"
 def _describe_misfit(found: Adequacy) -> Finding:
     """The finding on a model that the counts contradict: the force that explains most, and what to do about it."""
     said = found.described
-    sentence = f"{UNMODELLED}: {said[0]}" if said else f"{UNMODELLED}: no single force explains it"
+    sentence = f"{UNMODELLED}: {said[0]}" if said else f"{UNMODELLED}, which no single force explains"
     others = f" It may also be {' or '.join(said[1:])}." if said[1:] else ""
     detail = f"It may be something similar, or a parameter that changes.{others} The standard errors do not cover it."
     return Finding("unmodelled", sentence, found.cure or "search the missing term with pmfid terms", detail=detail)
@@ -408,7 +408,7 @@ def _model(
     try:
         found = examine_estimate(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
-        yield Finding("unmodelled", f"{UNMODELLED}: no motion of the model follows the counts", detail=f"{error}.")
+        yield Finding("unmodelled", f"{UNMODELLED}, for no motion of the model follows the counts", detail=f"{error}.")
         return
     if found is None:
         return

@@ -77,7 +77,7 @@ class Matter:
         """How much it is, for people."""
         if not np.isfinite(self.part):
             return ""
-        return f"{self.name} may be {f'{100 * self.part:.2g} %' if self.part < 1 else 'all of its size'} off"
+        return f"{self.name} may be {f'{100 * self.part:.2g} %' if self.part < 1 else 'over 100 %'} off"
 
 
 def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, tolerance: float) -> Matter:
