@@ -175,6 +175,8 @@ class PipelineTuning:
     columns_exact: float = 0.02
     #: Largest rounding of a log, as a part of a step: with more rounding any step would fit.
     most_rounded: float = 0.15
+    #: Largest difference of a set point from the output, as a part of the output's deviation.
+    columns_set_point: float = 0.1
     #: Least part of the rows with a value; part below which the rows of a column are those of one topic of several.
     columns_filled: float = 0.1
     columns_topic: float = 0.7

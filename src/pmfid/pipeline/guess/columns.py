@@ -212,7 +212,7 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
     """A pair of columns under its best reading; None for a column and its own velocity, in either order."""
     if role != "velocity" and _is_rate(columns[name], columns[output]):
         return None
-    if _is_rate(columns[output], columns[name]):
+    if _is_rate(columns[output], columns[name]) or _is_set_point(columns[name], columns[output]):
         return None
     kinds = _kinds(role, column_unit(output, OUTPUTS))
     found = [(kind, _view(columns[name], columns[output], kind, dt)) for kind in kinds]
@@ -261,6 +261,12 @@ def _is_rate(values: Floats, output: Floats) -> bool:
     change = np.gradient(output)
     size = float(np.std(values) * np.std(change))
     return size > 0 and float(np.mean((values - values.mean()) * (change - change.mean()))) > TUNING.columns_same * size
+
+
+def _is_set_point(values: Floats, output: Floats) -> bool:
+    """Is a column (n,) nearly the output itself, in its unit, as its reference is?"""
+    alike = float(np.std(values - output)) < TUNING.columns_set_point * float(np.std(output))
+    return alike and abs(float(np.mean(values - output))) < float(np.std(output))
 
 
 def _cost(view: View) -> float:
