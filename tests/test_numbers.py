@@ -42,7 +42,9 @@ def coarse_cart() -> Record:
 @pytest.mark.parametrize("model", [{"offset": True}, {}, {"spring": True}])
 def test_a_track_that_diverges_is_refused_without_a_warning(model: dict[str, object]) -> None:
     """Below a count per sample the known step takes away more than there is; NumPy's overflow showed in `compare`."""
-    with pytest.raises(NotIdentifiableError, match=r"beyond numbers|cannot identify|comes out as .* with a standard deviation of"):
+    with pytest.raises(
+        NotIdentifiableError, match=r"beyond numbers|cannot identify|comes out as .* with a standard deviation of"
+    ):
         Drives().estimate(coarse_cart(), axis_of("rknown-step", model=model))
 
 
