@@ -150,7 +150,7 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
 }
 
 #if PMF_SHAPED
-void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal)
+PMF_API void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal)
 {
     uint32_t i;
     for (i = 0; i < config->n; ++i) {
@@ -177,8 +177,8 @@ static void advance(const pmf_auxiliary_config_t *config, const pmf_auxiliary_st
     phase->distance[0] = phase->distance[1] = phase->moving[0] = phase->moving[1] = PMF_R(0.0);
     for (turn = 0; turn < 2U; ++turn) {
 #if PMF_SHAPED
-        if (config->shapes.n != 0U && phase->velocity == PMF_R(0.0)) {
-            *body = body_at_rest(config, state, &plain, phase);
+        if (config->shapes.n != 0U) {
+            PMF_WHERE(phase->velocity == PMF_R(0.0), body, *body = body_at_rest(config, state, &plain, phase));
         }
 #endif
         /* from rest it may break away, or stick */
@@ -214,7 +214,7 @@ static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t
         middle = PMF_IF(absurd, signal[PMF_LATE_POSITION], middle);
         state->position = PMF_IF(absurd, middle, state->position);
 #if PMF_SHAPED
-        clear_shapes(&config->shapes, signal);
+        clear_shapes(&config->shapes, absurd, signal);
 #endif
     }
     emit_motion(phase, middle, signal);
@@ -235,7 +235,7 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
     phase.velocity = state->velocity;
     phase.left = PMF_R(1.0);
 #if PMF_SHAPED
-    clear_shapes(&config->shapes, signal);
+    clear_shapes(&config->shapes, PMF_R(0.0) == PMF_R(0.0), signal);
 #endif
     advance(config, state, &body, &phase, signal);
     conclude(config, state, &body, &phase, middle, signal);
@@ -243,17 +243,17 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 
 #if PMF_LATE
 /* The older input acts for a part of the interval, the newer one for the rest; each of the two parts is exact. */
-void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                             const pmf_late_state_t *late, real_t *signal)
+PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                                     const pmf_late_state_t *late, real_t *signal)
 {
     real_t middle = state->position + PMF_R(0.5) * PMF_SPAN(config, state) * state->velocity, pushed, moved;
     body_t body = body_of(config, state->parameter, late->older, middle);
-    body_t second = body_of(config, state->parameter, late->newer, middle);
+    body_t second = body_of(config, state->parameter, late->newer, middle), last;
     phase_t phase, rest;
     phase.velocity = state->velocity;
     phase.left = late->part;
 #if PMF_SHAPED
-    clear_shapes(&config->shapes, signal);
+    clear_shapes(&config->shapes, PMF_R(0.0) == PMF_R(0.0), signal);
 #endif
     advance(config, state, &body, &phase, signal);
     rest.velocity = phase.velocity;
@@ -268,7 +268,9 @@ void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary
     rest.moving[0] += phase.moving[0];
     rest.moving[1] += phase.moving[1];
     /* if it stops in the first part, the force of that part decides what remains after the stop */
-    conclude(config, state, state->velocity * phase.velocity > PMF_R(0.0) ? &second : &body, &rest, middle, signal);
+    last = body;
+    PMF_WHERE(state->velocity * phase.velocity > PMF_R(0.0), &last, last = second);
+    conclude(config, state, &last, &rest, middle, signal);
     signal[PMF_AUXILIARY + PMF_INPUT] = pushed;
 }
 #endif
@@ -361,7 +363,7 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
             break;
         }
         if (i >= PMF_BODY_ROLES && config->shapes.shape[i - PMF_BODY_ROLES].positive != 0U) {
-            target = target < PMF_R(0.0) ? PMF_R(0.0) : target;
+            target = PMF_IF(target < PMF_R(0.0), PMF_R(0.0), target);
         }
 #endif
         if (IS_KNOWN(i, index[i])) {

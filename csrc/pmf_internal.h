@@ -18,6 +18,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_TO_REAL(x) ((real_t)(x))
 #define PMF_TO_INTEGER(x) ((integer_t)(x))
 #define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
+#define PMF_READ(table, index) ((table)[index])
 #define PMF_ANY(truth) ((truth) != 0)
 #define PMF_ALL(truth) ((truth) != 0)
 /* Does `action`, which changes nothing but `object` (a pointer) that is kept, where the truth holds. */
@@ -30,14 +31,14 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #endif
 #ifdef PMF_LANES
 #define PMF_LINEAR 0 /* its matrices would pay in lanes only where all axes compute them at once */
-#define PMF_SHAPED 0 /* nor do tables that each axis reads elsewhere */
 #else
-#define PMF_SHAPED (PMF_MAX_SHAPES > 0)
 #define PMF_LINEAR PMF_WITH_LINEAR
 #endif
-#ifdef PMF_LANES
-#define PMF_LATE 0 /* each axis would look up another of its inputs */
+#if defined(PMF_LANES) && !defined(PMF_MOTIONS)
+#define PMF_SHAPED 0 /* tables that each axis reads elsewhere pay for motions alone (many/pmf_motions.c) */
+#define PMF_LATE 0 /* as do other inputs for each axis */
 #else
+#define PMF_SHAPED (PMF_MAX_SHAPES > 0)
 #define PMF_LATE PMF_WITH_DEAD_TIME
 #endif
 #ifdef PMF_LANES
@@ -51,7 +52,11 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
+#ifdef PMF_LANES
+#define PMF_FOUND 0
+#else
 #define PMF_FOUND (PMF_LATE && PMF_WITH_DEAD_TIME_FOUND)
+#endif
 #ifdef PMF_FLOAT32
 #define PMF_ENDLESS PMF_WITH_ENDLESS
 #else
@@ -115,8 +120,8 @@ PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
 #if PMF_LATE
 /* The same where the input changes inside the interval. */
-void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                             const pmf_late_state_t *late, real_t *signal);
+PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                                     const pmf_late_state_t *late, real_t *signal);
 #endif
 #if PMF_FOUND
 /* What acts in an interval: `part` of it the older input, then the newer one. */
@@ -134,7 +139,7 @@ uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, 
 #endif
 #if PMF_SHAPED
 /* Forces of a place at that of the counts; needs the encoder's signals of the same step. */
-void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal);
+PMF_API void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal);
 #endif
 /* The equation holds exactly for the model; what its columns leave is the error of the discretisation, and the same
  * for the plant. It is taken from the target. Regressors and target then know that the model's stops and reversals move

@@ -34,71 +34,82 @@ static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backw
 
 typedef struct {
     real_t velocity, place; /* of one end of a motion */
+    real_t value[PMF_MAX_SHAPES]; /* there, of the shapes of a place; at its beginning alone */
 } shape_end_t;
 
 /* How many knots from the first one; within the table. */
 static real_t knots_from_first(const pmf_shape_t *shape, real_t at)
 {
-    real_t x = (at - shape->start) * shape->knots_per_unit, last = (real_t)shape->intervals;
+    real_t x = (at - shape->start) * shape->knots_per_unit, last = PMF_ALIKE((scalar_t)shape->intervals);
     if (shape->periodic != 0U) {
         real_t periods = x / last;
-        if (!(periods < MOST_PERIODS && periods > -MOST_PERIODS)) {
-            return PMF_R(0.0);
-        }
-        x -= last * (real_t)(int32_t)periods;
-        x = x < PMF_R(0.0) ? x + last : x;
+        truth_t near = (periods < MOST_PERIODS) & (periods > -MOST_PERIODS);
+        x -= last * PMF_TO_REAL(PMF_TO_INTEGER(PMF_IF(near, periods, PMF_R(0.0))));
+        x = PMF_IF(x < PMF_R(0.0), x + last, x);
+        x = PMF_IF(near, x, PMF_R(0.0));
     }
-    x = x > PMF_R(0.0) ? x : PMF_R(0.0); /* what is no number is the first knot */
-    return x < last ? x : last;
+    x = PMF_IF(x > PMF_R(0.0), x, PMF_R(0.0)); /* what is no number is the first knot */
+    return PMF_IF(x < last, x, last);
+}
+
+static integer_t knot_before(const pmf_shape_t *shape, real_t x)
+{
+    integer_t i = PMF_TO_INTEGER(x), last = PMF_TO_INTEGER(PMF_ALIKE((scalar_t)shape->intervals)) - 1;
+    return PMF_IF(i < last, i, last);
 }
 
 static real_t shape_value(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t at)
 {
     real_t x = knots_from_first(shape, at);
-    uint32_t i = (uint32_t)x;
+    integer_t i = knot_before(shape, x);
     const scalar_t *knot = &config->knot[shape->first];
-    i = i < shape->intervals ? i : shape->intervals - 1U;
-    return knot[i] + (x - (real_t)i) * (knot[i + 1U] - knot[i]);
+    real_t low = PMF_READ(knot, i);
+    return low + (x - PMF_TO_REAL(i)) * (PMF_READ(knot + 1, i) - low);
 }
 
 /* From the first knot on, in steps of the table; beyond it the last value goes on. */
 static real_t shape_integral(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t at)
 {
-    real_t x = knots_from_first(shape, at), part;
-    uint32_t i = (uint32_t)x;
+    real_t x = knots_from_first(shape, at), part, low;
+    integer_t i = knot_before(shape, x);
     const scalar_t *knot = &config->knot[shape->first];
-    i = i < shape->intervals ? i : shape->intervals - 1U;
-    part = x - (real_t)i;
-    return config->sum[shape->first + i] + part * (knot[i] + PMF_R(0.5) * part * (knot[i + 1U] - knot[i])) +
+    part = x - PMF_TO_REAL(i);
+    low = PMF_READ(knot, i);
+    return PMF_READ(&config->sum[shape->first], i) +
+           part * (low + PMF_R(0.5) * part * (PMF_READ(knot + 1, i) - low)) +
            ((at - shape->start) * shape->knots_per_unit - x) * knot[shape->intervals];
 }
 
 /* Mean over speeds from a to b, both >= 0. */
 static real_t mean_over_speed(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t a, real_t b)
 {
-    real_t knots;
+    real_t knots, middle, apart;
+    truth_t near;
     if (shape->of == PMF_OF_SQUARE) {
         return (a * a + a * b + b * b) * PMF_R(0.333333333333333333);
     }
     knots = (b - a) * shape->knots_per_unit;
-    if (knots < PMF_R(1.0) && knots > PMF_R(-1.0)) { /* too near for a difference of integrals */
-        return shape_value(config, shape, PMF_R(0.5) * (a + b));
+    near = (knots < PMF_R(1.0)) & (knots > PMF_R(-1.0)); /* too near for a difference of integrals */
+    middle = PMF_ANY(near) ? shape_value(config, shape, PMF_R(0.5) * (a + b)) : PMF_R(0.0);
+    if (PMF_ALL(near)) {
+        return middle;
     }
-    return (shape_integral(config, shape, b) - shape_integral(config, shape, a)) / knots;
+    apart = (shape_integral(config, shape, b) - shape_integral(config, shape, a)) / knots;
+    return PMF_IF(near, middle, apart);
 }
 
 /* Mean along a motion from one end to the other in a time [s], by Simpson's rule. */
-static real_t mean_over_place(const pmf_shapes_config_t *config, const pmf_shape_t *shape, const shape_end_t *from,
-                              const shape_end_t *to, real_t time)
+static real_t mean_over_place(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t begun,
+                              const shape_end_t *from, const shape_end_t *to, real_t time)
 {
     real_t middle = PMF_R(0.5) * (from->place + to->place) - PMF_R(0.125) * time * (to->velocity - from->velocity);
-    real_t ends = shape_value(config, shape, from->place) + shape_value(config, shape, to->place);
+    real_t ends = begun + shape_value(config, shape, to->place);
     return (ends + PMF_R(4.0) * shape_value(config, shape, middle)) * PMF_R(0.166666666666666667);
 }
 
 static real_t speed_of(real_t velocity)
 {
-    return velocity < PMF_R(0.0) ? -velocity : velocity;
+    return PMF_IF(velocity < PMF_R(0.0), -velocity, velocity);
 }
 
 /* The body with its shapes' means; `mean` keeps those, of friction against the motion. */
@@ -111,7 +122,7 @@ static body_t shaped_body(const pmf_shapes_config_t *config, const body_t *plain
     for (i = 0; i < config->n; ++i) {
         const pmf_shape_t *shape = &config->shape[i];
         mean[i] = shape->of == PMF_OF_PLACE
-                      ? mean_over_place(config, shape, from, to, time)
+                      ? mean_over_place(config, shape, from->value[i], from, to, time)
                       : mean_over_speed(config, shape, speed_of(from->velocity), speed_of(to->velocity));
         if (shape->resists != 0U) {
             friction += parameter[PMF_BODY_ROLES + i] * mean[i];
@@ -124,9 +135,21 @@ static body_t shaped_body(const pmf_shapes_config_t *config, const body_t *plain
     return body;
 }
 
-static real_t place_of(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, const phase_t *phase)
+/* Where a motion begins. */
+static shape_end_t begin_motion(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
+                                const phase_t *phase)
 {
-    return state->position + PMF_SPAN(config, state) * (phase->distance[0] + phase->distance[1]);
+    const pmf_shapes_config_t *shapes = &config->shapes;
+    shape_end_t here;
+    uint32_t i;
+    here.velocity = phase->velocity;
+    here.place = state->position + PMF_SPAN(config, state) * (phase->distance[0] + phase->distance[1]);
+    for (i = 0; i < shapes->n; ++i) {
+        if (shapes->shape[i].of == PMF_OF_PLACE) {
+            here.value[i] = shape_value(shapes, &shapes->shape[i], here.place);
+        }
+    }
+    return here;
 }
 
 /* A body at rest: what holds it, and what drives it. */
@@ -134,22 +157,22 @@ static body_t body_at_rest(const pmf_auxiliary_config_t *config, const pmf_auxil
                            const body_t *plain, const phase_t *phase)
 {
     real_t mean[PMF_MAX_SHAPES];
-    shape_end_t here;
+    shape_end_t here = begin_motion(config, state, phase);
     here.velocity = PMF_R(0.0);
-    here.place = place_of(config, state, phase);
     return shaped_body(&config->shapes, plain, state->parameter, &here, &here, PMF_R(0.0), mean);
 }
 
 /* About where a body comes to in a time [s], or where it stops before; returns the time. */
 static real_t foresee(const body_t *body, truth_t backward, const shape_end_t *from, real_t time, shape_end_t *to)
 {
-    real_t side = backward != 0 ? PMF_R(-1.0) : PMF_R(1.0), speed = side * from->velocity;
-    real_t push = side * body->force - (backward != 0 ? body->coulomb[1] : body->coulomb[0]);
-    real_t drag = PMF_R(0.5) * time * (backward != 0 ? body->viscous[1] : body->viscous[0]);
+    real_t side = PMF_IF(backward, PMF_R(-1.0), PMF_R(1.0)), speed = side * from->velocity;
+    real_t push = side * body->force - PMF_IF(backward, body->coulomb[1], body->coulomb[0]);
+    real_t drag = PMF_R(0.5) * time * PMF_IF(backward, body->viscous[1], body->viscous[0]);
     real_t end = ((body->mass - drag) * speed + time * push) / (body->mass + drag);
-    if (!(end > PMF_R(0.0))) {
-        time = speed > PMF_R(0.0) ? time * speed / (speed - end) : PMF_R(0.0);
-        end = PMF_R(0.0);
+    truth_t stops = PMF_NOT(end > PMF_R(0.0));
+    if (PMF_ANY(stops)) {
+        time = PMF_IF(stops, PMF_IF(speed > PMF_R(0.0), time * speed / (speed - end), PMF_R(0.0)), time);
+        end = PMF_IF(stops, PMF_R(0.0), end);
     }
     to->velocity = side * end;
     to->place = from->place + PMF_R(0.5) * time * side * (speed + end);
@@ -161,12 +184,9 @@ static void move_shaped(const pmf_auxiliary_config_t *config, const pmf_auxiliar
                         truth_t forward, truth_t backward, phase_t *phase, real_t *signal)
 {
     real_t mean[PMF_MAX_SHAPES], left = phase->left, time = PMF_R(0.0);
-    shape_end_t from, to;
+    shape_end_t from = begin_motion(config, state, phase), to = from;
     body_t body;
     uint32_t turn, i;
-    from.velocity = phase->velocity;
-    from.place = place_of(config, state, phase);
-    to = from;
     for (turn = 0; turn < FORESIGHTS; ++turn) {
         body = shaped_body(&config->shapes, plain, state->parameter, &from, &to, time, mean);
         time = foresee(&body, backward, &from, left * PMF_SPAN(config, state), &to);
@@ -175,16 +195,16 @@ static void move_shaped(const pmf_auxiliary_config_t *config, const pmf_auxiliar
     move(&body, PMF_SPAN(config, state), forward, backward, phase);
     left -= phase->left;
     for (i = 0; i < config->shapes.n; ++i) {
-        real_t part = backward != 0 && config->shapes.shape[i].resists != 0U ? -left : left;
+        real_t part = config->shapes.shape[i].resists != 0U ? PMF_IF(backward, -left, left) : left;
         signal[config->shapes.shape[i].node] += part * mean[i];
     }
 }
 
-static void clear_shapes(const pmf_shapes_config_t *config, real_t *signal)
+static void clear_shapes(const pmf_shapes_config_t *config, truth_t where, real_t *signal)
 {
     uint32_t i;
     for (i = 0; i < config->n; ++i) {
-        signal[config->shape[i].node] = PMF_R(0.0);
+        signal[config->shape[i].node] = PMF_IF(where, PMF_R(0.0), signal[config->shape[i].node]);
     }
 }
 

@@ -38,6 +38,7 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 #define PMF_BITS(type, x) ((truth_t)((x) - (type){0}))
 #define PMF_IF(truth, yes, no) \
     ((PMF_TYPE(yes, no))((PMF_BITS(PMF_TYPE(yes, no), yes) & (truth)) | (PMF_BITS(PMF_TYPE(yes, no), no) & ~(truth))))
+#define PMF_READ(table, index) pmf_read(table, index)
 #define PMF_ANY(truth) pmf_any(truth)
 #define PMF_ALL(truth) (!pmf_any(~(truth)))
 #define PMF_WHERE(truth, object, action)                       \
@@ -73,6 +74,22 @@ static inline int pmf_any(truth_t truth)
         any |= truth[i];
     }
     return any != 0;
+#endif
+}
+
+/* Of a table an element for each lane. */
+static inline __attribute__((unused)) real_t pmf_read(const scalar_t *table, integer_t index)
+{
+#if defined(__AVX512F__) && !defined(PMF_FLOAT32)
+    typedef long long index_t __attribute__((vector_size(PMF_LANE_BYTES)));
+    return __builtin_ia32_gatherdiv8df((real_t){0}, table, (index_t)index, (unsigned char)255, 8);
+#else
+    real_t found;
+    uint32_t i;
+    for (i = 0; i < PMF_LANES; ++i) {
+        found[i] = table[index[i]];
+    }
+    return found;
 #endif
 }
 

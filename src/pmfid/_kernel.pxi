@@ -81,8 +81,25 @@ cdef extern from "pmf_internal.h":
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
 
-cdef extern from "pmf_lag.h":
-    void lag_input(const pmf_decay_t *, pmf_late_state_t *) nogil
+cdef extern from "many/pmf_motions.h":
+    ctypedef struct pmf_motions_t:
+        const pmf_auxiliary_config_t *config
+        uint64_t motions, samples, hold, parts
+        const double *parameter
+        const double *velocity
+        const double *position
+        const double *input
+        const double *span
+        const double *before
+        uint64_t n_before
+        const double *decay
+        const double *on_top
+        uint32_t own_force
+        double *mean
+        double *direction
+        double *moving
+        double *end
+    void pmf_move_all(const pmf_motions_t *) nogil
 
 cdef extern from "many/pmf_many.h":
     ctypedef struct pmf_rows_t:
@@ -190,7 +207,7 @@ cdef class Kernel:
         pmf_gap(&self.config, &self.state, <uint32_t> count)
 
     def doubt(self, uint32_t samples):
-        """The last sample was a guess: nothing is learnt from `samples` samples, at most those in which filters settle."""
+        """The last sample was a guess: nothing is learnt from so many samples, at most those in which filters settle."""
         pmf_doubt(&self.config, &self.state, samples)
 
     cdef Estimate _snapshot(self):
@@ -294,7 +311,7 @@ cdef class Kernel:
         return blocks, lost
 
     def many(self, Py_ssize_t axes, bytes is_whole):
-        """`axes` axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
+        """So many axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
         return ManyKernel(self, axes, is_whole)
 
     def raw_config(self):
@@ -472,7 +489,7 @@ cdef class ManyKernel:
     def run(self, cnp.ndarray u, cnp.ndarray counts, Py_ssize_t first, Py_ssize_t end, uint64_t every, results, uint32_t way):
         """Axes `first` to `end` through u (float32 or float64) and counts (int32 or int64), both (axes, n) with any
         strides. results: theta, variance_factor, inflation (axes, kept, p), innovation, innovation_variance, status
-        (axes, kept), to be filled with every `every`-th estimate and the last. Releases the interpreter meanwhile.
+        (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile.
         Raises ValueError where an array has another shape or type than that: the C asks nothing."""
         cdef pmf_many_t many
         cdef unsigned char *states
@@ -492,34 +509,26 @@ cdef class ManyKernel:
             pmf_many_run(&self.config, &self.layout, &many, first, end, states)
 
 
-def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0, double position=0.0,
-             bytes shapes=b"", before=(0.0,), decay=None, on_top=None, steps=None):
-    """The auxiliary model alone: a body with friction under a held input.
+def simulate_many(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, velocity, position,
+                  bytes shapes=b"", before=(0.0,), decay=None, on_top=None, Py_ssize_t hold=1, Py_ssize_t parts=1, bint sides=False,
+                  steps=None):
+    """Motions of the auxiliary model, a body with friction under a held input, for several parameters.
 
-    parameters: its roles (mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0), and the
-    coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later; before: inputs before the first (m,), m >= 1, the oldest of which has been there for ever;
-    velocity, position: at the start; a spring is slack at position 0. shapes: the bytes of a `pmf_shapes_config_t`
-    (`pmfid.kernel.configuration` makes them), whose nodes are PMF_SIGNALS and the next. decay: (2, 3) of a lag after the dead time, as
-    `pmfid.kernel.configuration` makes them; on_top: (n,) an input that acts at once; steps: (n,) length of each interval [s], None: dt; then nothing acts late. Returns (n,) mean velocity, signed moving fraction and
-    moving fraction of every interval, and the velocity at the end. Raises ValueError for too many parameters and impossible shapes.
+    parameters: (m, roles) mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0, and the
+    coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later, for `hold` steps
+    of dt each, whose means over `parts` are kept; before: inputs before the first (b,), b >= 1, the oldest of which has been there
+    for ever; velocity, position: (m,) at the start; a spring is slack at position 0. shapes: the bytes of a
+    `pmf_shapes_config_t` (`pmfid.kernel.configuration` makes them), whose nodes are PMF_SIGNALS and the next. decay: (m, 2, 3) of a
+    lag after the dead time, as `pmfid.kernel.configuration` makes them; on_top: (n hold / parts,), or a row for each motion, an input that
+    acts at once; sides: keep directions as well; steps: (n,) length of each interval [s], then nothing acts late, None: hold dt. Returns mean velocity, signed moving fraction and moving fraction, each
+    (m, n hold / parts), the last two None without sides, and the velocities at the end (m,). Raises ValueError for too many
+    parameters, impossible shapes and arrays of other sizes.
     """
     cdef pmf_auxiliary_config_t config
-    cdef pmf_auxiliary_state_t state
-    cdef pmf_late_state_t late
-    cdef real_t signal[PMF_SIGNALS + PMF_MAX_SHAPES]
-    cdef Py_ssize_t n = u.shape[0], k, whole
-    cdef double samples, part
-    cdef cnp.ndarray[double, mode="c"] past = np.ascontiguousarray(before, np.float64)
-    cdef Py_ssize_t m = past.shape[0], at
-    cdef cnp.ndarray[double, mode="c"] mean = np.empty(n)
-    cdef cnp.ndarray[double, mode="c"] direction = np.empty(n)
-    cdef cnp.ndarray[double, mode="c"] moving = np.empty(n)
+    cdef pmf_motions_t motions
     pmf_clear(&config, sizeof(config))
-    pmf_clear(&state, sizeof(state))
-    pmf_clear(signal, sizeof(signal))
-    config.dt, config.input_gain, config.steps = dt, input_gain, steps is not None
-    cdef cnp.ndarray[double, mode="c"] lengths = np.full(1, dt) if steps is None else np.ascontiguousarray(steps, np.float64)
-    cdef bint varies = steps is not None
+    pmf_clear(&motions, sizeof(motions))
+    config.dt, config.input_gain = dt, input_gain
     if len(shapes):
         if len(shapes) != sizeof(pmf_shapes_config_t):
             raise ValueError(f"shapes have {sizeof(pmf_shapes_config_t)} bytes, got {len(shapes)}")
@@ -528,49 +537,49 @@ def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode=
             not PMF_SIGNALS <= config.shapes.shape[i].node < PMF_SIGNALS + PMF_MAX_SHAPES for i in range(config.shapes.n)
         ):
             raise ValueError("these numbers are no shapes: one of them would lead beyond the kernel's memory")
-    if len(parameters) > PMF_BODY_ROLES + config.shapes.n:
-        raise ValueError(f"the model takes {PMF_BODY_ROLES + config.shapes.n} parameters, got {len(parameters)}")
-    for role in range(len(parameters)):
-        state.parameter[role] = parameters[role]
-    state.velocity, state.position = velocity, position
-    if m == 0:
+    given = np.asarray(parameters, np.float64)
+    m, n, rows = given.shape[0], u.shape[0], u.shape[0] * hold // max(parts, 1)
+    if given.shape[1] > PMF_BODY_ROLES + config.shapes.n:
+        raise ValueError(f"the model takes {PMF_BODY_ROLES + config.shapes.n} parameters, got {given.shape[1]}")
+    if hold < 1 or parts < 1 or hold % parts:
+        raise ValueError(f"hold must be a multiple of parts, got {hold} and {parts}")
+    cdef cnp.ndarray[double, ndim=2, mode="c"] roles = np.zeros((m, PMF_ROLES))
+    roles[:, : given.shape[1]] = given
+    cdef cnp.ndarray[double, mode="c"] speeds = np.ascontiguousarray(velocity, np.float64)
+    cdef cnp.ndarray[double, mode="c"] places = np.ascontiguousarray(position, np.float64)
+    cdef cnp.ndarray[double, mode="c"] past = np.ascontiguousarray(before, np.float64)
+    lag = None if decay is None else np.ascontiguousarray(decay, np.float64)
+    extra = None if on_top is None else np.ascontiguousarray(on_top, np.float64)
+    if past.shape[0] == 0:
         raise ValueError("before has no input; give at least one")
-    samples = min(max(state.parameter[PMF_DELAY] / dt, 0.0), <double> n)
-    whole = <Py_ssize_t> samples
-    part = samples - whole
-    cdef pmf_decay_t[2] lag
-    cdef bint lags = decay is not None, at_once = samples == 0.0 and decay is None and on_top is None
-    cdef cnp.ndarray[double, mode="c"] extra = np.zeros(n) if on_top is None else np.ascontiguousarray(on_top, np.float64)
-    if extra.shape[0] != n:
-        raise ValueError(f"on_top must have the length of u, {n}, got {extra.shape[0]}")
-    if varies and (lengths.shape[0] != n or lags or samples > 0.0):
+    if (speeds.shape[0], places.shape[0]) != (m, m) or (lag is not None and lag.shape != (m, 2, 3)):
+        raise ValueError(f"velocity, position and decay must be those of {m} motions")
+    if extra is not None and extra.shape not in ((rows,), (m, rows)):
+        raise ValueError(f"on_top must have {rows} samples, one row or {m}, got {extra.shape}")
+    spans = None if steps is None else np.ascontiguousarray(steps, np.float64)
+    if spans is not None and (spans.shape != (n,) or lag is not None or np.any(roles[:, PMF_DELAY] > 0)):
         raise ValueError("steps must have the length of u, and then no input acts late")
-    if lags:
-        for place in range(2):
-            lag[place].rest, lag[place].mean, lag[place].moment = decay[place]
-    late.lagged = past[0]
+    mean, end = np.empty((m, rows)), np.empty(m)
+    direction, moving = (np.empty((m, rows)), np.empty((m, rows))) if sides else (None, None)
+    motions.config = &config
+    motions.motions, motions.samples, motions.hold, motions.parts = m, n, hold, parts
+    motions.parameter, motions.velocity, motions.position = &roles[0, 0], &speeds[0], &places[0]
+    motions.input, motions.before, motions.n_before = <double *> _numbers(u), &past[0], past.shape[0]
+    motions.span = NULL if spans is None else <double *> _numbers(spans)
+    motions.decay = NULL if lag is None else <double *> _numbers(lag)
+    motions.on_top = NULL if extra is None else <double *> _numbers(extra)
+    motions.own_force = extra is not None and extra.ndim == 2
+    motions.mean, motions.end = <double *> _numbers(mean), <double *> _numbers(end)
+    if sides:
+        motions.direction, motions.moving = <double *> _numbers(direction), <double *> _numbers(moving)
     with nogil:
-        for k in range(-m if lags else 0, n):
-            if varies:
-                state.step = lengths[k]
-            if at_once:
-                signal[PMF_LATE_INPUT] = u[k]
-                pmf_auxiliary_step(&config, &state, signal)
-            else:
-                at = k - whole
-                late.newer = u[at] if at >= 0 else past[max(m + at, 0)]
-                at -= 1
-                late.older = u[at] if at >= 0 else past[max(m + at, 0)]
-                late.part = part
-                if lags:
-                    lag_input(lag, &late)
-                if k < 0:
-                    continue
-                late.older += extra[k]
-                late.newer += extra[k]
-                signal[PMF_LATE_INPUT] = late.newer + late.part * (late.older - late.newer)
-                pmf_auxiliary_late_step(&config, &state, &late, signal)
-            mean[k] = signal[PMF_AUXILIARY + PMF_VELOCITY]
-            direction[k] = signal[PMF_AUXILIARY + PMF_DIRECTION]
-            moving[k] = signal[PMF_AUXILIARY + PMF_MOVING]
-    return mean, direction, moving, state.velocity
+        pmf_move_all(&motions)
+    return mean, direction, moving, end
+
+
+def simulate(parameters, double input_gain, double dt, u, double velocity=0.0, double position=0.0,
+             bytes shapes=b"", before=(0.0,), decay=None, on_top=None, steps=None):
+    """`simulate_many` of one motion: mean velocity, signed moving fraction and moving fraction (n,), and the velocity at the end."""
+    found = simulate_many([parameters], input_gain, dt, u, [velocity], [position], shapes, before,
+                          None if decay is None else [decay], on_top, sides=True, steps=steps)
+    return found[0][0], found[1][0], found[2][0], float(found[3][0])

@@ -79,6 +79,22 @@ class ManyKernel:
     def raw_config(self) -> bytes: ...
     def set_states(self, states: NDArray[np.uint8]) -> None: ...
 
+def simulate_many(
+    parameters: NDArray[np.float64] | Sequence[Sequence[float]],
+    input_gain: float,
+    dt: float,
+    u: NDArray[np.float64],
+    velocity: NDArray[np.float64] | Sequence[float],
+    position: NDArray[np.float64] | Sequence[float],
+    shapes: bytes = b"",
+    before: NDArray[np.float64] | Sequence[float] = (0.0,),
+    decay: Sequence[Sequence[tuple[float, float, float]]] | None = None,
+    on_top: NDArray[np.float64] | None = None,
+    hold: int = 1,
+    parts: int = 1,
+    sides: bool = False,
+    steps: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64] | None, NDArray[np.float64]]: ...
 def simulate(
     parameters: Sequence[float],
     input_gain: float,

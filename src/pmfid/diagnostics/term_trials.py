@@ -242,8 +242,12 @@ class Pitched(Difference):
         """How many pitches of the model's own cogging force the travel has."""
         return float(np.ptp(self.y)) / float((self.model and self.model.cogging) or np.nan)
 
-    def __call__(self, q: Floats) -> Floats:
-        return self.fix_pitch(q)(q[:-1])
+    def differences(self, qs: Floats) -> Floats:
+        found, pitches = np.empty((len(qs), self.y.size)), qs[:, -1]
+        for pitch in np.unique(pitches):
+            rows = pitches == pitch
+            found[rows] = self.fix_pitch(qs[rows][0]).differences(qs[rows, :-1])
+        return found
 
     @property
     def lower(self) -> Floats:

@@ -412,7 +412,7 @@ def _effect(difference: Difference, q: Floats, candidate: CandidateForce) -> Flo
         TUNING.adequacy_step * candidate.plausible
         or TUNING.step_of_force * abs(difference.equation.input_gain) * rms(difference.u) / usual
     )
-    more, less = (difference.motion(q, -side * size * candidate.force)[0] for side in (1.0, -1.0))
+    more, less = difference.motions(np.array([q, q]), np.outer([-size, size], candidate.force))[0]
     return difference.filter_signal(more - less) / (2 * size * difference.resolution)
 
 

@@ -23,10 +23,11 @@ Intervals = float | Floats
 
 
 def sum_travel(velocity: Floats, dt: Intervals) -> Floats:
-    """(n,) position at the samples from 0 on, of mean velocities (n,) between them."""
-    if isinstance(dt, np.ndarray):
-        return np.append(0.0, np.cumsum(velocity[:-1] * dt[:-1]))
-    return np.asarray(np.r_[0.0, np.cumsum(velocity[:-1])] * dt)
+    """(..., n) position at the samples from 0 on, of mean velocities (..., n) between them."""
+    travel = np.zeros_like(velocity)
+    steps = velocity * dt if isinstance(dt, np.ndarray) else velocity
+    np.cumsum(steps[..., :-1], axis=-1, out=travel[..., 1:])
+    return travel if isinstance(dt, np.ndarray) else travel * dt
 
 
 def mean_velocity(
@@ -59,34 +60,96 @@ def simulate_motion(
     on_top: Floats | None = None,
 ) -> tuple[Floats, float]:
     """`mean_velocity`, and the velocity at the end."""
+    at = np.array([[velocity, position]])
+    found, ends = simulate_motions(equation, np.asarray(theta)[None], dt, u, at, parts, before, on_top)
+    return np.asarray(found[0]), float(ends[0])
+
+
+def simulate_motions(
+    equation: Equation,
+    thetas: Floats,
+    dt: Intervals,
+    u: Floats,
+    starts: Floats,
+    parts: int = TUNING.motion_parts,
+    before: Floats | None = None,
+    on_top: Floats | None = None,
+    split: int = 1,
+) -> tuple[Floats, Floats]:
+    """Of m motions under one input mean velocities (m, split n) over `split` equal pieces of every interval, and the
+    velocities at the end (m,); thetas: (m, p), starts: (m, 2) velocity and position; parts: of a piece; on_top:
+    (split n,), or a row for each motion. Motions whose shapes have the same parameters are computed side by side."""
     from pmfid import _kernel64
 
-    past = np.zeros(1) if before is None else before
-    known = equation.known_at(np.asarray(theta)[len(equation.names) :])
-    roles, shapes = known.role_values(theta), shape_bytes(known.shapes)
-    if isinstance(dt, np.ndarray) and (roles[LATE] > 0 or known.lag):
-        pieces = _cut_pieces(u, past, dt, roles[LATE], float(known.lag), parts if shapes or known.lag else 1)
-        roles[LATE], extra = 0.0, None if on_top is None else on_top[pieces.interval]
-        found = _kernel64.simulate(
-            roles, known.input_gain, 1.0, pieces.u, velocity, position, shapes, np.zeros(1), None, extra, pieces.steps
-        )
-        return np.add.reduceat(np.asarray(found[0]) * pieces.steps, pieces.firsts) / dt, float(found[3])
+    p, past = len(equation.names), np.zeros(1) if before is None else before
+    velocity, ends = np.empty((len(thetas), split * u.size)), np.empty(len(thetas))
     period, steps = (float(np.mean(dt)), dt) if isinstance(dt, np.ndarray) else (dt, None)
-    if not (shapes or known.lag):
-        found = _kernel64.simulate(
-            roles, known.input_gain, period, u, velocity, position, b"", past, None, on_top, steps
+    alike: dict[tuple[float, ...], list[int]] = {}
+    for index, theta in enumerate(thetas):
+        alike.setdefault(tuple(theta[p:].tolist()), []).append(index)
+    for further, rows in alike.items():
+        known = equation.known_at(np.array(further))
+        shapes, pieces = shape_bytes(known.shapes), split
+        roles = np.array([known.role_values(theta) for theta in thetas[rows]])
+        if steps is not None and (known.lag or np.any(roles[:, LATE] > 0)):
+            spans, held, earlier = np.repeat(steps / split, split), np.repeat(u, split), np.repeat(past, split)
+            for row, own in zip(rows, roles.tolist(), strict=True):
+                force = on_top if on_top is None or on_top.ndim == 1 else on_top[row]
+                velocity[row], ends[row] = _simulate_late(known, own, spans, held, starts[row], parts, earlier, force)
+            continue
+        if shapes or known.lag:
+            pieces *= parts
+            for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
+                less = (parts - 1) * TUNING.little_damping * roles[:, MASS] / (period / split)
+                roles[:, viscous] = np.maximum(roles[:, viscous] - less, 0.0)
+        velocity[rows], _, _, ends[rows] = _kernel64.simulate_many(
+            roles,
+            known.input_gain,
+            period / pieces,
+            u,
+            starts[rows, 0],
+            starts[rows, 1],
+            shapes,
+            past,
+            _decays(known, roles, period / pieces),
+            on_top if on_top is None or on_top.ndim == 1 else on_top[rows],
+            pieces,
+            pieces // split,
+            steps=steps,
         )
-        return np.asarray(found[0]), float(found[3])
-    for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
-        roles[viscous] = max(roles[viscous] - (parts - 1) * TUNING.little_damping * roles[MASS] / period, 0.0)
-    inputs = np.repeat(u, parts)
-    extra = None if on_top is None else np.repeat(on_top, parts)
-    past, lagging = np.repeat(past, parts), _decays(known, roles, period / parts)
-    steps = None if steps is None else np.repeat(steps / parts, parts)
+    return velocity, ends
+
+
+def _simulate_late(
+    known: Equation,
+    roles: list[float],
+    dt: Floats,
+    u: Floats,
+    start: Floats,
+    parts: int,
+    past: Floats,
+    force: Floats | None,
+) -> tuple[Floats, float]:
+    """`simulate_motion` of intervals dt (n,) [s] under an input that acts late, in the pieces between its switches."""
+    from pmfid import _kernel64
+
+    shapes = shape_bytes(known.shapes)
+    pieces = _cut_pieces(u, past, dt, roles[LATE], float(known.lag), parts if shapes or known.lag else 1)
+    roles[LATE], extra = 0.0, None if force is None else force[pieces.interval]
     found = _kernel64.simulate(
-        roles, known.input_gain, period / parts, inputs, velocity, position, shapes, past, lagging, extra, steps
+        roles,
+        known.input_gain,
+        1.0,
+        pieces.u,
+        float(start[0]),
+        float(start[1]),
+        shapes,
+        np.zeros(1),
+        None,
+        extra,
+        pieces.steps,
     )
-    return np.asarray(found[0].reshape(-1, parts).mean(axis=1)), float(found[3])
+    return np.add.reduceat(np.asarray(found[0]) * pieces.steps, pieces.firsts) / dt, float(found[3])
 
 
 @dataclass(frozen=True)
@@ -127,12 +190,12 @@ def _lag_input(u: Floats, steps: Floats, lag: float) -> Floats:
     return found
 
 
-def _decays(equation: Equation, roles: Sequence[float], dt: float) -> list[Decay] | None:
-    """What the kernel needs for the lag of an equation, in steps of dt [s]; None: there is none."""
+def _decays(equation: Equation, roles: Floats, dt: float) -> list[list[Decay]] | None:
+    """What the kernel needs for the lag of an equation, in steps of dt [s], of each motion; None: there is none."""
     if not equation.lag:
         return None
-    late = max(roles[LATE] / dt, 0.0)
-    return decays(late - math.floor(late), float(equation.lag) / dt)
+    late = np.maximum(roles[:, LATE] / dt, 0.0)
+    return [decays(part, float(equation.lag) / dt) for part in (late - np.floor(late)).tolist()]
 
 
 def parts_for(equation: Equation, theta: Floats, dt: Intervals, u: Floats, allowed: float) -> int:
@@ -258,7 +321,11 @@ class Difference:
         return self.dt if self.uneven is None else self.uneven
 
     def __call__(self, q: Floats) -> Floats:
-        return self.filter_signal(self.y - self.motion(q)[0]) / self.resolution
+        return np.asarray(self.differences(q[None])[0])
+
+    def differences(self, qs: Floats) -> Floats:
+        """(m, n) at each of the qs (m, q), computed side by side."""
+        return np.array([self.filter_signal(self.y - x) / self.resolution for x in self.motions(qs)[0]])
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
         """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
@@ -266,21 +333,25 @@ class Difference:
         force (n,), or (k n,) for the k equal parts of every sample: on top of the force of the input [unit of the
         equation].
         """
+        position, velocity = self.motions(q[None], None if force is None else force[None])
+        return position[0], velocity[0]
+
+    def motions(self, qs: Floats, forces: Floats | None = None) -> tuple[Floats, Floats]:
+        """`motion` at each of the qs (m, q), with a force each (m, n) or (m, k n): (m, n) and (m, n) or (m, k n)."""
         if self.breaks:
-            return self._simulate_parts(q, force)
-        values = q * self.scale
-        theta, (x0, v0) = values[:-2], values[-2:]
-        split, u, on_top = 1, self.u, None
-        if force is not None:
-            split = force.size // u.size
-            u, on_top = np.repeat(u, split), force / self.equation.input_gain
-        # a spring's length counts from the first count
-        start = float(v0), float(x0 - self.slack)
+            rows = zip(qs, [None] * len(qs) if forces is None else forces, strict=True)
+            found = [self._simulate_parts(*row) for row in rows]
+            return np.array([x for x, _ in found]), np.array([v for _, v in found])
+        values = qs * self.scale
+        starts = values[:, :-3:-1] - np.array([0.0, self.slack])  # a spring's length counts from the first count
+        split, on_top = 1, None
+        if forces is not None:
+            split, on_top = forces.shape[1] // self.u.size, forces / self.equation.input_gain
         parts = max(1, -(-self.parts // split))
-        past, dt = np.repeat(self.before, split), self.intervals
-        dt = np.repeat(dt / split, split) if isinstance(dt, np.ndarray) else dt / split
-        velocity = mean_velocity(self.equation, theta, dt, u, *start, parts, past, on_top)
-        return x0 + sum_travel(velocity, dt)[::split], velocity
+        dt, thetas = self.intervals, values[:, :-2]
+        velocity, _ = simulate_motions(self.equation, thetas, dt, self.u, starts, parts, self.before, on_top, split)
+        fine = np.repeat(dt / split, split) if isinstance(dt, np.ndarray) else dt / split
+        return values[:, -2:-1] + sum_travel(velocity, fine)[:, ::split], velocity
 
     def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
         """`motion` of a record with gaps; in a gap the position follows the counts, and the velocity is zero."""
@@ -370,18 +441,16 @@ class Difference:
 
     def jacobian(self, q: Floats, width: float = TUNING.quotient_step, first: int = 0) -> Floats:
         """Derivatives by q[first:], a column each, as central differences that stay above the bounds."""
-        columns = []
-        for step in width * np.eye(q.size)[first:]:
-            low = np.maximum(q - step, self.lower)
-            columns.append((self(q + step) - self(low)) / np.sum(q + step - low))
-        return np.column_stack(columns)
+        steps = width * np.eye(q.size)[first:]
+        low = np.maximum(q - steps, self.lower)
+        above, below = np.split(self.differences(np.concatenate([q + steps, low])), 2)
+        return np.asarray(((above - below) / np.sum(q + steps - low, axis=1)[:, None]).T)
 
     def forward_jacobian(self, q: Floats, e: Floats) -> Floats:
         """Derivatives by q (q,), a column each, from the difference e (n,) at q: half of the simulations of `jacobian`,
         for an iteration, whose end they move by a ten-thousandth of a standard error."""
-        return np.column_stack(
-            [(self(q + step) - e) / TUNING.quotient_step for step in TUNING.quotient_step * np.eye(q.size)]
-        )
+        step = TUNING.quotient_step
+        return np.asarray((self.differences(q + step * np.eye(q.size)) - e).T / step)
 
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""

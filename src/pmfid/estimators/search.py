@@ -151,8 +151,8 @@ class Windows(Difference):
         p = self.parameters
         return [(part, np.r_[q[:p], place]) for part, place in zip(self.pieces, q[p:].reshape(-1, 2), strict=True)]
 
-    def __call__(self, q: Floats) -> Floats:
-        return np.concatenate([part(own) for part, own in self.split_windows(q)])
+    def differences(self, qs: Floats) -> Floats:
+        return np.array([np.concatenate([part(own) for part, own in self.split_windows(q)]) for q in qs])
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
         position, velocity = zip(*(part.motion(own) for part, own in self.split_windows(q)), strict=True)
