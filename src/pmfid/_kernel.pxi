@@ -207,7 +207,7 @@ cdef class Kernel:
         pmf_gap(&self.config, &self.state, <uint32_t> count)
 
     def doubt(self, uint32_t samples):
-        """The last sample was a guess: nothing is learnt from so many samples, at most those in which filters settle."""
+        """The last sample was a guess: nothing is learnt from `samples` samples, at most those in which filters settle."""
         pmf_doubt(&self.config, &self.state, samples)
 
     cdef Estimate _snapshot(self):
@@ -311,7 +311,7 @@ cdef class Kernel:
         return blocks, lost
 
     def many(self, Py_ssize_t axes, bytes is_whole):
-        """So many axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
+        """`axes` axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
         return ManyKernel(self, axes, is_whole)
 
     def raw_config(self):
@@ -489,7 +489,7 @@ cdef class ManyKernel:
     def run(self, cnp.ndarray u, cnp.ndarray counts, Py_ssize_t first, Py_ssize_t end, uint64_t every, results, uint32_t way):
         """Axes `first` to `end` through u (float32 or float64) and counts (int32 or int64), both (axes, n) with any
         strides. results: theta, variance_factor, inflation (axes, kept, p), innovation, innovation_variance, status
-        (axes, kept), to be filled with every so many estimates and the last. Releases the interpreter meanwhile.
+        (axes, kept), to be filled with every `every`-th estimate and the last. Releases the interpreter meanwhile.
         Raises ValueError where an array has another shape or type than that: the C asks nothing."""
         cdef pmf_many_t many
         cdef unsigned char *states
