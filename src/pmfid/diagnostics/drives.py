@@ -28,6 +28,10 @@ from pmfid.status import Status
 from pmfid.types import Counts, Floats
 
 
+#: What was found when a model was examined: its adequacy, or that no motion of it follows; None: not examined.
+Examined = Adequacy | NotIdentifiableError | None
+
+
 def counts_per_sample(counts: Counts) -> float:
     """Mean over the samples that lie between the first and the last change of the counts; 0 without motion."""
     change = np.abs(np.diff(counts))
@@ -233,7 +237,7 @@ def judge(
     counts: NDArray[np.int64],
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
-    adequacy: Adequacy | None = None,
+    adequacy: Examined = None,
 ) -> tuple[Finding, ...]:
     """Findings on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
 
@@ -243,7 +247,7 @@ def judge(
     counts; model_spread: the counts would not show an effect that moves a parameter beyond its standard error;
     feedback: the residual comes back through the input; count_jump: one change of the counts is no motion;
     coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
-    With forgetting, the last three memories are judged. adequacy: result of `examine` on the whole record, if known.
+    With forgetting, the last three memories are judged. adequacy: what is known of the model on the whole record.
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
     # where the model is wrong, methods differ because they weigh its error differently: only large differences count
@@ -373,13 +377,17 @@ def examine_estimate(
     u: NDArray[np.float64],
     counts: NDArray[np.int64],
     theta: NDArray[np.float64],
-    known: Adequacy | None = None,
+    known: Examined = None,
 ) -> Adequacy | None:
     """Adequacy of the model near an estimate theta (p,) from u, counts: (n,), on the samples that the estimate depends
-    on; None if nothing simulates the equation, or nothing moves. known: the result, if this model has one already.
+    on; None if nothing simulates the equation, or nothing moves. known: what is known of this model already.
 
     Raises NotIdentifiableError if no motion of the model can be fitted.
     """
+    if isinstance(known, NotIdentifiableError):
+        raise known
+    if known is not None:
+        return known
     if estimator.equation.without_simulation:
         return None
     part = recent(estimator, u.size)
@@ -388,8 +396,6 @@ def examine_estimate(
         return None
     if not np.any(like(LS, estimator, model=estimator.model.simple, prefilter_zeros=None).columns(u, counts).used):
         return None
-    if known is not None and known.difference.equation.at_lag(0.0) == estimator.equation.at_lag(0.0):
-        return known  # a lag that was found and one that is known are one model
     theta = theta[: len(estimator.equation.names)]
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
     complete = at[estimator.equation.leading] > 0 and not estimator.equation.further
@@ -402,7 +408,7 @@ def _model(
     counts: NDArray[np.int64],
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
-    adequacy: Adequacy | None,
+    adequacy: Examined,
 ) -> Iterator[Finding]:
     """Does the simulated motion explain the counts, and which unmodelled effects could the counts hide?"""
     try:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.diagnostics.drives import examine_estimate, judge, recent
+from pmfid.diagnostics.drives import Examined, examine_estimate, judge, recent
 from pmfid.diagnostics.matter import Matter, matter_of, weigh_findings
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
@@ -196,6 +196,7 @@ def verdict(
     on the model, if that is known; tolerance: negligible relative error of a parameter."""
     found, spread = _spread(estimator, u, counts, theta, std, known)
     judged = judge(estimator, u, counts, theta, std, found)
+    found = found if isinstance(found, Adequacy) else None
     p = len(estimator.equation.names)
     shown = np.full(p, np.nan) if found is None else _estimate_shown_bias(found, theta[:p], std[:p], spread[:p])
     return Verdict(judged, spread, matter_of(estimator, theta, std, shown, tolerance), found)
@@ -220,13 +221,13 @@ def _spread(
     theta: Floats,
     std: Floats,
     known: Adequacy | None,
-) -> tuple[Adequacy | None, Floats]:
+) -> tuple[Examined, Floats]:
     """What the counts say on the model, if anything, and by how much unmodelled effects may move the estimate (p,)."""
     part = recent(estimator, u.size)
     try:
         found = examine_estimate(estimator, u, counts, theta, known)
-    except NotIdentifiableError:
-        return None, spread_without_motion(estimator, u[part], counts[part], theta)
+    except NotIdentifiableError as error:
+        return error, spread_without_motion(estimator, u[part], counts[part], theta)
     if found is None:
         return None, np.full(theta.size, np.nan)
     return found, model_spread(estimator, u[part], counts[part], theta, std, found)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr
 
-from pmfid.estimators.motion import Difference, bounded_step, rms, try_step
+from pmfid.estimators.motion import Difference, bounded_step, rms
 from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
 
@@ -110,32 +110,103 @@ def _list_starts(difference: Difference, q: Floats) -> list[Floats]:
 def climb(
     difference: Difference, q: Floats, fixed: float | None, settled: float = TUNING.settled_step**2 / 2
 ) -> tuple[float, Floats, float]:
-    """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q: damped Newton steps, with the best noise
-    after each or a fixed one. settled: a step that gains less is the last one; by default one of settled_step of a
-    standard error."""
-    damping, step, gain = TUNING.first_damping, np.inf, np.inf
-    e = difference(q)
-    jacobian = difference.forward_jacobian(q, e)
-    noise = fixed or likeliest_noise(e)
+    """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q, with the best noise or a fixed one.
+
+    Each step leads to the top of the likelihood of differences that are linear in q. Where the motion bends, the first
+    such steps may lead down: they are taken, as they converge fast, and taken back if no top follows. From there a part
+    of the way is tried. settled: a step that gains less is the last one; by default one of settled_step of a standard
+    error."""
+    best, down = _evaluate(difference, q, fixed), 0
+    place, widths = best, np.full(q.size, TUNING.likelihood_quotient)
     for _ in range(TUNING.likelihood_max_iterations):
-        now, slope, curvature = cost(e, noise)
-        hessian = jacobian.T @ (curvature[:, None] * jacobian)
-        # counts far from their edges have no curvature: without the last term a step would leave them
-        hessian += damping * (np.diag(np.diagonal(hessian)) + jacobian.T @ jacobian)
-        step_back = bounded_step(hessian, jacobian.T @ slope, q > difference.lower)
-        trial = np.maximum(q - step_back, difference.lower)
-        e_trial = try_step(difference, q, trial)
-        gain = now - cost(e_trial, noise)[0] if np.all(np.isfinite(e_trial)) else -np.inf
+        step, promised = _aim(difference, place, widths)
+        higher = best.cost - promised >= settled
+        if place is best and not higher:
+            break
+        found = _evaluate(difference, np.maximum(place.q + step, difference.lower), fixed) if higher else best
+        if found.cost < best.cost:
+            gain, best, place, down = best.cost - found.cost, found, found, 0
+        elif higher and down < TUNING.likelihood_downward and found.cost < np.inf:
+            gain, place, down = np.inf, found, down + 1
+        else:
+            found = _search_near(difference, best, fixed)
+            gain, best, place, down = best.cost - found.cost, found, found, TUNING.likelihood_downward
+        if gain < settled:
+            break
+        widths = _widths(difference, place.q, step)
+    return best.cost, best.q, best.noise
+
+
+def _widths(difference: Difference, q: Floats, step: Floats) -> Floats:
+    """Of the difference quotients at q (q,): as long as the last step (q,) and in its direction, for a start from rest
+    has another effect on either side."""
+    widths = np.clip(np.abs(step), TUNING.least_quotient, TUNING.likelihood_quotient)
+    return np.asarray(np.where((step < 0) & (q - widths >= difference.lower), -widths, widths))
+
+
+def _aim(difference: Difference, place: _Place, widths: Floats) -> tuple[Floats, float]:
+    """The step (q,) to the top of differences that are linear in q, and their negative log-likelihood there."""
+    jacobian = difference.forward_jacobian(place.q, place.e, widths)
+    step = top(place.e, jacobian, place.noise, difference.lower - place.q)
+    return step, cost(place.e + jacobian @ step, place.noise)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """q (q,), its differences e (n,) [counts] and their noise, and the negative log-likelihood."""
+
+    q: Floats
+    e: Floats
+    noise: float
+    cost: float
+
+
+def _evaluate(difference: Difference, q: Floats, fixed: float | None, e: Floats | None = None) -> _Place:
+    e = difference(q) if e is None else e
+    if not np.max(np.abs(e)) < TUNING.likelihood_lost:  # no likelihood leads back from there
+        return _Place(q, e, np.inf, np.inf)
+    noise = fixed or likeliest_noise(e)
+    return _Place(q, e, noise, cost(e, noise)[0])
+
+
+def _search_near(difference: Difference, best: _Place, fixed: float | None) -> _Place:
+    """The likeliest of the tops where the differences move little, or the place itself."""
+    jacobian = difference.forward_jacobian(best.q, best.e, TUNING.likelihood_quotient)
+    low = difference.lower - best.q
+    steps = [top(best.e, jacobian, best.noise, low, tied) for tied in TUNING.likelihood_ties]
+    trials = np.maximum(best.q + np.array(steps), difference.lower)
+    found = [_evaluate(difference, q, fixed, e) for q, e in zip(trials, difference.differences(trials), strict=True)]
+    return min([best, *found], key=lambda place: place.cost)
+
+
+def top(error: Floats, jacobian: Floats, noise: float, lower: Floats | None = None, tied: float = 0.0) -> Floats:
+    """Step (q,), at least `lower`, to the largest likelihood of differences error (n,) + jacobian (n, q) @ step
+    [counts]: damped steps of Newton. tied: a cost of that times half the sum of squares of what the step changes."""
+    step, damping, tie = np.zeros(jacobian.shape[1]), TUNING.first_damping, tied * jacobian.T @ jacobian
+    low = np.full(step.size, -np.inf) if lower is None else lower
+    now, slope, hessian = _edge_cost(error, jacobian, noise)
+    for _ in range(TUNING.top_steps):
+        damped = hessian + tie + damping * np.diag(np.maximum(np.diagonal(hessian), TUNING.tiny))
+        trial = np.maximum(step - bounded_step(damped, slope + tie @ step, step > low), low)
+        found = _edge_cost(error + jacobian @ trial, jacobian, noise)
+        gain = now - found[0] + (step @ tie @ step - trial @ tie @ trial) / 2
         if gain > 0:
-            step, q, e, damping = float(np.max(np.abs(trial - q))), trial, e_trial, damping / 10
-            noise = fixed or likeliest_noise(e)
+            step, damping = trial, damping / 10
+            now, slope, hessian = found
+            if gain < TUNING.top_settled:
+                break
         else:
             damping *= 10
-        if step < TUNING.likelihood_tolerance or damping > TUNING.max_damping or 0 < gain < settled:
-            break
-        if gain > 0:
-            jacobian = difference.forward_jacobian(q, e)
-    return cost(e, noise)[0], q, noise
+    return step
+
+
+def _edge_cost(error: Floats, jacobian: Floats, noise: float) -> tuple[float, Floats, Floats]:
+    """Negative log-likelihood, gradient (q,) and curvature (q, q): of the counts whose edges are near enough to matter,
+    for all others it is zero in floating point."""
+    near = np.abs(error) > 0.5 - TUNING.likelihood_reach * noise
+    rows = jacobian[near]
+    now, slope, curvature = cost(error[near], noise)
+    return now, rows.T @ slope, rows.T @ (curvature[:, None] * rows)
 
 
 def likeliest_noise(e: Floats) -> float:

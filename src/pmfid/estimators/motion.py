@@ -446,11 +446,10 @@ class Difference:
         above, below = np.split(self.differences(np.concatenate([q + steps, low])), 2)
         return np.asarray(((above - below) / np.sum(q + steps - low, axis=1)[:, None]).T)
 
-    def forward_jacobian(self, q: Floats, e: Floats) -> Floats:
+    def forward_jacobian(self, q: Floats, e: Floats, widths: Floats | float = TUNING.quotient_step) -> Floats:
         """Derivatives by q (q,), a column each, from the difference e (n,) at q: half of the simulations of `jacobian`,
         for an iteration, whose end they move by a ten-thousandth of a standard error."""
-        step = TUNING.quotient_step
-        return np.asarray((self.differences(q + step * np.eye(q.size)) - e).T / step)
+        return np.asarray((self.differences(q + widths * np.eye(q.size)) - e).T / widths)
 
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""

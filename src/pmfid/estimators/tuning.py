@@ -194,7 +194,20 @@ class EstimatorTuning:
     likelihood_agreeing: int = 3
     likelihood_same: float = 0.01
     likelihood_max_iterations: int = 100
-    likelihood_tolerance: float = 1e-6
+    #: Steps downward that are taken for the sake of later ones. Where none helps, a cost of the change of the differences
+    #: shortens the step: by these factors, side by side.
+    likelihood_downward: int = 2
+    likelihood_ties: tuple[float, ...] = (1e-2, 1e-1, 1e0, 1e1, 1e2, 1e3, 1e4, 1e5)
+    #: Longest and shortest step of the difference quotients: a longer one than what is left of the way misses the top.
+    likelihood_quotient: float = 1e-5
+    least_quotient: float = 1e-8
+    #: Largest difference, in counts, that a likelihood is asked for.
+    likelihood_lost: float = 1e6
+    #: Steps to that top, and what one gains at the top.
+    top_steps: int = 30
+    top_settled: float = 1e-3
+    #: Distance from an edge beyond which the edge has no influence [standard deviations of the noise].
+    likelihood_reach: float = 8.0
     #: Noise, in counts, from which on the edges of the counts no longer show.
     likelihood_wide: float = 3.0
 
@@ -372,13 +385,8 @@ class EstimatorTuning:
     most_counts: float = 2.0**53
     #: Places of the lattice that are tried.
     uncertainty_phases: int = 32
-    #: Places of the lattice at which the top of the likelihood is looked for, steps to it, and what one gains at the
-    #: top.
+    #: Places of the lattice at which the top of the likelihood is looked for.
     uncertainty_tops: int = 16
-    uncertainty_most_steps: int = 30
-    uncertainty_settled: float = 1e-3
-    #: Distance from an edge beyond which the edge has no influence [standard deviations of the noise].
-    uncertainty_reach: float = 8.0
 
 
 TUNING = EstimatorTuning()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import hold_last_input
-from pmfid.estimators.likelihood import Best, cost
+from pmfid.estimators.likelihood import Best, cost, top
 from pmfid.estimators.motion import Difference, first_speed, mean_velocity, sum_travel
 from pmfid.estimators.results import Columns
 from pmfid.estimators.tuning import TUNING
@@ -155,31 +155,4 @@ def _tops(best: Best) -> Floats:
         np.floor(place + k / TUNING.uncertainty_tops) + 0.5 - (place + k / TUNING.uncertainty_tops)
         for k in range(TUNING.uncertainty_tops)
     ]
-    return np.array([_top(error, jacobian, noise) for error in errors])
-
-
-def _top(error: Floats, jacobian: Floats, noise: float) -> Floats:
-    """Step (q,) to the largest likelihood of differences error (n,) + jacobian (n, q) @ step [counts]."""
-    step, damping = np.zeros(jacobian.shape[1]), 1e-3
-    now, slope, hessian = _compute_edge_cost(error, jacobian, noise)
-    for _ in range(TUNING.uncertainty_most_steps):
-        damped = hessian + damping * np.diag(np.maximum(np.diagonal(hessian), TUNING.tiny))
-        trial = step - np.linalg.lstsq(damped, slope)[0]
-        found = _compute_edge_cost(error + jacobian @ trial, jacobian, noise)
-        if found[0] < now:
-            gain, step, damping = now - found[0], trial, damping / 10
-            now, slope, hessian = found
-            if gain < TUNING.uncertainty_settled:
-                break
-        else:
-            damping *= 10
-    return step
-
-
-def _compute_edge_cost(error: Floats, jacobian: Floats, noise: float) -> tuple[float, Floats, Floats]:
-    """Negative log-likelihood, gradient (q,) and curvature (q, q): of the counts whose edges are near enough to matter,
-    for all others it is zero in floating point."""
-    near = np.abs(error) > 0.5 - TUNING.uncertainty_reach * noise
-    rows = jacobian[near]
-    now, slope, curvature = cost(error[near], noise)
-    return now, rows.T @ slope, rows.T @ (curvature[:, None] * rows)
+    return np.array([top(error, jacobian, noise) for error in errors])

@@ -346,8 +346,11 @@ def _collect_status(record: Record) -> int:
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
     """Whether the model explains the counts. Only a free lag needs a test here: the lag from instrumental variables is
     not the lag that fits best."""
-    if choice is not None or estimator.equation.lag != ESTIMATE:
-        return choice.adequacy if choice else None
+    if choice is not None:
+        tested = choice.adequacy
+        return tested if tested is not None and tested.difference.equation == estimator.equation else None
+    if estimator.equation.lag != ESTIMATE:
+        return None
     known = estimator.equation.at_shapes(fit.theta[len(estimator.equation.names) :])
     free = like(type(estimator), estimator, model=EquationModel(known))
     with suppress(NotIdentifiableError):
