@@ -75,8 +75,7 @@ static real_t shape_integral(const pmf_shapes_config_t *config, const pmf_shape_
     const scalar_t *knot = &config->knot[shape->first];
     part = x - PMF_TO_REAL(i);
     low = PMF_READ(knot, i);
-    return PMF_READ(&config->sum[shape->first], i) +
-           part * (low + PMF_R(0.5) * part * (PMF_READ(knot + 1, i) - low)) +
+    return PMF_READ(&config->sum[shape->first], i) + part * (low + PMF_R(0.5) * part * (PMF_READ(knot + 1, i) - low)) +
            ((at - shape->start) * shape->knots_per_unit - x) * knot[shape->intervals];
 }
 

@@ -47,19 +47,15 @@ const pmf_motions_run_t *pmf_motions_widest(void)
 {
     switch (pmf_many_way()) {
 #if defined(PMF_HAVE_LANES_16) && !defined(PMF_FLOAT32)
-    case PMF_LANES_16:
-        return &pmf_motions_16;
+    case PMF_LANES_16: return &pmf_motions_16;
 #endif
 #if defined(PMF_HAVE_LANES_32) && !defined(PMF_FLOAT32)
-    case PMF_LANES_32:
-        return &pmf_motions_32;
+    case PMF_LANES_32: return &pmf_motions_32;
 #endif
 #if defined(PMF_HAVE_LANES_64) && !defined(PMF_FLOAT32)
-    case PMF_LANES_64:
-        return &pmf_motions_64;
+    case PMF_LANES_64: return &pmf_motions_64;
 #endif
-    default:
-        return 0;
+    default: return 0;
     }
 }
 

@@ -18,7 +18,8 @@ typedef struct {
     const double *before; /* n_before >= 1 inputs before the first; the oldest has been there for ever */
     uint64_t n_before;
     const double *decay; /* motions x 2 x 3, of a lag after the dead time; null: none */
-    const double *on_top; /* a row, or one for each motion (own_force), as fine as the means: acts at once; null: none */
+    const double
+        *on_top; /* a row, or one for each motion (own_force), as fine as the means: acts at once; null: none */
     uint32_t own_force;
     double *mean, *direction, *moving; /* motions x means; null: not asked for */
     double *end; /* velocities: motions */

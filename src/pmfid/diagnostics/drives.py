@@ -27,7 +27,6 @@ from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, Equation
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
 
-
 #: What was found when a model was examined: its adequacy, or that no motion of it follows; None: not examined.
 Examined = Adequacy | NotIdentifiableError | None
 

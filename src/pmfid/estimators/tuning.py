@@ -194,8 +194,8 @@ class EstimatorTuning:
     likelihood_agreeing: int = 3
     likelihood_same: float = 0.01
     likelihood_max_iterations: int = 100
-    #: Steps downward that are taken for the sake of later ones. Where none helps, a cost of the change of the differences
-    #: shortens the step: by these factors, side by side.
+    #: Steps downward that are taken for the sake of later ones. Where none helps, a cost of the change of the
+    #: differences shortens the step: by these factors, side by side.
     likelihood_downward: int = 2
     likelihood_ties: tuple[float, ...] = (1e-2, 1e-1, 1e0, 1e1, 1e2, 1e3, 1e4, 1e5)
     #: Longest and shortest step of the difference quotients: a longer one than what is left of the way misses the top.
