@@ -207,6 +207,23 @@ def test_lost_samples_have_the_bits_of_python(
 
 
 @needs(GCC)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("cls", [pmfid.RIV, pmfid.BCRLS, pmfid.RLS])
+def test_a_step_that_varies_has_the_bits_of_python(
+    cls: type[RecursiveEstimator], precision: str, tmp_path: Path
+) -> None:
+    u, counts = hostile()
+    steps = DT * np.random.default_rng(8).uniform(0.1, 1.9, u.size)
+    steps[[400, 900]] = np.nan, 1e9  # no step of a clock
+    estimator = make(cls, precision, steps="given")
+    exported(estimator, tmp_path, u, counts, steps=steps)
+    assert difference(tmp_path, GCC, "-O2", *WARNINGS) is None
+    exported(make(cls, precision), tmp_path / "even", u, counts)
+    sizes = [(folder / "pmf_sizes.h").read_text() for folder in (tmp_path, tmp_path / "even")]
+    assert ["PMF_WITH_STEPS 1" in text for text in sizes] == [True, False]
+
+
+@needs(GCC)
 def test_lost_samples_of_a_linear_process_have_the_bits_of_python(tmp_path: Path) -> None:
     u, counts = (np.delete(table[0], slice(1000, 1090)) for table in process_record())
     assert gaps_differ(process_estimator("rsrivc", "float32"), tmp_path, u, counts) == (False, True)
@@ -313,8 +330,9 @@ def selftest(folder: Path, target: Target, *options: str, optimize: str = "-O2")
 
 
 @needs(GCC)
-def test_make_selftest_and_example_as_a_stranger_would(tmp_path: Path) -> None:
-    pmfid.export_firmware(make(pmfid.RIV), tmp_path)
+@pytest.mark.parametrize("options", [{}, {"steps": "given"}])
+def test_make_selftest_and_example_as_a_stranger_would(options: dict[str, object], tmp_path: Path) -> None:
+    pmfid.export_firmware(make(pmfid.RIV, **options), tmp_path)
     done = command(["make", "-s", "selftest", "all"], tmp_path)
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
     assert command(["./selftest"], tmp_path).stdout == "800 samples, the same bits\n"

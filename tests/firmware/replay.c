@@ -9,6 +9,9 @@
 #define BLOCK 512
 
 typedef struct {
+#if PMF_WITH_STEPS
+    real_t step;
+#endif
     real_t u;
     uint32_t count;
 } input_t;
@@ -41,6 +44,9 @@ static void step(const input_t *in, output_t *out)
 {
     const pmf_estimate_t *estimate;
     uint32_t i;
+#if PMF_WITH_STEPS
+    pmf_set_step(&EXPORT_CONFIG, &axis, in->step);
+#endif
     out->status = pmf_step(&EXPORT_CONFIG, &axis, in->u, in->count);
     estimate = pmf_estimate(&EXPORT_CONFIG, &axis);
     for (i = 0; i < pmf_parameters(&EXPORT_CONFIG); ++i) {

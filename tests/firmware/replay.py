@@ -24,20 +24,29 @@ def exported(
     u: NDArray[np.float64],
     counts: NDArray[np.int64],
     gaps: Sequence[int] = (),
+    steps: NDArray[np.float64] | None = None,
 ) -> Path:
     """Exports, with a file of samples in.bin and what Python makes of them, expected.bin. gaps: numbers of the samples
-    before which others were lost; replay.c is then compiled with -DGAPS of the same."""
+    before which others were lost; replay.c is then compiled with -DGAPS of the same. steps: (n,) of an estimator with
+    steps."""
     export_firmware(estimator, folder, prefix=PREFIX)
     real = np.float32 if estimator.precision == "float32" else np.float64
-    samples = np.zeros(u.size, np.dtype([("u", real), ("count", np.uint32)], align=True))
+    first: list[Any] = [] if steps is None else [("step", real)]
+    samples = np.zeros(u.size, np.dtype([*first, ("u", real), ("count", np.uint32)], align=True))
     samples["u"], samples["count"] = u, counts.astype(np.uint32)
+    if steps is not None:
+        samples["step"] = steps
     (folder / "in.bin").write_bytes(samples.tobytes())
-    (folder / "expected.bin").write_bytes(expected(estimator, u, counts, gaps))
+    (folder / "expected.bin").write_bytes(expected(estimator, u, counts, gaps, steps))
     return folder
 
 
 def expected(
-    estimator: RecursiveEstimator, u: NDArray[np.float64], counts: NDArray[np.int64], gaps: Sequence[int] = ()
+    estimator: RecursiveEstimator,
+    u: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    gaps: Sequence[int] = (),
+    steps: NDArray[np.float64] | None = None,
 ) -> bytes:
     """What replay.c writes: status and estimate after each sample, then the state."""
     kernel = estimator.make_kernel(estimator.forgetting)
@@ -45,7 +54,7 @@ def expected(
     for first, last in pairwise((0, *gaps, u.size)):
         if first > 0:
             kernel.gap(int(counts[first]))
-        parts.append(kernel.run(u[first:last], counts[first:last]))
+        parts.append(kernel.run(u[first:last], counts[first:last], None if steps is None else steps[first:last]))
     theta, factor, inflation, innovation, variance, status = map(np.concatenate, zip(*parts, strict=True))
     real = np.dtype(kernel.dtype)
     shape = shape_of(configuration(kernel, estimator.precision))

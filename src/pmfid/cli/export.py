@@ -36,6 +36,7 @@ from pmfid.estimators import METHODS
     help="An alarm where a parameter leaves its nominal value by such a shift; may be given several times.",
 )
 @click.option("--blocks", is_flag=True, help="With pmf_block.c, which makes blocks of samples for pmfid serve.")
+@click.option("--steps", is_flag=True, help="Each sample comes with the time since the last one.")
 @click.option("--no-guard", is_flag=True, help="Let every sample in: smaller, but a glitch spoils the estimate.")
 def export(
     axis_file: Path,
@@ -45,6 +46,7 @@ def export(
     dt: float | None,
     alarms: tuple[tuple[str, float, float], ...],
     blocks: bool,
+    steps: bool,
     no_guard: bool,
     **options: object,
 ) -> None:
@@ -64,7 +66,7 @@ def export(
         axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
         check_exportable(axis)
         data = None if record is None else read_record(record, axis)
-        estimator = drive_estimator(axis, data, dt)
+        estimator = drive_estimator(axis, data, dt, steps)
         samples = None if data is None else (data.u, data.counts)
         watched = [ParameterAlarm(*alarm) for alarm in alarms]
         export_firmware(estimator, out, prefix=name, record=samples, alarms=watched, blocks=blocks)

@@ -139,12 +139,13 @@ CLOCK, REST = 23, 150
 @dataclass(frozen=True)
 class Samples:
     """u: (n,) input; counts: (n,) as the counter shows them; expected: (n,) CRC-32 of the state after each; theta: (p,)
-    after the last."""
+    after the last; steps: (n,) since the one before [s], None: of an even clock."""
 
     u: NDArray[np.floating]
     counts: NDArray[np.uint32]
     expected: NDArray[np.uint32]
     theta: NDArray[np.float64]
+    steps: NDArray[np.floating] | None = None
 
 
 def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -174,12 +175,20 @@ def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -
         raise UsageError("the samples of the self-test must be finite, and at least one; take another record")
     kernel = estimator.make_kernel(estimator.forgetting)
     given = u.astype(kernel.dtype)
+    steps = None if estimator.steps is None else _made_up_steps(estimator.dt, u.size).astype(kernel.dtype)
     shape = shape_of(configuration(kernel, estimator.precision))
     expected = []
-    for value, count in zip(given.tolist(), counts.tolist(), strict=True):
-        estimate = kernel.step(value, count)
+    for value, count, step in zip(
+        given.tolist(), counts.tolist(), [None] * u.size if steps is None else steps.tolist(), strict=True
+    ):
+        estimate = kernel.step(value, count, step)
         expected.append(zlib.crc32(tight_state(kernel, estimator.precision, shape).tobytes()))
-    return Samples(given, counts.astype(np.uint32), np.array(expected, np.uint32), estimate.theta)
+    return Samples(given, counts.astype(np.uint32), np.array(expected, np.uint32), estimate.theta, steps)
+
+
+def _made_up_steps(dt: float, samples: int) -> NDArray[np.float64]:
+    """(n,) between a half and one and a half sample periods."""
+    return np.asarray(dt * (0.5 + (7 * np.arange(samples) % 16) / 15))
 
 
 def moving_part(counts: NDArray[np.int64]) -> slice:
@@ -360,7 +369,8 @@ def _context(
         u, counts = np.asarray(record[0], np.float64), np.asarray(record[1], np.int64)
         part = moving_part(counts)
         samples = record_run(estimator, u[part], counts[part])
-    rows = zip(samples.u, samples.counts, samples.expected, strict=True)
+    steps = [""] * samples.u.size if samples.steps is None else [f"{literal(step)}, " for step in samples.steps]
+    rows = zip(steps, samples.u, samples.counts, samples.expected, strict=True)
     return {
         "version": pmfid.__version__,
         "prefix": prefix,
@@ -373,7 +383,7 @@ def _context(
         "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", "".join(map(header, HEADERS))))),
         "sizes": {name: types[f"pmf_{name}_t"].itemsize for name in ("state", "config", "saved")},
         "config": initializer(resize_structure(config, types["pmf_config_t"])),
-        "samples": [(literal(u), f"{count}U", f"0x{crc:08x}U") for u, count, crc in rows],
+        "samples": [(step, literal(u), f"{count}U", f"0x{crc:08x}U") for step, u, count, crc in rows],
         "theta": samples.theta.tolist(),
         "recorded": record is not None,
     }

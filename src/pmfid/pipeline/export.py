@@ -14,17 +14,21 @@ from pmfid.estimators.base import memory_of
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
+from pmfid.estimators.sample_steps import GIVEN
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.records.record import Record
 
 
-def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None = None) -> RecursiveEstimator:
+def drive_estimator(
+    axis: Axis, record: Record | None = None, dt: float | None = None, steps: bool = False
+) -> RecursiveEstimator:
     """The recursive estimator of a configuration, for the raw counts of its counter.
 
     record: gives the sample period, and the pre-filter zeros if the configuration has none. Without a record dt [s] or
-    [record] dt is the sample period, and the zeros are the method's default. Raises UsageError for an off-line method
+    [record] dt is the sample period, and the zeros are the method's default. steps: each sample comes with the time
+    since the last one. Raises UsageError for an off-line method
     or without a sample period.
     """
     if record is not None:
@@ -38,7 +42,7 @@ def drive_estimator(axis: Axis, record: Record | None = None, dt: float | None =
             config = config.model_copy(update={"prefilter_zeros": zeros})
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
-    return replace(estimator, encoder=encoder)  # type: ignore[return-value]
+    return replace(estimator, encoder=encoder, steps=GIVEN if steps else None)  # type: ignore[return-value]
 
 
 def check_exportable(axis: Axis) -> EstimatorConfig:
