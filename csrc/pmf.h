@@ -99,6 +99,8 @@ enum {
     PMF_UNMODELLED = 512,
     PMF_FEEDBACK = 1024,
     PMF_DEAD_TIME = 2048,
+    PMF_STATUS_END, /* follows the last bit, so that all bits together need no further edit */
+    PMF_STATUS_BITS = 2 * (PMF_STATUS_END - 1) - 1,
     /* What a reader asks: does theta say nothing, or nothing new? Was this sample left out? Do effects outside the
     model, or a controller, move theta beyond its covariance? */
     PMF_NOT_AN_ESTIMATE = PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET,

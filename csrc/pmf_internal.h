@@ -72,8 +72,6 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_SELDOM static
 #endif
 
-#define PMF_STATUS_BITS (2 * PMF_DEAD_TIME - 1) /* all of them */
-
 /* Of a dead time that is estimated: what is believed of it. */
 #define PMF_BELIEVES_NONE 0U /* what the recursion has, for there is nothing better */
 #define PMF_BELIEVES_HELD 1U /* what was believed last */
