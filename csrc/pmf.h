@@ -344,7 +344,8 @@ typedef struct {
 enum {
     PMF_OF_SPEED = 0,
     PMF_OF_SQUARE = 1, /* of the speed; it has no table */
-    PMF_OF_PLACE = 2
+    PMF_OF_PLACE = 2, /* this and all that follow */
+    PMF_OF_WAVE = 3 /* sine of the place; it has no table */
 };
 
 /* Straight lines between evenly spaced knots; beyond them the last one goes on. */
@@ -352,11 +353,10 @@ typedef struct {
     uint32_t of;
     uint32_t resists; /* 1: it acts against the motion, and holds at rest */
     uint32_t positive; /* 1: its coefficient is never negative */
-    uint32_t periodic;
     uint32_t first, intervals; /* of its knots */
     uint32_t node; /* that its mean over an interval, with its direction, is given to: a stage that leaves it there */
     uint32_t measured; /* the same at the place of the counts, for the direct estimate; 0: none */
-    scalar_t start, knots_per_unit; /* of the speed or the position */
+    scalar_t start, knots_per_unit; /* of the speed or the position; of a wave: periods per unit */
 } pmf_shape_t;
 
 typedef struct {

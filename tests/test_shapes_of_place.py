@@ -12,8 +12,10 @@ import pmfid
 from pmfid.config.model import ModelConfig
 from pmfid.estimators.adequacy import weigh
 from pmfid.estimators.likelihood import best_of
+from pmfid.estimators.motion import mean_velocity, sum_travel
 from pmfid.models.shapes import Along, Square, Stribeck, Wave
 from pmfid.pipeline.arrays import axis_of
+from pmfid.simulation import prbs
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 
 AXIS = DriveParameters(mass=2e-3, viscous_friction=4e-3, coulomb_friction=0.05, input_gain=0.4)
@@ -154,3 +156,22 @@ def test_a_form_with_the_keys_of_another_is_refused() -> None:
     term = {"signal": "friction", "name": "low", "shape": {"form": "stribeck", "period": 0.3}}
     with pytest.raises(ValueError, match=r"a shape has the form .* got stribeck with \['period'\]"):
         ModelConfig.model_validate({"kind": "equation", "unknown": [term]})
+
+
+@pytest.mark.parametrize("force", MODELS)
+def test_the_motion_is_that_of_the_machine(force: str) -> None:
+    """To a part in a million of the travel, which no table of sines reaches."""
+    run, equation = run_of(force, 4, 2000), MODELS[force].equation
+    place = sum_travel(mean_velocity(equation, truth(force), DT, run.u, parts=4), DT)
+    np.testing.assert_allclose(place, run.x, atol=1e-6 * np.ptp(run.x))
+
+
+def test_the_error_of_the_simulation_widens_the_bars() -> None:
+    """Of a pendulum that is driven over its top again and again, whose motion makes every error larger."""
+    pendulum = Machine(DriveParameters(1.0, 0.3, 0.5, 1.0), gravity=4.0, gravity_angle=0.3)
+    u = prbs(2000, clock=20, amplitude=6.0, rng=np.random.default_rng(0))
+    run = drive_machine(pendulum, u, 0.01, 2 * math.pi / 512, steps=50)
+    method = pmfid.IntervalML(pmfid.Drive(1.0, gravity=True), pmfid.Encoder(2 * math.pi / 512), 0.01, 5.0)
+    best = method.best(run.u, run.counts)
+    coarse = method.fit_of(replace(best, difference=replace(best.difference, parts=1)))
+    assert coarse.theta_std[0] > 1.3 * method.fit_of(best).theta_std[0]

@@ -73,7 +73,7 @@ uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes)
     uint32_t i, fits = shapes->n <= PMF_MAX_SHAPES ? 1U : 0U;
     for (i = 0; i < shapes->n && fits != 0U; ++i) {
         const pmf_shape_t *shape = &shapes->shape[i];
-        fits &= shape->of <= PMF_OF_PLACE && shape->intervals >= 1U && shape->intervals < PMF_MAX_KNOTS &&
+        fits &= shape->of <= PMF_OF_WAVE && shape->intervals >= 1U && shape->intervals < PMF_MAX_KNOTS &&
                         shape->first < PMF_MAX_KNOTS - shape->intervals
                     ? 1U
                     : 0U;

@@ -99,8 +99,8 @@ def simulate_motions(
             continue
         if shapes or known.lag:
             pieces *= parts
-            for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # as little in all parts as in one step
-                less = (parts - 1) * TUNING.little_damping * roles[:, MASS] / (period / split)
+            for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # without what the kernel adds to each part
+                less = parts * TUNING.little_damping * roles[:, MASS] / (period / split)
                 roles[:, viscous] = np.maximum(roles[:, viscous] - less, 0.0)
         velocity[rows], _, _, ends[rows] = _kernel64.simulate_many(
             roles,

@@ -119,7 +119,8 @@ class Following(Simulating, BatchEstimator):
         if best.noise is not None:
             # the motion that explains every count rests where the axis did: a controller parks it next to an edge
             covariance = raise_variances(covariance, phase_scatter(difference, best.q, moves, None))
-        return self.result(difference, q, self.with_drift(best, covariance), best.status)
+        covariance = self.with_drift(best, covariance) + _simulation_scatter(difference, q, moves)
+        return self.result(difference, q, covariance, best.status)
 
     def _scatter_scores(
         self, difference: Difference, q: Floats, width: float = TUNING.quotient_step
@@ -250,6 +251,19 @@ class Following(Simulating, BatchEstimator):
             * difference.resolution
         )
         return Fit(self.names, self.units, theta, cov, residual.size, residual, relative, status)
+
+
+def _simulation_scatter(difference: Difference, q: Floats, moves: Floats) -> Floats:
+    """Covariance (p, p) of the change that a simulation in twice as many parts of a sample makes; moves (n, p): by how
+    much an error of each sample moves the parameters.
+
+    A motion may be so sensitive that an error of a millionth of a count grows to hundreds, as that of a pendulum driven
+    over its top. Many parameters then explain every count."""
+    if not (difference.equation.shaped or difference.equation.lag):
+        return np.zeros((moves.shape[1], moves.shape[1]))
+    finer = replace(difference, parts=2 * difference.parts)
+    change = moves.T @ (finer(q) - difference(q))
+    return np.outer(change, change)
 
 
 @dataclass(frozen=True)
@@ -403,6 +417,8 @@ class IntervalML(Following):
         root = np.sqrt(expected_information(error, noise))
         own = self.own_sensitivity(difference, q, root)
         weighted, slope = own * root[:, None], cost(error, noise)[1]
-        invert_information(weighted, self.names)
+        inverse = invert_information(weighted, self.names)
         covariance = likelihood_covariance(best, weighted, own * slope[:, None])
-        return self.result(difference, q, self.with_drift(best, covariance), best.status)
+        moves = weighted * root[:, None] @ inverse
+        covariance = self.with_drift(best, covariance) + _simulation_scatter(difference, q, moves)
+        return self.result(difference, q, covariance, best.status)

@@ -134,7 +134,7 @@ def _set(structure: Structured, name: str, value: object) -> None:
 
 
 _KERNEL = constants_of(None)
-_OF = {name: _KERNEL[f"PMF_OF_{name.upper()}"] for name in ("speed", "square", "place")}
+_OF = {name: _KERNEL[f"PMF_OF_{name.upper()}"] for name in ("speed", "square", "place", "wave")}
 #: Forces that it holds, and knots of all their tables.
 MOST_SHAPES, MOST_KNOTS = _KERNEL["PMF_MAX_SHAPES"], _KERNEL["PMF_MAX_KNOTS"]
 FIRST_NODE = _KERNEL["PMF_SIGNALS"]
@@ -142,14 +142,13 @@ FIRST_NODE = _KERNEL["PMF_SIGNALS"]
 
 @dataclass(frozen=True)
 class ShapeTable:
-    """knots (k,) from `start` on in steps, of a speed or a place; beyond them the last one holds, or a periodic table
-    repeats. of "square": the square of the speed, without knots. positive: as of the `Shape`."""
+    """knots (k,) from `start` on in steps, of a speed or a place; beyond them the last one holds. Without knots:
+    "square" of the speed, and "wave": sin(2 pi (place - start) / step). positive: as of the `Shape`."""
 
-    of: Literal["speed", "square", "place"]
+    of: Literal["speed", "square", "place", "wave"]
     knots: tuple[float, ...] = (0.0, 1.0)
     start: float = 0.0
     step: float = 1.0
-    periodic: bool = False
     positive: bool = False
 
 
@@ -165,7 +164,7 @@ def shape_values(
     rows, knots, sums = [], [0.0], [0.0]  # never none, for an array of C has one element or more
     for (table, resists), node, seen in zip(shapes, nodes, measured or [0] * len(nodes), strict=True):
         own = np.array(table.knots)
-        form = (_OF[table.of], int(resists), int(table.positive), int(table.periodic))
+        form = (_OF[table.of], int(resists), int(table.positive))
         rows.append((*form, len(knots), own.size - 1, node, seen, table.start, 1 / table.step))
         knots += own.tolist()
         sums += [0.0, *np.cumsum((own[1:] + own[:-1]) / 2).tolist()]

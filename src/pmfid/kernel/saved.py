@@ -77,7 +77,7 @@ def shape_of(config: Structured) -> KernelSizes:
 
 def place_matters(shapes: Structured) -> bool:
     """Does one of them depend on the position?"""
-    return constants_of(None)["PMF_OF_PLACE"] in shapes["shape"]["of"][: int(shapes["n"])]
+    return bool(np.any(shapes["shape"]["of"][: int(shapes["n"])] >= constants_of(None)["PMF_OF_PLACE"]))
 
 
 def knots_of(shapes: Structured) -> int:

@@ -1,7 +1,7 @@
 """Forces of a given form and an unknown size: friction at a speed or along the travel, and forces at a place.
 
-Each is a table that is made once; the kernel reads it on straight lines between evenly spaced knots
-(csrc/pmf_shapes.h), so that a new form is one class here. A force of the form s and the coefficient c is
+A wave and a square are computed. All others are tables that the kernel reads on straight lines between evenly spaced
+knots (csrc/pmf_shapes.h), so that a new form is one class here. A force of the form s and the coefficient c is
 c s(|v|) sign(v), as friction, or c s(x); x counts from the first sample on.
 """
 
@@ -20,7 +20,7 @@ from pmfid.errors import UsageError
 from pmfid.kernel.configuration import ShapeTable
 from pmfid.types import Floats
 
-#: Straight pieces of a smooth form.
+#: Straight pieces of Stribeck's friction.
 PIECES = 64
 #: Stribeck speeds beyond which nothing is left of that friction: exp(-16).
 FADED = 4.0
@@ -59,8 +59,9 @@ class Shape(ABC):
         if table.of == "square":
             return np.asarray(at**2)
         x = (at - table.start) / table.step
-        last = len(table.knots) - 1
-        return np.interp(x % last if table.periodic else x, np.arange(last + 1), table.knots)
+        if table.of == "wave":
+            return np.asarray(np.sin(2 * math.pi * x))
+        return np.interp(x, np.arange(len(table.knots)), table.knots)
 
 
 @dataclass(frozen=True)
@@ -156,11 +157,7 @@ class Wave(Shape):
         object.__setattr__(self, "period", _length("the period", self.period, "unit of y"))
 
     def table(self) -> ShapeTable:
-        """Its first harmonic is the wave itself: straight lines alone would be smaller by a part of 0.0008."""
-        angle = 2 * math.pi / PIECES * np.arange(PIECES + 1)
-        larger = 1 / np.sinc(1 / PIECES) ** 2
-        knots = larger * (np.cos(angle) if self.cosine else np.sin(angle))
-        return ShapeTable("place", tuple(knots.tolist()), step=self.period / PIECES, periodic=True)
+        return ShapeTable("wave", start=-self.period / 4 if self.cosine else 0.0, step=self.period)
 
     @property
     def reads(self) -> str:
