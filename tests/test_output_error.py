@@ -13,7 +13,8 @@ import pmfid
 from pmfid import _kernel64
 from pmfid.estimators.likelihood import cost, expected_information
 from pmfid.estimators.output_error import OE, IntervalML
-from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
+from pmfid.simulation import control_machine, stop_and_go
+from pmfid.simulation.drive import DriveParameters, Machine, quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, make_scenario, resolution_of
 from pmfid.status import Status
 from tests.conftest import TRUTH, Run, cart_run
@@ -248,3 +249,15 @@ def test_likelihood_far_outside_and_information_of_white_noise():
     for noise in (1.0, 2.9, 3.1):
         np.testing.assert_allclose(expected_information(phases, noise), 1 / (noise**2 + 1 / 12), rtol=1e-3)
     assert np.mean(expected_information(phases, 0.02)) > 5 * 12
+
+
+def test_a_spring_is_found_where_the_counts_alone_make_the_motion_unstable() -> None:
+    """Least squares of the counts have a negative stiffness here, and instrumental variables do not settle."""
+    machine = Machine(DriveParameters(1.7, 1.0, 4.4, 0.12), stiffness=0.2)
+    reference = stop_and_go(2500, 0.01, 3.9, 1.2, 0.6)
+    run = control_machine(machine, reference, 0.01, 0.013, kp=900.0, kd=160.0, u_max=200.0, phase=0.004, steps=10)
+    model, encoder = pmfid.Drive(0.12, spring=True, offset=True), pmfid.Encoder(0.013)
+    with pytest.raises(pmfid.NotIdentifiableError):
+        pmfid.IV(model, encoder, 0.01, 1.0).fit(run.u, run.counts)
+    fit = IntervalML(model, encoder, 0.01, 1.0).fit(run.u, run.counts)
+    assert abs(fit["stiffness"] - 0.2) < 4 * fit.theta_std[-1] < 0.1

@@ -15,7 +15,7 @@ from pmfid.estimators.base import Simulating
 from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.bridges import Body, bridge_gaps
 from pmfid.estimators.configuration import check_arrays, check_size, like
-from pmfid.estimators.least_squares import inverse_of, solve_with_instruments
+from pmfid.estimators.least_squares import inverse_of, solve_bounded, solve_with_instruments
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.recursive import impulse_products
 from pmfid.estimators.results import Columns, Fit
@@ -33,6 +33,7 @@ from pmfid.models.equation import (
     MASS,
     OFFSET,
     ROLES,
+    STIFFNESS,
     VISCOUS_FORWARD,
     Equation,
 )
@@ -117,23 +118,30 @@ class Instruments(ProcessSolver, Simulating):
             jacobian[:, i] = columns.zeta[used[columns.used]].T @ (error[1] - error[0]) / (2 * step)
         return inverse_of(jacobian)
 
-    def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
-        """Parameters to simulate with first: the given ones, or from the counts alone; (p,)."""
+    def start(self, u: ArrayLike, counts: ArrayLike, bounded: bool = False) -> NDArray[np.float64]:
+        """Parameters to simulate with first: the given ones, or from the counts alone; (p,). bounded: none negative but
+        a constant load and waves, so that the motion is stable."""
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
         if self.equation.lag == ESTIMATE:
-            return self._start_late(self.model.at_lag, TUNING.tried_lags, u, counts)
+            return self._start_late(self.model.at_lag, TUNING.tried_lags, u, counts, bounded)
         if self.equation.dead_time == ESTIMATE:
-            return self._start_late(self.model.at_dead_time, TUNING.instruments_tried, u, counts)
+            return self._start_late(self.model.at_dead_time, TUNING.instruments_tried, u, counts, bounded)
         batch = like(BCLS, self, model=self.model.simple)
-        found = batch.fit(u, counts)
-        theta = spread(batch.equation.role_values(found.theta), self.equation)
+        if bounded:
+            positive = np.array(batch.equation.positive)
+            if (stiffness := batch.equation.roles[STIFFNESS]) is not None:
+                positive[stiffness] = True
+            found = solve_bounded(batch.columns(u, counts), positive)
+        else:
+            found = batch.fit(u, counts).theta
+        theta = spread(batch.equation.role_values(found), self.equation)
         for term in batch.equation.shaped:
-            theta[self.names.index(str(term.name))] = found.theta[batch.names.index(str(term.name))]
+            theta[self.names.index(str(term.name))] = found[batch.names.index(str(term.name))]
         return theta
 
     def _start_late(
-        self, at: Callable[[float], Model], tried: Sequence[float], u: ArrayLike, counts: ArrayLike
+        self, at: Callable[[float], Model], tried: Sequence[float], u: ArrayLike, counts: ArrayLike, bounded: bool
     ) -> NDArray[np.float64]:
         """The same with the dead time, or the lag, at which the simulated velocity is nearest to the measured one; at:
         the model at one [s]; tried [samples]."""
@@ -142,7 +150,7 @@ class Instruments(ProcessSolver, Simulating):
         for samples in tried:
             known = like(Instruments, self, model=at(samples * self.dt))
             try:
-                theta = known.start(u, counts)
+                theta = known.start(u, counts, bounded)
             except NotIdentifiableError as error:
                 refused = refused or error
                 continue

@@ -32,6 +32,17 @@ def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArr
     return theta, gain
 
 
+def solve_bounded(columns: Columns, positive: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The least squares (p,) in which the `positive` parameters (p,) are not negative (Lawson and Hanson 1974)."""
+    from scipy.optimize import nnls  # slow to import, and seldom needed
+
+    size = np.maximum(np.linalg.norm(columns.phi, axis=0), np.finfo(float).tiny)
+    scaled = columns.phi / size
+    found = nnls(np.hstack([scaled, -scaled[:, ~positive]]), columns.z)[0]
+    found[: positive.size][~positive] -= found[positive.size :]
+    return np.asarray(found[: positive.size] / size)
+
+
 def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """The inverse of a matrix (p, p). Raises NotIdentifiableError if there is none, or none within the numbers."""
     try:

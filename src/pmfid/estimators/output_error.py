@@ -189,7 +189,7 @@ class Following(Simulating, BatchEstimator):
         except NotIdentifiableError:
             batch = like(BCLS, self, model=self.model.simple)
             check_identifiable(batch.columns(u, counts), batch.names)
-            theta = first.start(u, counts)
+            theta = first.start(u, counts, bounded=True)
             columns = first.columns_at(theta, u, counts)
         return theta, columns.status
 
