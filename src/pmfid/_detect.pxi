@@ -287,6 +287,11 @@ cdef inline double _detect(const Rule *rule, const double *x, const double *w, c
     return _square_of(rule, d)
 
 
+cdef inline Py_ssize_t _rows_of(int kind, Py_ssize_t window) noexcept nogil:
+    """Rows of the state of a detector, each with a number for each parameter."""
+    return 4 if kind == PAGE_HINKLEY else 2 * window
+
+
 cdef class Detection:
     """A detector of p parameters. window: starts that `GLR` compares; drift: of the others, of `CHI_SQUARE` the
     discount of a block; memory: of `PAGE_HINKLEY`; precision: (p, p) of `CHI_SQUARE`. Its state is (rows, p). Raises
@@ -302,7 +307,7 @@ cdef class Detection:
             raise ValueError(f"no detector {kind} with {p} parameters, window {window}, precision {self._precision.shape}")
         self.rule.kind, self.rule.p, self.rule.window, self.rule.drift = kind, p, window, drift
         self.rule.memory, self.rule.precision = memory, _data(self._precision)
-        self.rows = 4 if kind == PAGE_HINKLEY else 2 * window
+        self.rows = _rows_of(kind, window)
 
     def _tables(self, state, x, w, tolerance):
         tables = state, _numbers(x), _numbers(w), _numbers(tolerance)

@@ -146,7 +146,7 @@ cdef inline Own _of(const Plan *plan, const Own *all, int64_t axis) noexcept nog
 
 
 cdef inline Py_ssize_t _detection_size(const Plan *plan) noexcept nogil:
-    return plan.p * (4 if plan.detector.kind == PAGE_HINKLEY else 2 * plan.detector.window)
+    return plan.p * _rows_of(plan.detector.kind, plan.detector.window)
 
 
 #: Where the units of the axes are kept, the last `places` of each in a ring.

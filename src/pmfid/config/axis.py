@@ -17,6 +17,7 @@ from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
 from pmfid.estimators.facts import INPUT_GAIN, check_known
+from pmfid.models.drive import POSITION_KEYS
 from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.names import DetectorName
 
@@ -154,7 +155,7 @@ class Axis(FileSection):
             if self.record.output_kind == "velocity":
                 raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
             return
-        places = [key for key in ("spring", "gravity", "cogging", "friction_period") if getattr(self.model, key)]
+        places = [key for key in POSITION_KEYS if getattr(self.model, key)]
         if self.record.output_kind == "velocity" and places:
             raise UsageError(
                 f"a velocity does not determine the position: drop {', '.join(places)}, or record the position"

@@ -15,7 +15,8 @@ from pmfid.models.shapes import Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 
 FRICTIONS = ("symmetric", "directional")
-
+#: Fields of `Drive` whose force depends on the position.
+POSITION_KEYS = ("spring", "gravity", "cogging", "friction_period")
 
 Late = float | Literal["estimate"]
 

@@ -18,7 +18,7 @@ from pmfid.estimators.friction_curve import FrictionCurve
 from pmfid.estimators.friction_curve import friction_curve as curve_of
 from pmfid.estimators.iv import IV
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
-from pmfid.models.drive import Drive
+from pmfid.models.drive import POSITION_KEYS, Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.arrays import axis_of
 from pmfid.pipeline.drives import match_kind
@@ -29,8 +29,6 @@ from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
-#: Keys of forces other than friction, which a friction curve does not model.
-OTHER_FORCES = ("spring", "gravity", "cogging", "friction_period")
 FEEDBACK = (
     "the input follows the part that the curve leaves unexplained, as under position control, or with a dead time or a "
     "lag that [model] does not have (see pmfid identify): the curve may be off by many of its standard errors, most of "
@@ -116,7 +114,7 @@ def _estimate_curve(
     check_numbers_known(axis, "a friction curve")
     if axis.estimator.cutoff is not None:
         check_sampling(axis, dt)
-    if others := [key for key in OTHER_FORCES if getattr(model, key)]:
+    if others := [key for key in POSITION_KEYS if getattr(model, key)]:
         raise UsageError(f"a friction curve with {', '.join(others)} is not there yet; record a motion without it")
     if model.lag:
         raise UsageError(
