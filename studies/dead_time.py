@@ -119,7 +119,7 @@ def estimator_of(
     axis: Axis, record: CartRecord, method: str, late_by: Late = "estimate", kind: str = "dead_time"
 ) -> Estimator:
     plain = Drive(axis.drive.input_gain)
-    model = plain.at_dead_time(late_by) if kind == "dead_time" else plain.at_lag(late_by)
+    model = plain.replace_dead_time(late_by) if kind == "dead_time" else plain.replace_lag(late_by)
     return METHODS[method](model, Encoder(record.resolution), axis.dt, CUTOFF / axis.dt)
 
 
@@ -228,7 +228,7 @@ def reported(piece: Piece) -> Iterator[list[str]]:
 
 def is_reported(axis: Axis, record: CartRecord) -> bool:
     estimator = estimator_of(axis, record, "iv")
-    plain = replace(estimator, model=estimator.model.at_dead_time(0.0))
+    plain = replace(estimator, model=estimator.model.replace_dead_time(0.0))
     try:
         found = examine(plain, record.u, record.counts)
     except NotIdentifiableError:

@@ -116,7 +116,7 @@ def harm(case: Case, places: NDArray[np.intp], sizes: Counts) -> Harm:
     case.estimator.reset()
     track = case.estimator.run(case.record.u, counts)
     apart = np.abs(track.theta[:, 0] - case.clean.theta[:, 0])[case.judged :] / AXES[case.axis].drive.mass
-    flagged = track.flagged(FLAGS)[case.judged :]
+    flagged = track.has_status(FLAGS)[case.judged :]
     after = apart[places[-1] + 2 * MEMORY + 1 - case.judged]
     return Harm(float(np.max(apart[~flagged], initial=0.0)), float(apart.max()), float(after), float(flagged.mean()))
 

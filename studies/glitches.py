@@ -106,7 +106,7 @@ def effect(estimator: RecursiveEstimator, clean: Track, record: Spoiled) -> Effe
     std = np.maximum(clean.theta_std[first:], track.theta_std[first:])
     scale = np.maximum(np.abs(clean.theta[first:]), STDS * std)
     apart = np.max(np.abs(track.theta[first:] - clean.theta[first:]) / scale, axis=1)
-    missed = int(np.sum(~track.flagged(SUSPICIOUS)[record.places]))
+    missed = int(np.sum(~track.has_status(SUSPICIOUS)[record.places]))
     return Effect(missed, record.places.size, float(apart.max()), float(apart[2 * MEMORY]))
 
 
@@ -146,7 +146,7 @@ def healthy(name: str) -> tuple[int, int]:
             for increments in (*INCREMENTS, 32):
                 record = machine_record(AXES[name], wrong, motion, increments, 90)
                 track = make("rls", AXES[name], record.resolution).run(record.u, record.counts)
-                flagged, samples = flagged + int(track.flagged(SUSPICIOUS).sum()), samples + record.u.size
+                flagged, samples = flagged + int(track.has_status(SUSPICIOUS).sum()), samples + record.u.size
     return flagged, samples
 
 

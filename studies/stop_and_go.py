@@ -39,7 +39,7 @@ def work(time_constant: int, increments: int, seed: int) -> dict[str, dict[str, 
         options = {"initial": START} if method == "riv" else {}
         track = track_of(method, record, time_constant, forgetting=FORGETTING, **options)
         late = round(AFTER / CART_DT)
-        fallback = track.flagged(Status.FALLBACK)
+        fallback = track.has_status(Status.FALLBACK)
         result[method] = {
             "error": percent(track.theta[late:]),
             "late": 100 * float(fallback[late:].mean()),

@@ -57,7 +57,7 @@ def work(scenario: str, wrong: str, seed: int) -> dict[str, Any]:
     return result | {
         "outside": float(outside.sum()) * CART_DT,
         "unsaid": float((outside & vouched(track)[late]).sum()) * CART_DT,
-        "fallback": 100 * float(track.flagged(Status.FALLBACK)[late].mean()),
+        "fallback": 100 * float(track.has_status(Status.FALLBACK)[late].mean()),
     }
 
 

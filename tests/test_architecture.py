@@ -23,7 +23,7 @@ REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
 KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
-GROUND = {"errors", "types", "findings", "status", "presentation", "durable"} | KERNELS
+GROUND = {"deprecation", "errors", "types", "findings", "status", "presentation", "durable"} | KERNELS
 FILTERS = GROUND | {"models", "encoder"}
 ESTIMATORS = FILTERS | {"filters", "linear"}
 DIAGNOSTICS = ESTIMATORS | {"estimators"}
@@ -37,7 +37,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "types": set(),
     "findings": set(),
     "status": {"kernel", "findings"},
-    "lazy_imports": set(),
+    "deprecation": set(),
+    "lazy_imports": {"deprecation"},
     "presentation": {"errors", "lazy_imports"},
     "_estimate": {"errors", "presentation", "status"},
     "_stage": set(),
@@ -51,7 +52,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "models": GROUND,
     "encoder": GROUND,
     "filters": FILTERS,
-    "linear": {"errors", "types", "presentation", "_stage"},
+    "linear": {"errors", "types", "presentation", "_stage", "deprecation"},
     "io": {"errors", "types"},
     "estimators": ESTIMATORS,
     "diagnostics": DIAGNOSTICS,

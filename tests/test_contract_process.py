@@ -58,7 +58,7 @@ def test_rest_means_nothing_to_a_process(cls):
     track = cls(UNDERSHOOT.model, pmfid.Encoder(1e-3), 0.1, 2.0, forgetting=0.98).run(
         np.zeros(2000), np.zeros(2000, int)
     )
-    assert not np.any(track.flagged(Status.STANDSTILL))
+    assert not np.any(track.has_status(Status.STANDSTILL))
 
 
 @pytest.mark.parametrize("cls", RECURSIVE)

@@ -140,20 +140,20 @@ def test_riv_says_on_line_that_the_input_acts_late(axis: str) -> None:
     run = prbs(axis, 0.6, switches=900)
     track = made(RIV, axis, 0.0).run(run.u, run.counts)
     assert track.status[-1] & WRONG_MODEL
-    assert track.flagged(Status.DEAD_TIME).any() or axis == "wheel"  # there only that the model is wrong
+    assert track.has_status(Status.DEAD_TIME).any() or axis == "wheel"  # there only that the model is wrong
 
 
 @pytest.mark.parametrize("axis", AXES)
 def test_riv_does_not_say_so_of_an_input_that_acts_at_once(axis: str) -> None:
     run = prbs(axis, 0.0, switches=900)
-    assert not made(RIV, axis, 0.0).run(run.u, run.counts).flagged(Status.DEAD_TIME).any()
+    assert not made(RIV, axis, 0.0).run(run.u, run.counts).has_status(Status.DEAD_TIME).any()
 
 
 @pytest.mark.parametrize("late", [0.0, 1.7])
 def test_riv_under_position_control(late: float) -> None:
     run = strokes(late)
     track = made(RIV, "cart", 0.0).run(run.u, run.counts)
-    assert track.flagged(WRONG_MODEL).any() == (late > 0)
+    assert track.has_status(WRONG_MODEL).any() == (late > 0)
 
 
 @pytest.mark.parametrize("method", [IV, pytest.param(OE, marks=pytest.mark.long)])
@@ -239,7 +239,7 @@ def test_refusals_have_a_remedy() -> None:
 def test_the_equation_says_it_and_takes_it_out_again() -> None:
     late = Drive(2.0, dead_time="estimate").equation
     assert "u from dead_time before" in late.text
-    assert late.at_dead_time(0.0) == Drive(2.0).equation
+    assert late.replace_dead_time(0.0) == Drive(2.0).equation
     assert Drive(2.0, dead_time=0.004).equation.role_values(None)[equation.LATE] == 0.004
 
 

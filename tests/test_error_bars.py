@@ -127,7 +127,7 @@ def test_a_borrowed_estimate_has_the_bars_of_its_own_method(drive):
     """While `riv` gives the estimate of `bcrls`, their error bars are the same."""
     run = cart_run(2, samples=600, increments=512)
     riv, bcrls = (cls(drive, run.encoder, 0.01, 20.0).run(run.u, run.counts) for cls in (pmfid.RIV, pmfid.BCRLS))
-    borrowed = riv.flagged(Status.FALLBACK) & ~bcrls.flagged(Status.STARTING) & (bcrls.innovation_variance > 0)
+    borrowed = riv.has_status(Status.FALLBACK) & ~bcrls.has_status(Status.STARTING) & (bcrls.innovation_variance > 0)
     assert np.count_nonzero(borrowed) > 20
     np.testing.assert_array_equal(riv.theta_std[borrowed], bcrls.theta_std[borrowed])
     assert np.all(np.isfinite(riv.theta_std[-1] / TRUTH))
@@ -170,7 +170,7 @@ def test_riv_says_feedback_under_position_control_and_never_in_open_loop(axis, c
         for options in ({}, {"forgetting": 0.999}, {"precision": "float32"}):
             assert make(**options).run(u, counts).status[-1] & Status.FEEDBACK, (motion, options)
     u, counts, make = moved(axis, "prbs", counts_per_stroke, 3)
-    assert not make().run(u, counts).flagged(Status.FEEDBACK).any()
+    assert not make().run(u, counts).has_status(Status.FEEDBACK).any()
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -198,7 +198,7 @@ def test_a_step_of_the_mass_is_noticed(forgetting):
         riv = pmfid.RIV(pmfid.Drive(plant.input_gain), pmfid.Encoder(stroke / 1000), dt, 30.0, forgetting=forgetting)
         track = riv.run(u, counts)
         beyond = np.abs(track["mass"] - 1.3 * plant.mass) > 3 * track.theta_std[:, 0]
-        silent = beyond & ~track.flagged(Status.UNMODELLED) & ~track.flagged(Status.FALLBACK)
+        silent = beyond & ~track.has_status(Status.UNMODELLED) & ~track.has_status(Status.FALLBACK)
         assert beyond[600:].mean() > 0.1
         assert silent[600:].mean() < 0.15
 

@@ -13,7 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.fleet.data import TRIED
 from pmfid.fleet.history import History
 from pmfid.fleet.plan import survey_part
-from pmfid.fleet.source import Columns, Part, parts_of
+from pmfid.fleet.source import Part, SourceColumns, parts_of
 from studies.fleet_data import AXIS_TOML, machines, rows
 from tests.tuned import set_tuning
 
@@ -51,7 +51,7 @@ def estimated(data: object, config: Path) -> History:
 
 
 def test_windows_say_the_same_of_a_file_as_one_look(large: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    columns = Columns.from_axis(load_axis(config), "machine")
+    columns = SourceColumns.from_axis(load_axis(config), "machine")
     part = parts_of(large)[0]
     assert [one.many for one in part.windows()] == [WINDOW] * 9 + [AXES * SAMPLES - 9 * WINDOW]
     found = survey_part(part, columns)
@@ -67,7 +67,7 @@ def test_a_shard_reads_its_own_rows_of_a_large_file_and_the_bytes_are_the_same(
     read: list[int] = []
     plainly = Part.rows
 
-    def rows_of(part: Part, columns: Columns) -> pl.LazyFrame:
+    def rows_of(part: Part, columns: SourceColumns) -> pl.LazyFrame:
         read.append(part.many or 0)
         return plainly(part, columns)
 

@@ -71,8 +71,8 @@ def test_the_window_is_the_least_squares_solution_of_its_samples():
 def test_constant_trace_keeps_the_mean_of_p():
     u, counts, resolution, _ = gap_record(still=0, coast=0)
     track = make(pmfid.RLS, "constant-trace", resolution).run(u, counts)
-    first = int(np.flatnonzero(~track.flagged(Status.STARTING))[0])
-    settling = int(np.flatnonzero(~track.flagged(Status.SETTLING))[0])
+    first = int(np.flatnonzero(~track.has_status(Status.STARTING))[0])
+    settling = int(np.flatnonzero(~track.has_status(Status.SETTLING))[0])
     reference = track.variance_factor[settling + round(1 / (1 - FORGETTING)) - 1]
     trace = np.mean(track.variance_factor[first + 200 :] / reference, axis=1)
     assert 0.95 < np.median(trace) < 1.05

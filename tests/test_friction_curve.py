@@ -127,10 +127,10 @@ def test_nothing_is_said_of_what_was_not_visited() -> None:
     (back, slow_back), (slow, ahead) = found.visited
     assert back < slow_back < 0 < slow < ahead
     outside = np.array([1.01 * back, slow_back / 2, 0.0, slow / 2, 1.01 * ahead])
-    assert np.all(np.isnan(found.at(outside)))
+    assert np.all(np.isnan(found.evaluate(outside)))
     assert np.all(np.isnan(found.std_at(outside)))
     inside = np.array([0.5 * (back + slow_back), 0.5 * (slow + ahead)])
-    assert found.at(inside) == pytest.approx(law(FRICTIONS["nothing"](axis), inside), rel=0.05)
+    assert found.evaluate(inside) == pytest.approx(law(FRICTIONS["nothing"](axis), inside), rel=0.05)
     figure = curve_figure(found)
     assert "hardly visited" in [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
 

@@ -194,10 +194,10 @@ def test_a_doubt_leaves_out_samples_and_the_filters_go_on() -> None:
         method.run(u[:1000], counts[:1000])
     doubted.doubt(20)
     track, other = (method.run(u[1000:], counts[1000:]) for method in (doubted, plain))
-    settling = np.flatnonzero(track.flagged(Status.SETTLING))
+    settling = np.flatnonzero(track.has_status(Status.SETTLING))
     assert settling.tolist() == list(range(settling.size))
     assert 19 <= settling.size <= 27
-    assert not np.any(other.flagged(Status.SETTLING))
+    assert not np.any(other.has_status(Status.SETTLING))
     assert np.ptp(track.theta[:19], axis=0).max() == 0.0
     np.testing.assert_allclose(track.theta[-1], other.theta[-1], rtol=0.01)
     doubted.doubt(10**6)

@@ -158,7 +158,7 @@ def test_a_gap_leaves_what_was_gathered(precision: str) -> None:
     riv.gap(int(counts[3400]))
     after = riv.run(u[3400:], counts[3400:])
     assert np.max(np.abs(after.theta / before.theta[-1] - 1)) < 0.02
-    assert not np.any(after.flagged(Status.FALLBACK | Status.STARTING))
+    assert not np.any(after.has_status(Status.FALLBACK | Status.STARTING))
 
 
 def test_a_gap_is_forgotten_by_the_filters() -> None:

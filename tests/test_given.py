@@ -107,7 +107,7 @@ def known(find_gain: bool = False, gain: float = 1.0, **facts: Mapping[str, obje
 def test_a_prior_is_weighed_by_both_error_bars() -> None:
     """Two independent measurements of one number, by hand."""
     alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([0.04, 0.01, 0.01]))
-    found = known(prior={"mass": (1.3, 0.1)}).of(alone)
+    found = known(prior={"mass": (1.3, 0.1)}).combine(alone)
     weight = 0.04 / (0.04 + 0.01)
     assert found["mass"] == pytest.approx(1.0 + weight * 0.3)
     assert found.theta_std == pytest.approx([np.sqrt(1 / (1 / 0.04 + 1 / 0.01)), 0.1, 0.1])
@@ -118,14 +118,14 @@ def test_a_prior_is_weighed_by_both_error_bars() -> None:
 def test_what_goes_with_the_mass_follows_it() -> None:
     """The others move along the covariance, as if the mass had been held in the estimation."""
     covariance = np.array([[0.04, 0.03, 0.0], [0.03, 0.09, 0.0], [0.0, 0.0, 0.01]])
-    found = known(given={"mass": 1.2}).of(posterior(np.array([1.0, 5.0, 2.0]), covariance))
+    found = known(given={"mass": 1.2}).combine(posterior(np.array([1.0, 5.0, 2.0]), covariance))
     assert found.theta == pytest.approx([1.2, 5.0 + 0.03 / 0.04 * 0.2, 2.0])
     assert found.theta_std == pytest.approx([0.0, np.sqrt(0.09 - 0.03**2 / 0.04), 0.1])
 
 
 def test_model_spread_weighs_and_is_in_no_error_bar_for_noise() -> None:
     alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-6, 0.01, 0.01]))
-    found = known(prior={"mass": (1.3, 0.1)}).of(alone, np.array([0.2, 0.0, np.nan]))
+    found = known(prior={"mass": (1.3, 0.1)}).combine(alone, np.array([0.2, 0.0, np.nan]))
     assert found["mass"] == pytest.approx(1.0 + 0.3 * (0.04 + 1e-6) / (0.05 + 1e-6))
     assert found.model_spread is not None
     assert found.model_spread[0] == pytest.approx(0.2 * 0.2, rel=1e-3)
@@ -136,20 +136,20 @@ def test_model_spread_weighs_and_is_in_no_error_bar_for_noise() -> None:
 def test_a_wide_prior_changes_nothing_and_one_without_width_is_given() -> None:
     theta, covariance = some_estimate()
     alone = posterior(theta[:3], covariance[:3, :3])
-    wide = known(prior={"mass": (1.0, 1e6), "coulomb_friction": (0.0, 1e6)}).of(alone)
+    wide = known(prior={"mass": (1.0, 1e6), "coulomb_friction": (0.0, 1e6)}).combine(alone)
     assert wide.theta == pytest.approx(alone.theta, rel=1e-9)
     assert wide.theta_cov == pytest.approx(alone.theta_cov, rel=1e-9)
     for find_gain in (False, True):
         narrow, given = known(find_gain, prior={"mass": (0.031, 0.0)}), known(find_gain, given={"mass": 0.031})
-        assert np.array_equal(narrow.of(alone).theta, given.of(alone).theta)
-        assert np.array_equal(narrow.of(alone).theta_cov, given.of(alone).theta_cov)
+        assert np.array_equal(narrow.combine(alone).theta, given.combine(alone).theta)
+        assert np.array_equal(narrow.combine(alone).theta_cov, given.combine(alone).theta_cov)
 
 
 def test_the_gain_is_as_uncertain_as_the_mass() -> None:
     theta, covariance = some_estimate()
     alone = posterior(theta[:3], covariance[:3, :3])
     spread = 0.02 * alone.theta
-    found = known(True, gain=-0.5, given={"mass": 1.5}).of(alone, spread)
+    found = known(True, gain=-0.5, given={"mass": 1.5}).combine(alone, spread)
     assert found["input_gain"] == pytest.approx(-0.5 * 1.5 / alone["mass"])
     assert found.theta_std[-1] / abs(found["input_gain"]) == pytest.approx(alone.theta_std[0] / alone["mass"])
     assert found.model_spread is not None
@@ -161,24 +161,24 @@ def test_the_gain_is_as_uncertain_as_the_mass() -> None:
 def test_what_contradicts_is_said(find_gain: bool) -> None:
     alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-4, 1e-4, 1e-4]))
     sound = {"mass": (1.01, 0.02), "viscous_friction": (4.9, 0.1)}
-    assert not known(find_gain, prior=sound).of(alone).notes
-    (note,) = known(find_gain, prior=sound | {"viscous_friction": (6.0, 0.1)}).of(alone).notes
+    assert not known(find_gain, prior=sound).combine(alone).notes
+    (note,) = known(find_gain, prior=sound | {"viscous_friction": (6.0, 0.1)}).combine(alone).notes
     assert "contradict" in note
     assert "viscous_friction = 6 ± 0.1" in note
-    (said,) = known(prior={"mass": (1.2, 0.01)}).of(alone).notes
+    (said,) = known(prior={"mass": (1.2, 0.01)}).combine(alone).notes
     assert "which alone gives 1 ± 0.01" in said
     assert "by 14 standard deviations" in said
 
 
 def test_one_given_force_contradicts_nothing() -> None:
     alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-4, 1e-4, 1e-4]))
-    assert not known(True, given={"mass": 1e3}).of(alone).notes
+    assert not known(True, given={"mass": 1e3}).combine(alone).notes
 
 
 def test_without_error_bars_it_is_refused() -> None:
     alone = posterior(np.ones(3), np.full((3, 3), np.inf))
     with pytest.raises(NotIdentifiableError, match="leave given and prior out"):
-        known(prior={"mass": (1.0, 0.1)}).of(alone)
+        known(prior={"mass": (1.0, 0.1)}).combine(alone)
 
 
 @pytest.mark.parametrize(
@@ -287,12 +287,14 @@ def test_times_and_speeds_do_not_go_with_the_gain() -> None:
     front = pmfid.OE(model, pmfid.Encoder(1e-5), 0.001, 100.0)
     theta = np.array([0.5, 4.0, 0.3, 0.1, 0.002, 0.03])
     alone = Posterior(front.names, front.units, theta, np.diag((0.01 * theta) ** 2))
-    found = Known(front, given={"mass": 2.0}, find_gain=True).of(alone)
+    found = Known(front, given={"mass": 2.0}, find_gain=True).combine(alone)
     assert front.names[-2:] == ("dead_time", "stribeck_speed")
     assert found.theta == pytest.approx([2.0, 16.0, 1.2, 0.4, 0.002, 0.03, 4.0])
     relative = found.theta_std / found.theta
     assert relative == pytest.approx(0.01 * np.array([0.0, 2**0.5, 2**0.5, 2**0.5, 1.0, 1.0, 1.0]))
-    dead_time = Known(front, given={"mass": 2.0}, prior={"dead_time": (0.00202, 0.00002)}, find_gain=True).of(alone)
+    dead_time = Known(front, given={"mass": 2.0}, prior={"dead_time": (0.00202, 0.00002)}, find_gain=True).combine(
+        alone
+    )
     assert dead_time["dead_time"] == pytest.approx(0.00201)
     assert dead_time["input_gain"] == pytest.approx(4.0)
 
@@ -302,7 +304,7 @@ def test_a_dead_time_that_is_found_next_to_the_gain() -> None:
     record = record_of(axis, Machine(axis.drive, dead_time=0.8 * axis.dt), "prbs", 1024, 9)
     model = pmfid.Drive(1.0, dead_time="estimate")
     front = pmfid.IV(model, pmfid.Encoder(record.resolution), axis.dt, 1 / (3 * axis.dt))
-    found = Known(front, given={"mass": axis.drive.mass}, find_gain=True).of(front.fit(record.u, record.counts))
+    found = Known(front, given={"mass": axis.drive.mass}, find_gain=True).combine(front.fit(record.u, record.counts))
     assert found["input_gain"] == pytest.approx(axis.drive.input_gain, rel=0.01)
     assert found["dead_time"] == pytest.approx(0.8 * axis.dt, abs=0.05 * axis.dt)
 
@@ -432,7 +434,7 @@ def test_step_by_step_is_the_same_as_the_run() -> None:
     runner = front.start()
     for u, counts in zip(record.u.tolist(), record.counts.tolist(), strict=True):
         estimate = runner.step(u, counts)
-    last = belt.of(estimate)
+    last = belt.combine(estimate)
     assert track.theta[-1] == pytest.approx(last.theta, rel=1e-9)
     assert track.theta_std[-1] == pytest.approx(last.theta_std, rel=1e-6)
     assert np.all(np.isinf(track.theta_std[3]))

@@ -67,8 +67,8 @@ def test_after_a_jump_it_goes_on_from_the_new_zero(cls: Any, precision: str) -> 
     run = cart_run(9, samples=3000)
     counts = run.counts + 123_456 * (np.arange(3000) >= 2000)
     track = estimator(cls, run.encoder.resolution, precision=precision).run(run.u, counts)
-    assert np.flatnonzero(track.flagged(Status.COUNT_JUMP)).tolist() == [2000]
-    assert track.flagged(Status.SETTLING)[2000:].sum() <= 8
+    assert np.flatnonzero(track.has_status(Status.COUNT_JUMP)).tolist() == [2000]
+    assert track.has_status(Status.SETTLING)[2000:].sum() <= 8
     np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
 
 
@@ -77,7 +77,7 @@ def test_a_wrong_input_does_not_turn_directional_forgetting_over() -> None:
     u = run.u.copy()
     u[2000] = 1e8
     track = estimator(RLS, run.encoder.resolution, forgetting_scheme="directional").run(u, run.counts)
-    assert track.flagged(Status.INVALID_INPUT)[2000]
+    assert track.has_status(Status.INVALID_INPUT)[2000]
     np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
 
 
@@ -93,7 +93,7 @@ def test_a_wrong_count_early_in_a_smooth_motion_hides_no_later_ones(place: int) 
     jumps = np.arange(1000, 4000, 200)
     counts += 20_000 * np.searchsorted(jumps, np.arange(4000), side="right")
     track = RIV(Drive(SMALL["input_gain"]), Encoder(resolution), 0.005, 50.0, forgetting=0.998).run(u, counts)
-    assert track.flagged(Status.COUNT_JUMP)[[place, *jumps]].all()
+    assert track.has_status(Status.COUNT_JUMP)[[place, *jumps]].all()
     assert track.theta[-1, 0] == pytest.approx(SMALL["mass"], rel=0.01)
 
 
@@ -104,7 +104,7 @@ def test_a_narrow_counter_wraps_through_it(bits: int) -> None:
     counts[1500] -= 333
     whole = estimator(BCRLS, run.encoder.resolution).run(run.u, counts)
     narrow = estimator(BCRLS, run.encoder.resolution, bits=bits).run(run.u, counts % 2**bits)
-    assert np.flatnonzero(narrow.flagged(Status.COUNT_JUMP)).tolist() == [1500, 2000]
+    assert np.flatnonzero(narrow.has_status(Status.COUNT_JUMP)).tolist() == [1500, 2000]
     assert the_same(whole, narrow)
 
 
@@ -134,7 +134,7 @@ def test_another_amplitude_of_the_input_passes(factor: float, increments: int) -
     u *= 3.0 / min(1.0, factor)
     counts = quantize(simulate_drive(CART, u, DT).x, resolution_of(increments))
     with_guard, without = (estimator(RIV, resolution_of(increments), guard=on).run(u, counts) for on in (True, False))
-    assert np.sum(with_guard.flagged(SUSPICIOUS)) <= 4
+    assert np.sum(with_guard.has_status(SUSPICIOUS)) <= 4
     np.testing.assert_allclose(with_guard.theta[2500:], without.theta[2500:], rtol=0.01)
 
 
@@ -148,8 +148,8 @@ def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
     with_guard, without = (estimator(RLS, resolution_of(4096), guard=on) for on in (True, False))
     track = with_guard.run(u, counts)
     without.run(u, counts)
-    assert np.flatnonzero(track.flagged(Status.COUNT_JUMP)).tolist() == [2501, 2502]
-    assert track.flagged(Status.SETTLING)[2501 : 2503 + with_guard.settle_samples].all()
+    assert np.flatnonzero(track.has_status(Status.COUNT_JUMP)).tolist() == [2501, 2502]
+    assert track.has_status(Status.SETTLING)[2501 : 2503 + with_guard.settle_samples].all()
     position = [one.make_kernel().filter(u, counts)[0].sum(axis=0) for one in (with_guard, without)]
     from_counts = [0, 1, 3]  # the direction after the blow is known two samples late
     np.testing.assert_allclose(position[0][from_counts], position[1][from_counts], rtol=1e-6)
@@ -167,7 +167,7 @@ def test_a_step_of_a_process_is_put_back() -> None:
     truth = clean.run(u, counts).theta[-1]
     u[1500], counts[1800], counts[2100:] = 1e30, counts[1800] + 10**8, counts[2100:] + 10**6
     track = pmfid.RSRIVC(model, encoder, DT, 2.0, forgetting=0.998).run(u, counts)
-    assert track.flagged(SUSPICIOUS)[[1500, 1800, 2100]].all()
+    assert track.has_status(SUSPICIOUS)[[1500, 1800, 2100]].all()
     assert np.all(np.abs(track.theta[1500:2100, :2] / truth[:2] - 1) < 0.02)
 
 
@@ -214,7 +214,7 @@ def test_side_by_side_each_axis_has_its_own_bits(cls: Any, precision: str, way: 
         alone = one.run(u[axis], counts[axis])
         assert np.array_equal(tracks.theta[axis], alone.theta)
         assert np.array_equal(tracks.status[axis], alone.status)
-        assert alone.flagged(SUSPICIOUS).any()
+        assert alone.has_status(SUSPICIOUS).any()
 
 
 @pytest.mark.parametrize(

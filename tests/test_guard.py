@@ -46,7 +46,7 @@ def test_wrong_counts_close_to_each_other_are_flagged_alone_and_lose_nothing(nam
         counts = record.counts.copy()
         counts[[place, place + apart]] += (WRONG, -WRONG // 3)
         one.reset()
-        flagged = np.flatnonzero(one.run(record.u, counts).flagged(SUSPICIOUS))
+        flagged = np.flatnonzero(one.run(record.u, counts).has_status(SUSPICIOUS))
         assert flagged.tolist() == [place, place + apart]
         np.testing.assert_allclose(position(one, record.u, counts), whole, rtol=1e-6, atol=1e-6 * np.abs(whole).max())
 
@@ -63,7 +63,7 @@ def test_two_wrong_counts_in_a_row_are_no_blow(name: str, ratio: float) -> None:
         counts[[place, place + 1]] += (700, round(700 * ratio))
         one.reset()
         track = one.run(record.u, counts)
-        assert np.flatnonzero(track.flagged(SUSPICIOUS)).tolist() == [place, place + 1]
+        assert np.flatnonzero(track.has_status(SUSPICIOUS)).tolist() == [place, place + 1]
         apart = np.abs(track.theta - clean.theta) / np.maximum(np.abs(clean.theta), STDS * clean.theta_std)
         assert np.max(apart[place:]) < 0.05
         np.testing.assert_allclose(position(one, record.u, counts), whole, rtol=1e-6, atol=1e-6 * np.abs(whole).max())
@@ -99,7 +99,7 @@ def test_a_wrong_count_while_the_filters_settle_for_the_first_time_hides_no_late
     jumps = np.arange(1000, 4000, 200)
     counts += 20_000 * np.searchsorted(jumps, np.arange(4000), side="right")
     track = RIV(Drive(SMALL["input_gain"]), Encoder(resolution), 0.005, 50.0, forgetting=0.998).run(u, counts)
-    assert track.flagged(Status.COUNT_JUMP)[jumps].all()
+    assert track.has_status(Status.COUNT_JUMP)[jumps].all()
     assert track.theta[-1, 0] == pytest.approx(SMALL["mass"], rel=0.01)
 
 
@@ -169,7 +169,7 @@ def test_after_nothing_but_wrong_counts_it_goes_on(largest: int) -> None:
     assert case is not None
     case.estimator.reset()
     track = case.estimator.run(u, counts)
-    bad = track.flagged(Status.COUNT_JUMP | Status.SETTLING)
+    bad = track.has_status(Status.COUNT_JUMP | Status.SETTLING)
     assert bad[2253:2310].mean() > 0.9
     assert not bad[2370:].any()
     assert track.theta[-1, 0] == pytest.approx(CART.mass, rel=0.05)
@@ -211,5 +211,5 @@ def test_no_healthy_estimator_begins_again(axis: str, method: str) -> None:
     for seed in range(6):
         case = glitch_sizes.case_of(axis, method, seed)
         if case is not None:
-            begins = case.clean.flagged(Status.STARTING).astype(int)
+            begins = case.clean.has_status(Status.STARTING).astype(int)
             assert np.sum(np.diff(begins) == 1) == 0

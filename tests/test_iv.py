@@ -41,7 +41,7 @@ def test_stop_and_go_through_the_encoder(increments, drive):
         assert_near(fit.theta, TRUTH, [0.005, 0.005, 0.02])
         track = pmfid.RIV(drive, encoder, DT, 100 / 3, forgetting=0.99, initial=START).run(u, scenario.counts)
         assert_near(track.theta[1000:].mean(axis=0), TRUTH, [0.005, 0.005, 0.02])
-        assert not np.any(track.flagged(Status.FALLBACK)[1000:])
+        assert not np.any(track.has_status(Status.FALLBACK)[1000:])
 
 
 def test_riv_falls_back_and_recovers(drive):
@@ -49,8 +49,8 @@ def test_riv_falls_back_and_recovers(drive):
     run = cart_run(1, increments=1024)
     lost = {"mass": 40.0, "viscous_friction": 1.0, "coulomb_friction": 5.5}
     track = pmfid.RIV(drive, run.encoder, DT, 100 / 3, forgetting=0.99, initial=lost).run(run.u, run.counts)
-    assert np.any(track.flagged(Status.FALLBACK))
-    assert not np.any(track.flagged(Status.FALLBACK)[1500:])
+    assert np.any(track.has_status(Status.FALLBACK))
+    assert not np.any(track.has_status(Status.FALLBACK)[1500:])
     assert_near(track.theta[1500:].mean(axis=0), TRUTH, [0.01, 0.01, 0.05])
 
 

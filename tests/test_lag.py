@@ -204,7 +204,7 @@ def test_refusals_have_a_remedy() -> None:
     with pytest.raises(UsageError, match="check its unit"):
         made(IV, "cart", lag=0.3)
     with pytest.raises(UsageError, match="take n one larger"):
-        pmfid.TransferFunction(2, 0).at_lag(0.1)
+        pmfid.TransferFunction(2, 0).replace_lag(0.1)
 
 
 def test_the_equation_says_it_and_takes_it_out_again() -> None:

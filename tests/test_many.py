@@ -241,7 +241,7 @@ def test_every_so_many_and_the_last_are_kept():
     assert np.array_equal(some.theta, whole.theta[:, [299, 599, 699]])
     assert np.array_equal(some["mass"], some.theta[:, :, 0])
     assert np.array_equal(some.theta_std[3], whole.axis(3).theta_std[[299, 599, 699]])
-    assert np.array_equal(some.flagged(Status.STARTING), (some.status & 1) != 0)
+    assert np.array_equal(some.has_status(Status.STARTING), (some.status & 1) != 0)
     assert [kept_samples(n, every).tolist() for n, every in ((6, 3), (0, 3), (0, None))] == [[2, 5], [], []]
 
 

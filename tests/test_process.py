@@ -287,7 +287,7 @@ def test_responses_take_one_frequency_and_refuse_one_time():
 
 def test_detrended():
     whole = Experiment(SECOND.u + 2.0, SECOND.y + 2.0, dt=SECOND.dt)  # the gain is 1
-    fit = srivc(SECOND).fit_experiments([whole.detrended()])
+    fit = srivc(SECOND).fit_experiments([whole.detrend()])
     np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=0.01)
 
 

@@ -136,17 +136,17 @@ def test_a_million_samples_without_excitation(cls, precision, voltage, drive):
     track = estimator.run(u, counts)
     assert np.all(np.isfinite(track.theta))
     assert np.all(np.isfinite(track.variance_factor))
-    assert np.all(track.flagged(Status.POOR_EXCITATION)[head + 1000 : head + n])
+    assert np.all(track.has_status(Status.POOR_EXCITATION)[head + 1000 : head + n])
     np.testing.assert_allclose(track["mass"][head + n - 1], TRUTH[0], rtol=0.05)
     np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=0.05)
-    assert not track.flagged(Status.POOR_EXCITATION)[-1]
+    assert not track.has_status(Status.POOR_EXCITATION)[-1]
 
 
 @pytest.mark.parametrize("cls", RECURSIVE)
 def test_nothing_comes_of_nothing(cls, drive):
     track = cls(drive, pmfid.Encoder(1e-5), DT, CUTOFF, forgetting=0.99).run(np.ones(5000), np.zeros(5000, int))
     assert np.all(track.theta == 0)
-    assert np.all(track.flagged(Status.STARTING))
+    assert np.all(track.has_status(Status.STARTING))
     assert np.all(np.isinf(track.theta_std))
 
 
@@ -160,9 +160,9 @@ def test_bad_values_are_flagged_and_forgotten(cls, precision, drive):
     encoder = pmfid.Encoder(run.encoder.resolution, max_speed=5.0)
     track = cls(drive, encoder, DT, CUTOFF, forgetting=0.99, precision=precision).run(u, counts)
     assert np.all(np.isfinite(track.theta))
-    assert track.flagged(Status.INVALID_INPUT)[[700, 1200]].all()
-    assert track.flagged(Status.COUNT_JUMP)[2000]
-    assert not track.flagged(Status.COUNT_JUMP)[2001:].any()
+    assert track.has_status(Status.INVALID_INPUT)[[700, 1200]].all()
+    assert track.has_status(Status.COUNT_JUMP)[2000]
+    assert not track.has_status(Status.COUNT_JUMP)[2001:].any()
     np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=0.03)
 
 

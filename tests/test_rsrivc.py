@@ -87,7 +87,7 @@ def test_comes_back_after_a_fault():
     y[2000:2600] = np.random.default_rng(0).standard_normal(600).cumsum()
     broken = recorded(u, y, y, 0.0)
     track = build(RSRIVC, UNDERSHOOT, broken, forgetting=0.995).run(u, broken.counts)
-    assert np.any(track.flagged(Status.FALLBACK)[2000:3500])
+    assert np.any(track.has_status(Status.FALLBACK)[2000:3500])
     np.testing.assert_allclose(track.theta[-1], UNDERSHOOT.truth, rtol=0.02)
 
 

@@ -37,7 +37,7 @@ def test_a_change_of_mass_is_followed_after_a_change_of_amplitude(cls, scheme, b
             *amplitude_step(before, after, seed)
         )
         np.testing.assert_allclose(track["mass"][-1], LOADED.mass, rtol=0.05)
-        assert not track.flagged(Status.POOR_EXCITATION)[-1]
+        assert not track.has_status(Status.POOR_EXCITATION)[-1]
 
 
 @pytest.mark.parametrize("factor", [1 / 100, 1 / 30])
@@ -72,7 +72,7 @@ def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive)
     counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
     track = cls(drive, pmfid.Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=0.99).run(u, counts)
     for end in (head + still - 1, head + 2 * still - 1):
-        assert track.flagged(Status.POOR_EXCITATION)[end]
+        assert track.has_status(Status.POOR_EXCITATION)[end]
         np.testing.assert_allclose(track["mass"][end], CART.mass, rtol=0.03)
     np.testing.assert_allclose(track["mass"][-1], CART.mass, rtol=0.01)
 
@@ -93,6 +93,6 @@ def test_an_hour_of_standstill_is_harmless_in_every_scheme(cls, scheme, precisio
     deviation = np.abs(track.theta[rested] / before - 1)
     assert np.max(deviation[:, 0]) < 0.01
     assert np.max(deviation) < (0.1 if scheme == "window" else 0.05)
-    assert track.flagged(Status.STANDSTILL)[head + still - 1]
+    assert track.has_status(Status.STANDSTILL)[head + still - 1]
     np.testing.assert_allclose(track["mass"][-1], CART.mass, rtol=0.03)
     assert track.status[-1] == 0

@@ -78,14 +78,14 @@ def model(machine: Machine, **own: object) -> pmfid.Drive:
 )
 def test_a_table_is_the_form(shape: Shape, form: object) -> None:
     at = np.linspace(0.0, 0.5, 20_001)
-    wanted, got = form(at), shape.at(at)  # type: ignore[operator]
+    wanted, got = form(at), shape.evaluate(at)  # type: ignore[operator]
     assert np.max(np.abs(got - wanted)) < 2e-3
     assert abs(np.mean(got - wanted)) < 2e-5  # and in the mean much closer
 
 
 def test_a_table_of_places_holds_at_its_ends() -> None:
     along = Along(-1.0, 0.5, [2.0, 4.0, 3.0])
-    np.testing.assert_allclose(along.at([-9.0, -1.0, -0.75, 0.0, 7.0]), [2.0, 2.0, 3.0, 3.0, 3.0])
+    np.testing.assert_allclose(along.evaluate([-9.0, -1.0, -0.75, 0.0, 7.0]), [2.0, 2.0, 3.0, 3.0, 3.0])
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -194,7 +194,7 @@ BROKEN = {
     Greedy: "inputs_stay_untouched: the arrays",
     Nameless: "names_are_of_the_parameters: names are twice",
     Biased: "finds_the_truth: of",
-    OneSided: "mirrored: it is",
+    OneSided: "mirrors: it is",
     InMetres: "scales_with_the_units: it is",
     Confident: "more_data_make_shorter_error_bars",
     Slanted: "covariance_is_one: theta_cov is not symmetric",

@@ -72,7 +72,7 @@ cdef inline void _deviations(const Norm *norm, const double *score, const double
         x[i] = total / sigma[i]
 
 
-cdef inline void _told(const Norm *norm, const double *square, double *w) noexcept nogil:
+cdef inline void _expect(const Norm *norm, const double *square, double *w) noexcept nogil:
     cdef Py_ssize_t p = norm.p, i, j, k
     cdef const double *row
     cdef double total
@@ -97,7 +97,7 @@ cdef inline double _mean(const double *w, Py_ssize_t p) noexcept nogil:
 
 cdef inline double _information(const Norm *norm, const double *square) noexcept nogil:
     cdef double w[MOST]
-    _told(norm, square, w)
+    _expect(norm, square, w)
     return _mean(w, norm.p)
 
 
@@ -143,14 +143,14 @@ cdef class Norms:
             _deviations(&self.norm, &scores[k, 0], &sizes[k, 0], &found[k, 0])
         return np.asarray(found)
 
-    def told(self, square):
+    def expect(self, square):
         """w (n, p) of squares (n, p, p)."""
         cdef const double[:, :, ::1] squares = _numbers(square)
         cdef double[:, ::1] found = np.empty(np.shape(square)[:2])
         cdef Py_ssize_t k
         _check(squares.shape[1] == self.norm.p and squares.shape[2] == self.norm.p)
         for k in range(squares.shape[0]):
-            _told(&self.norm, &squares[k, 0, 0], &found[k, 0])
+            _expect(&self.norm, &squares[k, 0, 0], &found[k, 0])
         return np.asarray(found)
 
     def information(self, square):

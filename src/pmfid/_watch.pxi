@@ -109,9 +109,9 @@ cdef inline double _count(const Plan *plan, const Own *own, const double *unit) 
         for i in range(p * p):
             weighed[p + i] = square[i] * weight
         _deviations(&plan.units, weighed, own.sigma, x)
-        _told(&plan.units, weighed + p, w)
+        _expect(&plan.units, weighed + p, w)
     else:
-        _told(&plan.units, square, w)
+        _expect(&plan.units, square, w)
     own.statistic[0] = _detect(&plan.detector, x, w, own.tolerance, own.detection)
     own.units[0] += 1
     return _information(&plan.units, square) if plan.work else _mean(w, p)

@@ -71,12 +71,12 @@ def mass_of(method: str, record: CartRecord, time_constant: float) -> tuple[floa
 
 def known_mass(track: Track) -> Floats:
     """The mass over time, nan where there is no estimate yet."""
-    return np.where(track.flagged(Status.STARTING), np.nan, track["mass"])
+    return np.where(track.has_status(Status.STARTING), np.nan, track["mass"])
 
 
 def track_score(track: Track, window: slice, truth: float, settled: float = math.nan) -> Score:
     """The score of the samples in the window."""
-    if track.flagged(Status.STARTING)[window].any():
+    if track.has_status(Status.STARTING)[window].any():
         return NO_ANSWER
     return score(track["mass"][window], track.theta_std[window, 0], truth, settled)
 

@@ -47,7 +47,7 @@ def _fault(estimator: RecursiveEstimator, u: np.ndarray, counts: np.ndarray) -> 
         return "a variance that is negative or not finite"
     if not np.all(np.isfinite(track.theta_std[known])):
         return "an error bar that is not finite"
-    if track.flagged(Status.RESET).any():
+    if track.has_status(Status.RESET).any():
         return "a reset"
     size, bar = np.abs(track.theta), track.theta_std
     astray = (size > ASTRAY * largest) & (size > CONVINCED * bar) & (track.status == 0)[:, None]

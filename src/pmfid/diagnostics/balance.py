@@ -137,7 +137,7 @@ class Balance:
         body = np.where(velocity > 0, forward, friction[1] * velocity - friction[3])
         sizes = dict(zip(self.estimator.names, self.theta, strict=False))
         shapes = [(sizes[str(term.name)], term.shape) for term in self.estimator.equation.shaped if term.shape]
-        of_speed = sum(size * shape.at(np.abs(velocity)) for size, shape in shapes if shape.of_speed)
+        of_speed = sum(size * shape.evaluate(np.abs(velocity)) for size, shape in shapes if shape.of_speed)
         return np.asarray(body + np.where(velocity > 0, 1.0, -1.0) * of_speed)
 
     def resistance(self, place: Floats, velocity: Floats) -> Floats:
@@ -149,7 +149,7 @@ class Balance:
         for term in self.estimator.equation.shaped:
             if term.shape is not None and not term.shape.of_speed:
                 side = np.sign(velocity) if term.signal == "friction" else 1.0
-                total = total + side * sizes[str(term.name)] * term.shape.at(place)
+                total = total + side * sizes[str(term.name)] * term.shape.evaluate(place)
         return np.asarray(total)
 
     @cached_property

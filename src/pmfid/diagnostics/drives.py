@@ -101,15 +101,15 @@ def lateness(found: Adequacy) -> list[Lateness]:
 
 
 def _others(equation: Equation) -> Iterator[Equation]:
-    dead = equation.at_lag(0.0).at_dead_time(ESTIMATE)
-    lag = equation.at_dead_time(0.0).at_lag(ESTIMATE)
+    dead = equation.replace_lag(0.0).replace_dead_time(ESTIMATE)
+    lag = equation.replace_dead_time(0.0).replace_lag(ESTIMATE)
     there = (bool(equation.dead_time), bool(equation.lag))
     if there != (True, False) or equation.dead_time != ESTIMATE:
         yield dead
     if there != (False, True) or equation.lag != ESTIMATE:
         yield lag
     if any(there):
-        yield dead.at_lag(ESTIMATE)
+        yield dead.replace_lag(ESTIMATE)
 
 
 def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:

@@ -77,7 +77,7 @@ class PeriodicForce:
         """(n,) each, of a unit of sin and of cos along the motion."""
         side = np.sign(v) if self.key == "friction_period" else 1.0
         for wave in (Wave(self.period), Wave(self.period, True)):
-            yield np.asarray(side * wave.at(x))
+            yield np.asarray(side * wave.evaluate(x))
 
 
 def list_candidate_forces(

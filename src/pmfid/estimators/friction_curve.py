@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmfid.deprecation import rename_method
 from pmfid.errors import NotIdentifiableError, UsageError, whole_number
 from pmfid.estimators.adequacy import filter_force
 from pmfid.estimators.configuration import check_arrays, hold_last_input, like
@@ -102,7 +103,9 @@ def _model_friction(model: IV, theta: Floats, speeds: Floats, side: float) -> Fl
         + speeds * (values[VISCOUS_FORWARD if forward else VISCOUS_BACKWARD])
     )
     sizes = dict(zip(model.equation.names, theta, strict=False))
-    return np.asarray(body + sum(sizes[str(t.name)] * t.shape.at(speeds) for t in model.equation.shaped if t.shape))
+    return np.asarray(
+        body + sum(sizes[str(t.name)] * t.shape.evaluate(speeds) for t in model.equation.shaped if t.shape)
+    )
 
 
 def _slow(model: IV, simulated: Floats, counts: Counts) -> Floats:
@@ -213,12 +216,14 @@ class FrictionCurve(Presentable):
         back, ahead = self.velocity[self.velocity < 0], self.velocity[self.velocity > 0]
         return (float(back[0]), float(back[-1])), (float(ahead[0]), float(ahead[-1]))
 
-    def at(self, velocity: ArrayLike) -> Floats:
+    def evaluate(self, velocity: ArrayLike) -> Floats:
         """Friction (n,) [N] at velocities (n,) [m/s]; NaN where the record has none of them."""
         return self._interpolate(velocity, self.force)
 
+    at = rename_method("at", "evaluate")
+
     def std_at(self, velocity: ArrayLike) -> Floats:
-        """The standard deviation of the curve (n,) [N], NaN outside the range of `at`."""
+        """The standard deviation of the curve (n,) [N], NaN outside the range of `evaluate`."""
         return self._interpolate(velocity, self.std)
 
     def _interpolate(self, velocity: ArrayLike, values: Floats) -> Floats:

@@ -124,9 +124,9 @@ class Instruments(ProcessSolver, Simulating):
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
         if self.equation.lag == ESTIMATE:
-            return self._start_late(self.model.at_lag, TUNING.tried_lags, u, counts, bounded)
+            return self._start_late(self.model.replace_lag, TUNING.tried_lags, u, counts, bounded)
         if self.equation.dead_time == ESTIMATE:
-            return self._start_late(self.model.at_dead_time, TUNING.instruments_tried, u, counts, bounded)
+            return self._start_late(self.model.replace_dead_time, TUNING.instruments_tried, u, counts, bounded)
         batch = like(BCLS, self, model=self.model.simple)
         if bounded:
             positive = np.array(batch.equation.positive)
@@ -161,7 +161,7 @@ class Instruments(ProcessSolver, Simulating):
         return min(found, key=lambda pair: pair[0])[1]
 
     def _fix_lag(self, seconds: float) -> Instruments:
-        return like(Instruments, self, model=self.model.at_lag(seconds))
+        return like(Instruments, self, model=self.model.replace_lag(seconds))
 
     def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
         """Mean square error of the filtered velocity that the model has at theta (p,), over the mean square of the

@@ -115,8 +115,8 @@ class IV(Instruments):
         """The estimate with a known lateness (l,) [s], starting from theta (p,)."""
         times = iter(late.tolist())
         model, equation = self.model, self.equation
-        model = model.at_dead_time(next(times)) if equation.dead_time == ESTIMATE else model
-        model = model.at_lag(next(times)) if equation.lag == ESTIMATE else model
+        model = model.replace_dead_time(next(times)) if equation.dead_time == ESTIMATE else model
+        model = model.replace_lag(next(times)) if equation.lag == ESTIMATE else model
         twin = like(Instruments, self, model=model)
         return replace(twin, initial=dict(zip(twin.names, start.tolist(), strict=True)))
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmfid.deprecation import rename_method
 from pmfid.errors import NotIdentifiableError, UsageError, place_of
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays, like
@@ -260,7 +261,7 @@ class Known:
         index = np.array([self.names.index(name) for name in self._facts], dtype=np.intp)
         return Facts(index, value, std, self._forces, self.find_gain)
 
-    def of(self, found: Fit | Estimate | Posterior, model_spread: Floats | None = None) -> Posterior:
+    def combine(self, found: Fit | Estimate | Posterior, model_spread: Floats | None = None) -> Posterior:
         """An estimate combined with prior information. model_spread (p,): how far unmodelled effects may move each
         parameter, as an independent error; it weighs as the error bars do, and NaN is none.
 
@@ -286,6 +287,8 @@ class Known:
         spread = None if model_spread is None else self._spread(combined, model_spread, further)
         notes = self._contradictions(combined.apart[0], theta, covariance, further)
         return Posterior(self.names, self.units, values[0], noise[0], spread, notes)
+
+    of = rename_method("of", "combine")
 
     def _spread(self, combined: Combined, model_spread: Floats, further: Floats) -> Floats:
         """(q,) how far the model spread of each parameter moves the combined result; NaN: not known."""
@@ -333,9 +336,9 @@ class Known:
             f"{float(np.max(np.abs(apart))):.2g} standard deviations",
         )
 
-    def rescaled(self, found: Fit | Estimate | Posterior) -> tuple[Known, Posterior]:
+    def rescale(self, found: Fit | Estimate | Posterior) -> tuple[Known, Posterior]:
         """The same with the found gain as the estimator's gain, and the estimate in forces of the machine."""
-        gain = self.of(found)[INPUT_GAIN]
+        gain = self.combine(found)[INPUT_GAIN]
         own = np.where(self._forces, gain / self.estimator.equation.input_gain, 1.0)
         theta, covariance = found.theta * own, found.theta_cov * np.outer(own, own)
         there = replace(self, estimator=with_gain(self.estimator, gain))
@@ -385,7 +388,7 @@ class Seen(Presentable):
     @cached_property
     def _found(self) -> Posterior | None:
         try:
-            return self.known.of(self.estimate)
+            return self.known.combine(self.estimate)
         except NotIdentifiableError:
             return None
 

@@ -160,7 +160,7 @@ class Following(Simulating, BatchEstimator):
         y = self.position(counts)
 
         def fit_at(speed: float) -> tuple[float, Floats, int]:
-            known = like(OE, self, model=EquationModel(self.equation.at_shapes([speed])))
+            known = like(OE, self, model=EquationModel(self.equation.replace_shapes([speed])))
             theta, status = known._start(u, counts)
             difference, q = known._prepare_difference(theta, u, y)
             q = least(difference, q, [TUNING.output_error_roughly])

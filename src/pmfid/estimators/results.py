@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid._stage import bars
+from pmfid.deprecation import rename_method
 from pmfid.errors import place_of
 from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import Status, status_names
@@ -169,9 +170,11 @@ class Track(Presentable):
         """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
         return self.theta[..., place_of(name, self.names)]
 
-    def flagged(self, bit: Status) -> NDArray[np.bool_]:
+    def has_status(self, bit: Status) -> NDArray[np.bool_]:
         """(n,) where a status bit is set."""
         return np.asarray((self.status & bit) != 0)
+
+    flagged = rename_method("flagged", "has_status")
 
     def summary(self) -> Summary:
         """The last estimate."""

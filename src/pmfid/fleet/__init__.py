@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from pmfid.fleet.history import History as History
     from pmfid.fleet.history import estimate as estimate
     from pmfid.fleet.segments import Segments as Segments
-    from pmfid.fleet.source import Columns as Columns
+    from pmfid.fleet.source import SourceColumns as SourceColumns
     from pmfid.fleet.spark.engine import Spark as Spark
 
 _PUBLIC = {
-    "Columns": "source",
+    "SourceColumns": "source",
     "Engine": "data",
     "History": "history",
     "Local": "data",
@@ -29,7 +29,7 @@ _PUBLIC = {
 }
 
 __all__ = sorted(_PUBLIC)
-__getattr__ = make_getattr(__name__, _PUBLIC)
+__getattr__ = make_getattr(__name__, _PUBLIC, {"Columns": "SourceColumns"})
 
 
 def __dir__() -> list[str]:

@@ -21,7 +21,7 @@ from pmfid.fleet.plan import Places, RowProblem, RowShard, Survey, content, join
 from pmfid.fleet.rows import Aside, RecordPiece, ShardRows, find_mixed_parts, pieces_of, read_rows, rows_of
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
-from pmfid.fleet.source import Columns, Part
+from pmfid.fleet.source import Part, SourceColumns
 from pmfid.fleet.store import Keep, digest
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
@@ -100,7 +100,7 @@ class Work:
     """settings, columns: of the history; length: of a slice [s]."""
 
     settings: Settings
-    columns: Columns
+    columns: SourceColumns
     length: float
 
     def shard(self, shard: RowShard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
@@ -117,18 +117,18 @@ class Work:
         return Segments(found.rows, (*problems, *found.problems))
 
 
-def first_table(frame: pl.DataFrame, columns: Columns, length: float) -> Table | None:
+def first_table(frame: pl.DataFrame, columns: SourceColumns, length: float) -> Table | None:
     """The table of the longest first piece in rows of one axis that an engine has gathered; None: there is no piece."""
     pieces = list(pieces_of(rows_of(frame, columns)[0], columns, length))
     first = [one for one in pieces if one.start // length == pieces[0].start // length]
     return longest(first, columns) if pieces else None
 
 
-def longest(pieces: Sequence[RecordPiece], columns: Columns) -> Table:
+def longest(pieces: Sequence[RecordPiece], columns: SourceColumns) -> Table:
     return max(pieces, key=lambda piece: len(piece.table[columns.time])).table  # type: ignore[arg-type]
 
 
-def check_columns(columns: Columns, parts: Sequence[Part], found: Survey) -> None:
+def check_columns(columns: SourceColumns, parts: Sequence[Part], found: Survey) -> None:
     """Raises UsageError if no part has rows with the columns that are named."""
     if found.rows.height:
         return
@@ -149,7 +149,7 @@ class Parts:
     """Files, or frames in memory, each a part. `SparkRows` answers the same questions of rows that stay in Spark;
     length: of a slice [s]."""
 
-    def __init__(self, parts: Sequence[Part], columns: Columns, engine: Engine) -> None:
+    def __init__(self, parts: Sequence[Part], columns: SourceColumns, engine: Engine) -> None:
         self._parts = {part.name: part for part in parts}
         self._columns, self._engine = columns, engine
         self._aside: Aside | None = None

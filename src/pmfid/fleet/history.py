@@ -20,7 +20,7 @@ from pmfid.fleet.data import Engine, Local, Parts, Work
 from pmfid.fleet.plan import RowProblem, RowShard, shards_of, slice_length
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.settings import Chosen, choose, make_settings
-from pmfid.fleet.source import AXIS, TYPE, Columns, is_spark, parts_of
+from pmfid.fleet.source import AXIS, TYPE, SourceColumns, is_spark, parts_of
 from pmfid.fleet.store import Keep, Kept, Store, check_folder, digest, whole
 from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import (
@@ -264,7 +264,7 @@ class History:
         }
 
 
-def data_of(data: object, columns: Columns, engine: Engine | None, out: Path | None) -> Parts | SparkRows:
+def data_of(data: object, columns: SourceColumns, engine: Engine | None, out: Path | None) -> Parts | SparkRows:
     """Where the rows are. Raises UsageError for an engine that cannot go there."""
     if is_spark(data):
         from pmfid.fleet.spark.frame import SparkRows
@@ -306,7 +306,7 @@ def estimate(
     done. Raises UsageError if nothing can be: for other columns, methods that are not recursive, no moving axis.
     """
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
-    columns, periods = Columns.from_axis(own, by, type), Periods.from_name(period)
+    columns, periods = SourceColumns.from_axis(own, by, type), Periods.from_name(period)
     tolerance = own.monitor.tolerance if tolerance is None else tolerance
     if not 0 <= tolerance < math.inf:
         raise UsageError(f"tolerance = {tolerance}: give a relative deviation of 0 or more, for example 0.05")
@@ -328,7 +328,7 @@ class _Run:
     """One call: what is surveyed and planned, and where it is kept."""
 
     def __init__(
-        self, axis: Axis, columns: Columns, data: Parts | SparkRows, store: Store | None, tell: Progress
+        self, axis: Axis, columns: SourceColumns, data: Parts | SparkRows, store: Store | None, tell: Progress
     ) -> None:
         self.axis, self.columns, self.data, self.store, self.tell = axis, columns, data, store, tell
         self.keep = Keep(store)

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from pmfid.errors import UsageError
-from pmfid.fleet.source import AXIS, TIME, TYPE, Columns, Part, other_unit
+from pmfid.fleet.source import AXIS, TIME, TYPE, Part, SourceColumns, other_unit
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 
@@ -44,7 +44,7 @@ class Survey:
     problems: tuple[RowProblem, ...]
 
 
-def survey_part(part: Part, columns: Columns) -> Survey:
+def survey_part(part: Part, columns: SourceColumns) -> Survey:
     """The survey of one part; a part that cannot be read has no rows and a problem."""
     try:
         with readable("data"):
@@ -72,7 +72,7 @@ def _together(windows: pl.DataFrame) -> pl.DataFrame:
     return rows.sort(AXIS, "day", nulls_last=True)
 
 
-def count_rows(rows: pl.LazyFrame, columns: Columns, *more: pl.Expr) -> pl.LazyFrame:
+def count_rows(rows: pl.LazyFrame, columns: SourceColumns, *more: pl.Expr) -> pl.LazyFrame:
     """Numbers of rows and of lost rows for each axis and day, with first and last time, type, and further columns
     `more`; rows: of `Part.rows`."""
     known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
@@ -106,14 +106,14 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float)
     return Survey(found.select(pl.lit(name).alias(PART), AXIS, ROWS, FIRST, LAST, TYPE, START, EXTENT), tuple(problems))
 
 
-def mixture(columns: Columns) -> pl.Expr:
+def mixture(columns: SourceColumns) -> pl.Expr:
     """A number for each row of `Part.rows`, whose sum over rows changes with what stands in them, not with their
     order; 32 bits, so that a sum of rows stays whole."""
     names = [*columns.carried, *([TYPE] if columns.type else [])]
     return (pl.struct(names).hash() // 2**32).cast(pl.Int64)
 
 
-def content(part: Part, columns: Columns) -> str:
+def content(part: Part, columns: SourceColumns) -> str:
     """The stamp of a part that has no date: of all its rows. Empty where it cannot be read."""
     try:
         with readable("data"):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.fleet.plan import EXTENT, PART, ROWS, RowProblem, RowShard
-from pmfid.fleet.source import AXIS, TIME, Columns, Part
+from pmfid.fleet.source import AXIS, TIME, Part, SourceColumns
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 from pmfid.io.tables import Table
@@ -58,7 +58,7 @@ class Aside:
         self,
         parts: Mapping[str, Part],
         shards: Sequence[RowShard],
-        columns: Columns,
+        columns: SourceColumns,
         length: float,
         folder: Path | None,
     ) -> None:
@@ -157,7 +157,7 @@ class Aside:
         return rows
 
 
-def _batches(part: Part, target: ShardTable, columns: Columns) -> Iterator[_Columns]:
+def _batches(part: Part, target: ShardTable, columns: SourceColumns) -> Iterator[_Columns]:
     """The rows of a part, of known axes, some at a time. Raises UsageError for a damaged part."""
     with readable("data"):
         for window in part.windows():
@@ -224,7 +224,7 @@ class RecordPiece:
 
 
 def read_rows(
-    shard: RowShard, parts: Mapping[str, Part], columns: Columns, length: float, aside: Aside | None = None
+    shard: RowShard, parts: Mapping[str, Part], columns: SourceColumns, length: float, aside: Aside | None = None
 ) -> tuple[ShardRows, tuple[RowProblem, ...]]:
     """The rows of a shard in order, of those that stand twice one, and of those that contradict each other none;
     length: of a slice [s]; aside: where the rows of some parts are. Parts that cannot be read have problems in place of
@@ -247,7 +247,7 @@ def read_rows(
     return rows, (*problems, *found)
 
 
-def _window(part: Part, shard: RowShard, columns: Columns, length: float) -> pl.DataFrame:
+def _window(part: Part, shard: RowShard, columns: SourceColumns, length: float) -> pl.DataFrame:
     axis, time = pl.col(AXIS), pl.col(TIME)
     inside = (time >= shard.first * length) & (time < shard.last * length)
     frame = part.rows(columns).filter(inside)
@@ -261,7 +261,7 @@ def _columns(frame: pl.DataFrame) -> _Columns:
     return {name: frame[name].to_numpy() for name in frame.columns}
 
 
-def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: Columns) -> ShardRows:
+def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: SourceColumns) -> ShardRows:
     def join(name: str) -> Floats:
         parts = [frame[name] for frame in frames]
         return np.asarray(np.concatenate(parts) if parts else np.empty(0))
@@ -271,7 +271,7 @@ def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: Columns)
     return ShardRows(axes, join(AXIS).astype(np.uint32), join(TIME), others)
 
 
-def rows_of(frame: pl.DataFrame, columns: Columns) -> tuple[ShardRows, tuple[RowProblem, ...]]:
+def rows_of(frame: pl.DataFrame, columns: SourceColumns) -> tuple[ShardRows, tuple[RowProblem, ...]]:
     """The same of a frame with the columns of `source`, in any order."""
     axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
     named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
@@ -323,7 +323,7 @@ def _report_rows(rows: ShardRows, which: Flags, code: str, text: str) -> list[Ro
     ]
 
 
-def pieces_of(rows: ShardRows, columns: Columns, length: float) -> Iterator[RecordPiece]:
+def pieces_of(rows: ShardRows, columns: SourceColumns, length: float) -> Iterator[RecordPiece]:
     """The pieces of rows in order; length: of a slice [s]."""
     if not rows.time.size:
         return

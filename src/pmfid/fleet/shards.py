@@ -179,7 +179,7 @@ ESTIMATE, NOTICE, COUNTS = "estimate", "notice", "counts"
 
 def columns_of(plan: StreamPlan) -> dict[str, str]:
     """Name -> type of Spark of each column. number: samples of the axis so far, of a notice its number of that axis,
-    0 if it does not concern data; told: JSON, for a notice the line that `pmfid monitor --json` prints."""
+    0 if it does not concern data; "told": JSON, for a notice the line that `pmfid monitor --json` prints."""
     names = plan.prepared.setup.monitor.names
     return {
         **{"row": "string", "axis": "string", "number": "long", "time": "double", "u": "double", "counts": "long"},

@@ -166,7 +166,7 @@ _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 
 
 @dataclass(frozen=True)
-class Columns:
+class SourceColumns:
     """Names of the columns in the data: axis, time, input, output, and, where there are such, mask and type; factor:
     seconds per unit of a time that is a number."""
 
@@ -179,7 +179,7 @@ class Columns:
     factor: float = 1.0
 
     @classmethod
-    def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> Columns:
+    def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> SourceColumns:
         """Columns that AXIS.toml names, and the column `by` of the axes' names; kind: the column of their type. Raises
         UsageError if AXIS.toml names no time, or no axis of motion."""
         record = axis.record
@@ -239,7 +239,7 @@ class Part:
         for start in range(0, max(many, 1), TUNING.source_window):
             yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
-    def rows(self, columns: Columns) -> pl.LazyFrame:
+    def rows(self, columns: SourceColumns) -> pl.LazyFrame:
         """The rows of a part with the columns of this module: axis and type as text, time [s] and the others as
         float64. Raises UsageError for a column that is missing, or cannot be read as numbers."""
         with readable(Path(self.name).suffix or "frame"):
@@ -260,7 +260,7 @@ class Part:
                 raise UsageError(f"there is no column {name!r}; it has {listed}{did_you_mean(name, known)}")
         return frame.select(made)
 
-    def other_types(self, columns: Columns) -> list[str]:
+    def other_types(self, columns: SourceColumns) -> list[str]:
         """What is written as text and should be a number, or as numbers that are too short, for people."""
         schema = self.open().collect_schema()
         texts = [name for name in (columns.time, columns.input, columns.output) if schema.get(name) == pl.String]

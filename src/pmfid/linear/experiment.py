@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, schur
 
+from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError
 from pmfid.linear.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain
@@ -271,10 +272,12 @@ class Experiment(Presentable):
         response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
         return np.asarray(columns[:, :kept] @ response)
 
-    def detrended(self) -> Experiment:
+    def detrend(self) -> Experiment:
         """About the operating point: without the means of input and output. What drifts in the output stays: a drift
         that is taken out of the output, but not out of the input, is one of the process, too."""
         return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
+
+    detrended = rename_method("detrended", "detrend")
 
     def stretches(self, delay: int = 0) -> list[RecordStretch]:
         """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""

@@ -8,6 +8,7 @@ from functools import cached_property
 from numbers import Real
 from typing import ClassVar, Literal, Protocol, TypeVar
 
+from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError
 from pmfid.models.axes import AXES, LINEAR, ROTARY, AxisKind, rotary
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term, check_late
@@ -40,11 +41,11 @@ class Model(Protocol):
         identify."""
         ...
 
-    def at_dead_time(self, seconds: Late) -> Model:
+    def replace_dead_time(self, seconds: Late) -> Model:
         """The same with another dead time of the input [s]."""
         ...
 
-    def at_lag(self, seconds: Late) -> Model:
+    def replace_lag(self, seconds: Late) -> Model:
         """The same with another lag of the input [s]."""
         ...
 
@@ -84,11 +85,15 @@ class EquationModel:
     def simple(self) -> EquationModel:
         return remove_unknown_lateness(self.symmetric)
 
-    def at_dead_time(self, seconds: Late) -> EquationModel:
-        return EquationModel(self.equation.at_dead_time(seconds))
+    def replace_dead_time(self, seconds: Late) -> EquationModel:
+        return EquationModel(self.equation.replace_dead_time(seconds))
 
-    def at_lag(self, seconds: Late) -> EquationModel:
-        return EquationModel(self.equation.at_lag(seconds))
+    at_dead_time = rename_method("at_dead_time", "replace_dead_time")
+
+    def replace_lag(self, seconds: Late) -> EquationModel:
+        return EquationModel(self.equation.replace_lag(seconds))
+
+    at_lag = rename_method("at_lag", "replace_lag")
 
 
 @dataclass(frozen=True)
@@ -234,11 +239,15 @@ class Drive:
     def simple(self) -> Drive:
         return remove_unknown_lateness(self.symmetric)
 
-    def at_dead_time(self, seconds: Late) -> Drive:
+    def replace_dead_time(self, seconds: Late) -> Drive:
         return replace(self, dead_time=seconds)
 
-    def at_lag(self, seconds: Late) -> Drive:
+    at_dead_time = rename_method("at_dead_time", "replace_dead_time")
+
+    def replace_lag(self, seconds: Late) -> Drive:
         return replace(self, lag=seconds)
+
+    at_lag = rename_method("at_lag", "replace_lag")
 
 
 Machine = TypeVar("Machine", EquationModel, Drive)
@@ -246,8 +255,8 @@ Machine = TypeVar("Machine", EquationModel, Drive)
 
 def remove_unknown_lateness(model: Machine) -> Machine:
     """The same, with an input that acts at once where it is to be found how late."""
-    plain = model.at_dead_time(0.0) if model.equation.dead_time == ESTIMATE else model
-    return plain.at_lag(0.0) if model.equation.lag == ESTIMATE else plain
+    plain = model.replace_dead_time(0.0) if model.equation.dead_time == ESTIMATE else model
+    return plain.replace_lag(0.0) if model.equation.lag == ESTIMATE else plain
 
 
 def _waves(signal: Signal, name: str, period: float) -> list[Term]:

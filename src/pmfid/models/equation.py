@@ -9,6 +9,7 @@ from functools import cached_property
 from numbers import Real
 from typing import Literal
 
+from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.kernel.configuration import ShapeTable
 from pmfid.models.axes import LINEAR, Units, rotary, units_by
@@ -213,19 +214,23 @@ class Equation:
         gains = [term.coefficient for term in self.known if (term.signal, term.derivative) == ("input", 0)]
         return (Term("input", 1, DEAD_TIME, "s", gains[0]),) if gains else ()
 
-    def at_dead_time(self, seconds: float | Literal["estimate"]) -> Equation:
+    def replace_dead_time(self, seconds: float | Literal["estimate"]) -> Equation:
         """The same equation with another dead time [s]."""
         unknown = tuple(term for term in self.unknown if (term.signal, term.derivative) != ("input", 1))
         return replace(self, unknown=unknown, dead_time=seconds)
 
-    def at_lag(self, seconds: float | Literal["estimate"]) -> Equation:
+    at_dead_time = rename_method("at_dead_time", "replace_dead_time")
+
+    def replace_lag(self, seconds: float | Literal["estimate"]) -> Equation:
         """The same equation with another lag of the input [s]."""
         return replace(self, further=tuple(one for one in self.further if one[0] != LAG), lag=seconds)
+
+    at_lag = rename_method("at_lag", "replace_lag")
 
     @property
     def at_once(self) -> Equation:
         """The same equation with an input that acts at once."""
-        return self.at_dead_time(0.0).at_lag(0.0)
+        return self.replace_dead_time(0.0).replace_lag(0.0)
 
     @property
     def searched(self) -> tuple[str, ...]:
@@ -331,10 +336,10 @@ class Equation:
     def known_at(self, further: Sequence[float] | Floats) -> Equation:
         """The equation with lag and shape parameters, the values of `further` (f,), known: all unknowns are linear."""
         lagging = self.lag == ESTIMATE
-        plain = self.at_lag(max(0.0, float(further[0]))) if lagging else self
-        return plain.at_shapes(further[lagging:])
+        plain = self.replace_lag(max(0.0, float(further[0]))) if lagging else self
+        return plain.replace_shapes(further[lagging:])
 
-    def at_shapes(self, further: Sequence[float] | Floats) -> Equation:
+    def replace_shapes(self, further: Sequence[float] | Floats) -> Equation:
         """The equation with the shape parameters, the last of `further` (f,), known."""
         if not self._free:
             return self

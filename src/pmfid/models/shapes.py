@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError
 from pmfid.kernel.configuration import ShapeTable
 from pmfid.types import Floats
@@ -53,7 +54,7 @@ class Shape(ABC):
         table = self.table()
         return speed**2 if table.of == "square" else float(np.max(np.abs(table.knots)))
 
-    def at(self, place: ArrayLike) -> Floats:
+    def evaluate(self, place: ArrayLike) -> Floats:
         """The form (n,) at speeds or places (n,), as the kernel reads it."""
         table, at = self.table(), np.asarray(place, np.float64)
         if table.of == "square":
@@ -62,6 +63,8 @@ class Shape(ABC):
         if table.of == "wave":
             return np.asarray(np.sin(2 * math.pi * x))
         return np.interp(x, np.arange(len(table.knots)), table.knots)
+
+    at = rename_method("at", "evaluate")
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ class WatchedAxis:
         """A reference (p,) and its standard deviations, combined with the prior information; each (q,)."""
         if self.known is None:
             return theta, std
-        found = self.known.of(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
+        found = self.known.combine(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
         return found.theta, found.theta_std
 
     def _refer(self, theta: Floats) -> None:

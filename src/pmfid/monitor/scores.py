@@ -187,7 +187,7 @@ class Scale:
 
         A parameter that deviates by d standard deviations has E x = d w, variance of x about w.
         """
-        return self.norms.deviations(blocks.score, self.sigma), self.norms.told(blocks.square)
+        return self.norms.deviations(blocks.score, self.sigma), self.norms.expect(blocks.square)
 
     def information(self, blocks: Blocks) -> Floats:
         """(n,) information of blocks on all parameters, in average blocks."""

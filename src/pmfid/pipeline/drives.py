@@ -292,7 +292,7 @@ def _estimate(
     fit = choice.fit if choice else batch.fit(record.u, record.counts)
     if known is not None and known.find_gain:
         before = estimator.equation.input_gain
-        known, there = known.rescaled(fit)
+        known, there = known.rescale(fit)
         estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
         fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
     if known is None:  # what is refused needs no judgement
@@ -311,7 +311,7 @@ def _estimate(
     findings = sort_findings((*status_findings(fit.status & ~_collect_status(record)), *judgement.findings, *notes))
     found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, judgement.matter, fit=fit, model_spread=spread)
-    return result if known is None else put_together(result, known, axis, known.of(fit, spread))
+    return result if known is None else put_together(result, known, axis, known.combine(fit, spread))
 
 
 def _clock_findings(record: Record) -> tuple[Finding, ...]:
@@ -351,7 +351,7 @@ def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoi
         return tested if tested is not None and tested.difference.equation == estimator.equation else None
     if estimator.equation.lag != ESTIMATE:
         return None
-    known = estimator.equation.at_shapes(fit.theta[len(estimator.equation.names) :])
+    known = estimator.equation.replace_shapes(fit.theta[len(estimator.equation.names) :])
     free = like(type(estimator), estimator, model=EquationModel(known))
     with suppress(NotIdentifiableError):
         return examine_estimate(free, record.u, record.counts, fit.theta)
@@ -383,7 +383,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     if isinstance(estimator, RIV):
         if _needs_simulation(estimator):
             return like(IV, estimator, prefilter_zeros=None)
-        model = estimator.model.at_dead_time(0.0) if late_of(estimator) is not None else estimator.model
+        model = estimator.model.replace_dead_time(0.0) if late_of(estimator) is not None else estimator.model
         return like(LS, estimator, model=model, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
@@ -417,7 +417,7 @@ def _recursive(
         simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
         columns = simulating.columns_at(theta, record.u, record.counts)
     elif late is not None:  # the equation at the estimated dead time, which is then no unknown
-        at = estimator.model.at_dead_time(max(0.0, float(theta[late])))
+        at = estimator.model.replace_dead_time(max(0.0, float(theta[late])))
         columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
@@ -426,14 +426,16 @@ def _recursive(
     held = occurred | (last & ~int(Status.SETTLING | Status.DISTORTED))
     last_estimate: Estimate | Posterior = estimator.estimate
     if known is not None and known.find_gain:
-        known, last_estimate = known.rescaled(last_estimate)
+        known, last_estimate = known.rescale(last_estimate)
         method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
     judgement = verdict(method, record.u, record.counts, theta, std, None, axis.estimator.tolerance)
     notes = make_notes("record", record.notes) + _check_error(method, relative, judgement)
     findings = sort_findings((*status_findings(held), *judgement.findings, *notes))
     found = method, theta, std, findings, record, relative, judgement.matter
     result = DriveResult(*found, track=reported, model_spread=judgement.spread)
-    return result if known is None else put_together(result, known, axis, known.of(last_estimate, judgement.spread))
+    return (
+        result if known is None else put_together(result, known, axis, known.combine(last_estimate, judgement.spread))
+    )
 
 
 def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:

@@ -138,7 +138,7 @@ def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Flo
     axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, zorder=1, label="±2 std")
     if nominal is not None:
         _line(axes, t, np.broadcast_to(nominal, t.shape), color=MAGENTA, ls="--", label="nominal")
-    _shade(axes, stretches(t, track.flagged(DOUBTFUL)))
+    _shade(axes, stretches(t, track.has_status(DOUBTFUL)))
     axes.set_ylabel(_label(name, track.units[track.names.index(name)]))
     _robust_limits(axes, [_select_settled(track, low), _select_settled(track, high)], nominal)
 
@@ -253,12 +253,12 @@ def _line(axes: Axes, t: Floats, y: Floats, **style: Any) -> None:
 
 def _mask_start(track: Track, name: str) -> Floats:
     """The track of one parameter, NaN if there is no estimate yet."""
-    return np.where(track.flagged(Status.STARTING), np.nan, track[name])
+    return np.where(track.has_status(Status.STARTING), np.nan, track[name])
 
 
 def _select_settled(track: Track, y: Floats) -> Floats:
     """The finite values of y (n,) after the start-up: the first tenth is left out if something remains."""
-    usable = np.isfinite(y) & ~track.flagged(NO_ESTIMATE)
+    usable = np.isfinite(y) & ~track.has_status(NO_ESTIMATE)
     late = usable & (np.arange(y.size) >= y.size // 10)
     return y[late if late.any() else usable]
 

@@ -79,7 +79,7 @@ def bars_figure(names: Sequence[str], units: Sequence[str], theta: Sequence[floa
 def fleet_figure(t: ArrayLike, tracks: Tracks, label: str) -> Figure:
     """The estimates of the first axes over t (m,), and the median of all."""
     time, single = np.asarray(t, float), np.size(t) == 1
-    theta = np.where(tracks.flagged(Status.STARTING)[..., None], np.nan, tracks.theta)
+    theta = np.where(tracks.has_status(Status.STARTING)[..., None], np.nan, tracks.theta)
     with open_figure(0.9 + 1.9 * len(tracks.names), len(tracks.names), sharex=True) as (figure, panels):
         for i, (axes, name, unit) in enumerate(zip(panels, tracks.names, tracks.units, strict=True)):
             for one in theta[: TUNING.plots_most_axes, :, i]:

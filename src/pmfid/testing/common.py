@@ -98,7 +98,7 @@ def more_data_make_shorter_error_bars(case: Case) -> None:
     require(bool(np.mean(np.log(long / short)) < 0), f"{few} samples give {short}, {u.size} give {long}")
 
 
-def mirrored(case: Case) -> None:
+def mirrors(case: Case) -> None:
     """Input and counts with the other sign: forward and backward change places, loads their sign."""
     result = result_of(case.configured, -case.fine.u, -case.fine.counts)
     _require_near(last(result.theta), _mirror_theta(case.configured, case.theta), case.theta, TUNING.common_mirrored)

@@ -123,7 +123,7 @@ def rest_says_poor_excitation(case: Case) -> None:
     n = 2 * case.fine.u.size // 3
     track = case.start_estimator().run(np.zeros(n), np.zeros(n, np.int64))
     require(bool(np.all(np.isfinite(track.theta))), "theta is not finite at rest")
-    flagged = track.flagged(Status.POOR_EXCITATION) | track.flagged(Status.STARTING)
+    flagged = track.has_status(Status.POOR_EXCITATION) | track.has_status(Status.STARTING)
     require(bool(np.all(flagged[-n // 2 :])), "the status says neither poor excitation nor starting")
 
 
@@ -196,7 +196,7 @@ COMMON = _list_checks(
     common.inputs_stay_untouched,
     common.finds_the_truth,
     common.more_data_make_shorter_error_bars,
-    common.mirrored,
+    common.mirrors,
     common.scales_with_the_units,
 )
 OFF_LINE = _list_checks(copies_fit_alike, rest_is_not_identifiable, covariance_is_one)

@@ -18,7 +18,7 @@ from pmfid.fleet.data import TRIED, Engine, Work, check_columns, first_table
 from pmfid.fleet.plan import FIRST, LAST, LOST, ROWS, RowShard, Survey, count_rows, mixture, survey_of
 from pmfid.fleet.rows import ShardTable
 from pmfid.fleet.segments import Segments
-from pmfid.fleet.source import AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Columns, Part
+from pmfid.fleet.source import AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Part, SourceColumns
 from pmfid.fleet.spark.engine import (
     NUMBER,
     RETURNED,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _PLACE = "place"
 
 
-def tag_rows(rows: pl.LazyFrame, columns: Columns, plan: ShardTable) -> pl.DataFrame:
+def tag_rows(rows: pl.LazyFrame, columns: SourceColumns, plan: ShardTable) -> pl.DataFrame:
     """The rows that are in a shard, with its index; rows: of `Part.rows`."""
     known = rows.select(plan.number.alias(_PLACE), *columns.carried).drop_nulls([_PLACE, TIME]).collect()
     shard = plan.find(known[_PLACE].to_numpy(), known[TIME].to_numpy())
@@ -70,7 +70,7 @@ _DAY = "day"
 class SparkRows:
     """A DataFrame whose rows stay in Spark; engine: None or Spark. Raises UsageError for another."""
 
-    def __init__(self, frame: object, columns: Columns, engine: Engine | None) -> None:
+    def __init__(self, frame: object, columns: SourceColumns, engine: Engine | None) -> None:
         if engine is not None and not isinstance(engine, Spark):
             raise UsageError(
                 f"a Spark DataFrame is estimated where it is, not by the engine {engine.name}: leave out the engine, "
@@ -78,7 +78,7 @@ class SparkRows:
             )
         self._whole, self._columns = cast("DataFrame", frame), columns
         mask, kind = (MASK if columns.mask else None), (TYPE if columns.type else None)
-        self._own = Columns(AXIS, TIME, INPUT, OUTPUT, mask, kind, columns.factor)
+        self._own = SourceColumns(AXIS, TIME, INPUT, OUTPUT, mask, kind, columns.factor)
 
     @property
     def engine(self) -> str:
@@ -186,7 +186,7 @@ class SparkRows:
         return sql.lit(True)
 
 
-def _rows(table: pa.Table, columns: Columns) -> pl.LazyFrame:
+def _rows(table: pa.Table, columns: SourceColumns) -> pl.LazyFrame:
     frame = cast(pl.DataFrame, pl.from_arrow(table))
     return Part(FRAME, "", frame.lazy).rows(columns)
 
@@ -204,7 +204,7 @@ def _batches(frame: pl.DataFrame) -> Iterator[pa.RecordBatch]:
 Task = Callable[[Iterator["pa.RecordBatch"]], Iterator["pa.RecordBatch"]]
 
 
-def _counter(columns: Columns) -> Task:
+def _counter(columns: SourceColumns) -> Task:
     def count(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         for table in merge_batches(batches):
             rows = _rows(table, columns).with_columns(mixture(columns).alias(MIXED))
@@ -214,7 +214,7 @@ def _counter(columns: Columns) -> Task:
     return count
 
 
-def _tagger(columns: Columns, plan: ShardTable) -> Task:
+def _tagger(columns: SourceColumns, plan: ShardTable) -> Task:
     def tag(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         for table in merge_batches(batches):
             yield from _batches(tag_rows(_rows(table, columns), columns, plan))

@@ -242,7 +242,7 @@ def _set_normal_gain(axis: Axis, source: Record) -> Axis:
         estimator = _estimator(own, source, wraps=False)
         known = known_of(axis, estimator)
         fit = like(IV, estimator, prefilter_zeros=None).fit(source.u, source.counts)
-        return own if known is None else set_gain(own, known.of(fit)[INPUT_GAIN])
+        return own if known is None else set_gain(own, known.combine(fit)[INPUT_GAIN])
 
     return try_both_signs(axis, find_gain)
 
@@ -255,7 +255,7 @@ def _nominal(
     names = front.names
     if given is None:
         fit = front.fit(source.u, source.counts)
-        return np.asarray(fit.theta if known is None else known.of(fit).theta[: len(names)])
+        return np.asarray(fit.theta if known is None else known.combine(fit).theta[: len(names)])
     try:
         return initial_vector({name: value for name, value in given.items() if name in names or known is None}, names)
     except UsageError:

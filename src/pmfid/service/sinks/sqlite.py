@@ -24,7 +24,7 @@ VERSION, APPLICATION = 1, 0x706D6664
 SCHEMA = """
 CREATE TABLE notices (
     id INTEGER PRIMARY KEY,
-    number INTEGER NOT NULL,  -- raised by one from notice to notice; begins anew with a service that knows nothing
+    number INTEGER NOT NULL,  -- raised by one from notice to notice; starts at 1 if the service has no state
     axis TEXT NOT NULL,       -- "" for the service itself
     event TEXT NOT NULL,
     wall REAL NOT NULL,       -- seconds since 1970 when it was found
