@@ -191,23 +191,20 @@ typedef struct {
     uint32_t source;
     scalar_t a, b0, b1;
 #if PMF_WITH_STEPS
-    uint32_t rate; /* how it follows the step, from 1 on; 0: not at all */
+    uint32_t rate; /* how it follows the step */
 #endif
 } pmf_stage_t;
 
 #if PMF_WITH_STEPS
-enum {
-    PMF_LASTING = 0, /* coefficients that grow with the step */
-    PMF_CHANGING = 1, /* those of a derivative */
-    PMF_BENDING = 2 /* and of a second difference */
-};
-
-/* How stages of one pole follow a step that varies; what a stage has is for the sample period. */
+/* Ways in which stages follow a step that varies; what a stage has is for the sample period. The step that matters,
+ * over the period, is now * (this one) + before * (the one before). The first way is that of a stage that follows none.
+ * Lists, not a list of structures: compilers then compute several ways at once. */
 typedef struct {
-    uint32_t late; /* 1: their signals are those of the interval before */
-    uint32_t kind;
-    scalar_t half; /* pole times half the sample period */
-} pmf_rate_t;
+    scalar_t now[PMF_MAX_RATES], before[PMF_MAX_RATES];
+    scalar_t half[PMF_MAX_RATES]; /* pole times half the sample period */
+    scalar_t keep[PMF_MAX_RATES]; /* 1: what the stage had counts, 0: it does not */
+    scalar_t gain[PMF_MAX_RATES], growth[PMF_MAX_RATES]; /* of its coefficients, and that by the step */
+} pmf_rates_t;
 #endif
 
 typedef struct {
@@ -222,8 +219,8 @@ typedef struct {
     uint32_t tap_end[PMF_MAX_COLUMNS];
     pmf_tap_t tap[PMF_MAX_TAPS];
 #if PMF_WITH_STEPS
-    uint32_t n_rates;
-    pmf_rate_t rate[PMF_MAX_RATES];
+    uint32_t n_rates; /* 0: the step does not vary */
+    pmf_rates_t rates;
 #endif
 } pmf_network_config_t;
 

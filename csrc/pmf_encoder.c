@@ -103,7 +103,7 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
 static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation, real_t predicted)
 {
 #if PMF_STEPS
-    real_t ratio = config->rate > PMF_R(0.0) ? state->ratio : PMF_R(1.0);
+    real_t ratio = PMF_STEPPED(config->rate > PMF_R(0.0)) ? state->ratio : PMF_R(1.0);
 #endif
     state->velocity_before = state->velocity;
     state->position = predicted + config->position_gain * innovation;
@@ -185,7 +185,7 @@ static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_sta
 /* The step of this interval over the sample period. */
 static real_t ratio_of(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t *status)
 {
-    if (!(config->rate > PMF_R(0.0))) {
+    if (!PMF_STEPPED(config->rate > PMF_R(0.0))) {
         return PMF_R(1.0);
     }
     if (!(state->ratio > PMF_R(0.0))) {

@@ -46,9 +46,15 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_STEPS PMF_WITH_STEPS
 #endif
+/* Does the step vary? In an export with steps it does. */
+#if PMF_LAYOUT != 0U
+#define PMF_STEPPED(truth) ((void)(truth), 1)
+#else
+#define PMF_STEPPED(truth) (truth)
+#endif
 /* The interval that the auxiliary model simulates [s]. */
 #if PMF_STEPS
-#define PMF_SPAN(config, state) ((config)->steps != 0U ? (state)->step : (config)->dt)
+#define PMF_SPAN(config, state) (PMF_STEPPED((config)->steps != 0U) ? (state)->step : (config)->dt)
 #else
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif

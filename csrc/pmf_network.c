@@ -7,40 +7,30 @@
 #include "pmf_internal.h"
 
 #if PMF_STEPS
-typedef struct {
-    real_t keep, gain;
-} pace_t;
+#if PMF_LAYOUT != 0U /* an export has just what it needs */
+#define RATES(config) PMF_MAX_RATES
+#define STAGES(config) PMF_MAX_STAGES
+#else
+#define RATES(config) (config)->n_rates
+#define STAGES(config) (config)->n_stages
+#endif
 
-/* (1 - h) / (1 + h) and what that makes of the gain: the trapezoidal rule over a step, h: pole times half the step. */
-static pace_t pace_of(const pmf_rate_t *rate, real_t ratio, real_t before)
-{
-    real_t own = rate->late != 0U ? before : ratio, h = rate->half * own, inverse = PMF_R(1.0) / (PMF_R(1.0) + h);
-    pace_t pace;
-    if (rate->kind == PMF_BENDING) {
-        pace.keep = PMF_R(0.0);
-        pace.gain = PMF_R(0.5) * (ratio + before);
-        return pace;
-    }
-    pace.keep = (PMF_R(1.0) - h) * inverse;
-    pace.gain = (PMF_R(1.0) + rate->half) * inverse * (rate->kind == PMF_LASTING ? own : PMF_R(1.0));
-    return pace;
-}
-
-/* `memory` has the source of the step before. */
+/* The trapezoidal rule over a step, h: pole times half the step. `memory` has the source of the step before. */
 static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
-    pace_t pace[PMF_MAX_RATES + 1];
-    const pmf_stage_t *stage = config->stage;
+    const pmf_rates_t *rates = &config->rates;
+    real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES];
     uint32_t i;
-    pace[0].keep = PMF_R(0.0);
-    pace[0].gain = PMF_R(1.0);
-    for (i = 0; i < config->n_rates; ++i) {
-        pace[i + 1U] = pace_of(&config->rate[i], state->ratio, state->ratio_before);
+    for (i = 0; i < RATES(config); ++i) {
+        real_t step = rates->now[i] * state->ratio + rates->before[i] * state->ratio_before;
+        real_t h = rates->half[i] * step, inverse = PMF_R(1.0) / (PMF_R(1.0) + h);
+        keep[i] = (rates->keep[i] - h) * inverse;
+        gain[i] = (rates->gain[i] + rates->growth[i] * step) * inverse;
     }
-    for (i = 0; i < config->n_stages; ++i, ++stage) {
-        const pace_t *own = &pace[stage->rate];
+    for (i = 0; i < STAGES(config); ++i) {
+        const pmf_stage_t *stage = &config->stage[i];
         real_t w = state->node[stage->source], *y = &state->node[PMF_SIGNALS + i];
-        *y = own->gain * (stage->b0 * w + stage->b1 * state->memory[i]) + own->keep * *y;
+        *y = gain[stage->rate] * (stage->b0 * w + stage->b1 * state->memory[i]) + keep[stage->rate] * *y;
         state->memory[i] = w;
     }
 }
@@ -52,7 +42,7 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
     const pmf_tap_t *tap = config->tap;
     uint32_t i;
 #if PMF_STEPS
-    if (config->n_rates != 0U) {
+    if (PMF_STEPPED(config->n_rates != 0U)) {
         follow_steps(config, state);
     } else
 #endif

@@ -13,7 +13,7 @@
 #define PMF_MAX_LATE 22 /* inputs that are kept for a dead time: one more than its whole samples, and one */
 #define PMF_MAX_SHAPES 6 /* of forces that the auxiliary model has in addition to the body's; 0 leaves them out */
 #define PMF_MAX_KNOTS 520 /* in the tables of all of them */
-#define PMF_MAX_RATES 12 /* ways in which stages follow a step that varies */
+#define PMF_MAX_RATES 16 /* ways in which stages follow a step that varies */
 #define PMF_WINDOW_BLOCKS 8 /* of a sliding window; 0 saves their memory where no window is used */
 
 /* 0 leaves a part out, its code and its memory. */

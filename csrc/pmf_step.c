@@ -144,7 +144,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     }
 #endif
 #if PMF_STEPS
-    if (config->encoder.rate > PMF_R(0.0)) {
+    if (PMF_STEPPED(config->encoder.rate > PMF_R(0.0))) {
         state->network.ratio = state->encoder.ratio;
         state->network.ratio_before = state->encoder.ratio_before;
         state->encoder.ratio_before = state->encoder.ratio;

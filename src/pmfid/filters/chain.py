@@ -14,7 +14,7 @@ from math import comb
 import numpy as np
 from scipy.linalg import expm
 
-from pmfid.filters.network import BENDING, CHANGING, LASTING, Network, Taps
+from pmfid.filters.network import Network, Taps
 
 #: (network, source, cutoff, order, dt) -> taps of F(s) applied to the held signal at `source`
 HoldFilter = Callable[[Network, int, float, int, float], Taps]
@@ -23,13 +23,13 @@ HoldFilter = Callable[[Network, int, float, int, float], Taps]
 def lag(network: Network, source: int, pole: float, dt: float) -> int:
     """pole / (s + pole) by the trapezoidal rule."""
     gain = pole / (2 / dt + pole)
-    return network.stage(source, _tustin_pole(pole, dt), gain, gain, (LASTING, pole * dt / 2))
+    return network.stage(source, _tustin_pole(pole, dt), gain, gain, ("lasting", pole * dt / 2))
 
 
 def differentiating_lag(network: Network, source: int, pole: float, dt: float) -> int:
     """s pole / (s + pole) by the trapezoidal rule."""
     gain = (2 / dt) * pole / (2 / dt + pole)
-    return network.stage(source, _tustin_pole(pole, dt), gain, -gain, (CHANGING, pole * dt / 2))
+    return network.stage(source, _tustin_pole(pole, dt), gain, -gain, ("changing", pole * dt / 2))
 
 
 def chain(network: Network, source: int, cutoff: float, order: int, dt: float, cancelled: int = 1) -> list[int]:
@@ -39,7 +39,7 @@ def chain(network: Network, source: int, cutoff: float, order: int, dt: float, c
         before = nodes[-1] if nodes else source
         if i < cancelled:
             gain = 2 * cutoff / (2 / dt + cutoff)
-            nodes.append(network.stage(before, _tustin_pole(cutoff, dt), gain, 0.0, (LASTING, cutoff * dt / 2)))
+            nodes.append(network.stage(before, _tustin_pole(cutoff, dt), gain, 0.0, ("lasting", cutoff * dt / 2)))
         else:
             nodes.append(lag(network, before, cutoff, dt))
     return nodes
@@ -105,7 +105,7 @@ def correct_uneven_velocity(network: Network, nodes: list[int], cutoff: float, d
     taps = [(network.delay(nodes[-1]), 1.0)]
     for node, weight in derivative(nodes, 1, cutoff):
         change = network.stage(node, 0.0, 1.0, -1.0)
-        bend = network.stage(change, 0.0, dt / 2, dt / 2, (BENDING, 0.0))
+        bend = network.stage(change, 0.0, dt / 2, dt / 2, ("bending", 0.0))
         taps.append((bend, -weight / 12))
     return taps
 

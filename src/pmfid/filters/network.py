@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
+from pmfid.kernel.configuration import Kind, Rate
 from pmfid.kernel.structures import constants_of
 
 _KERNEL = constants_of(None)
@@ -27,9 +28,8 @@ ONE, START = _nodes("ONE", "START")  # of a linear process, which has no auxilia
 (SIGNALS,) = _nodes("SIGNALS")
 
 Taps = list[tuple[int, float]]
-#: How a stage follows a step that varies: its kind in the kernel, and its pole times half the sample period.
-Pace = tuple[int, float]
-LASTING, CHANGING, BENDING = _nodes("LASTING", "CHANGING", "BENDING")
+#: How a stage follows a step that varies: its kind, and its pole times half the sample period.
+Pace = tuple[Kind, float]
 
 
 @dataclass
@@ -54,11 +54,11 @@ class Network:
         return node
 
     @property
-    def rates(self) -> tuple[list[int], list[tuple[int, int, float]]]:
+    def rates(self) -> tuple[list[int], list[Rate]]:
         """The number of each stage's rate, from 1 on, 0: none; and the rates: late, kind, half. The velocity of the
         counts belongs to the last interval, as does all that comes from it until it is delayed."""
         late = [int(signal != VELOCITY) for signal in range(self.first)]
-        numbers, rates = list[int](), list[tuple[int, int, float]]()
+        numbers, rates = list[int](), list[Rate]()
         for node, (source, _, b0, b1) in enumerate(self.stages, self.first):
             late.append(1 if source == node or (b0, b1) == (0.0, 1.0) else late[source])
             pace = self.paces.get(node)

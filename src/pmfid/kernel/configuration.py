@@ -19,8 +19,13 @@ if TYPE_CHECKING:
 #: Values of a structure by the names of its fields; of an array the first ones, the others are 0.
 Values = Mapping[str, object]
 Stages = Sequence[tuple[int, float, float, float]]
-#: For each stage the number of its rate from 1 on, 0: none; and the rates: late, kind, pole times half a period.
-Rates = tuple[Sequence[int], Sequence[tuple[int, int, float]]]
+#: Coefficients that grow with the step, those of a derivative, and those of a second difference.
+Kind = Literal["lasting", "changing", "bending"]
+#: How a stage follows a step that varies: 1 if its signals are those of the interval before; kind; pole times half a
+#: sample period.
+Rate = tuple[int, Kind, float]
+#: For each stage the number of its rate from 1 on, 0: none; and the rates.
+Rates = tuple[Sequence[int], Sequence[Rate]]
 Columns = Sequence[Sequence[tuple[int, float]]]
 
 
@@ -83,9 +88,9 @@ def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rat
             f"the equation needs {len(stages)} stages, {len(taps)} taps and {parameters} parameters; the kernel holds "
             f"{room[0]}, {room[1]} and {room[3]}; use a lower order"
         )
-    if len(rates[1]) > sizes["PMF_MAX_RATES"]:
+    if len(rates[1]) >= sizes["PMF_MAX_RATES"]:
         raise ValueError(
-            f"the stages follow a step in {len(rates[1])} ways, the kernel holds {sizes['PMF_MAX_RATES']}; "
+            f"the stages follow a step in {len(rates[1])} ways, the kernel holds {sizes['PMF_MAX_RATES'] - 1}; "
             "give fewer prefilter_zeros"
         )
     return {
@@ -94,9 +99,22 @@ def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rat
         "stage": [(*stage, rate) for stage, rate in zip(stages, rates[0] or [0] * len(stages), strict=True)],
         "tap_end": np.cumsum([len(column) for column in columns]),
         "tap": taps,
-        "n_rates": len(rates[1]),
-        "rate": list(rates[1]),
+        "n_rates": len(rates[1]) + 1 if rates[1] else 0,
+        "rates": _rate_values(rates[1]),
     }
+
+
+def _rate_values(rates: Sequence[Rate]) -> dict[str, object]:
+    """The fields of `pmf_rates_t`."""
+    rows = [(0.0, 0.0, 0.0, 0.0, 1.0, 0.0)] if rates else []
+    for late, kind, half in rates:
+        if kind == "bending":
+            rows.append((0.5, 0.5, 0.0, 0.0, 0.0, 1.0))
+        else:
+            grows = kind == "lasting"
+            rows.append((1.0 - late, float(late), half, 1.0, 0.0 if grows else 1 + half, 1 + half if grows else 0.0))
+    names = ("now", "before", "half", "keep", "gain", "growth")
+    return {name: [row[i] for row in rows] for i, name in enumerate(names)}
 
 
 def fill(structure: Structured, values: Values) -> None:

@@ -52,7 +52,7 @@ def shape_of(config: Structured) -> KernelSizes:
         max_order=int(linear["n"]) if linear["enabled"] else 1,
         max_shapes=int(shapes["n"]),
         max_knots=knots_of(shapes),
-        max_rates=max(1, int(network["n_rates"])),
+        max_rates=max(1, 4 * -(-int(network["n_rates"]) // 4)),  # four at once
         window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
         max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
         with_dead_time=int(config["late"]["room"] > 0),
