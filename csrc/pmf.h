@@ -67,7 +67,9 @@ enum {
     /* of a linear process, which has no auxiliary model: */
     PMF_ONE = PMF_AUXILIARY, /* always 1 */
     PMF_START = PMF_AUXILIARY +
-        1 /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
+        1, /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
+    /* of direct methods without an auxiliary model where the step varies: */
+    PMF_TURN = PMF_AUXILIARY /* what a reversal inside the interval adds to its mean velocity, per 1/12 of m v' */
 };
 
 /* What a parameter means to the auxiliary model. */
@@ -117,12 +119,15 @@ enum {
     PMF_SEPARATE = 4 /* every parameter in its own time */
 };
 
+/* Where the step varies, pauses are counted in these parts of a sample period. */
+enum { PMF_TICKS = 16 };
+
 typedef struct {
     scalar_t velocity_per_count; /* resolution / dt */
     scalar_t position_per_count; /* resolution */
     uint32_t count_mask; /* 2^bits - 1 */
     uint32_t max_change; /* more counts in one sample are a jump; 0: no check */
-    uint32_t standstill_samples; /* without a count for so long: at rest */
+    uint32_t standstill_samples; /* without a count for so long, in the unit of `idle`: at rest */
     scalar_t position_gain, velocity_gain; /* of the tracker, per count */
     scalar_t smooth_end, smooth_start; /* one-step smoother of the tracker's velocity */
 #if PMF_WITH_PROCESS
@@ -137,8 +142,19 @@ typedef struct {
 #endif
 #if PMF_WITH_STEPS
     scalar_t rate; /* samples per second where each comes with its step, else 0 */
+    scalar_t push; /* variance of the acceleration that the tracker expects, in counts per squared sample period */
+    uint32_t turns; /* 1: a reversal inside an interval is a signal of its own */
 #endif
 } pmf_encoder_config_t;
+
+#if PMF_WITH_STEPS
+/* Covariances of the tracker where the step varies, which its gains come from; the counts have a variance of 1. */
+typedef struct {
+    real_t place, cross, speed; /* of the last position and velocity; the first two are its last gains as well */
+    real_t start_place, start_speed; /* of the velocity before with them */
+} pmf_tracker_t;
+#endif
+
 
 #if PMF_WITH_GUARD
 /* Against samples that no motion explains. */
@@ -165,7 +181,7 @@ typedef struct {
 
 typedef struct {
     whole_t count;
-    whole_t idle; /* samples since the last count, saturating */
+    whole_t idle; /* samples since the last count, or sixteenths where the step varies, saturating */
     whole_t gap; /* samples between counts lately */
     whole_t fast;
     whole_t started; /* of a linear process 2 after the second sample */
@@ -180,6 +196,7 @@ typedef struct {
     real_t mean_velocity; /* of the last interval */
 #if PMF_WITH_STEPS
     real_t ratio, ratio_before; /* steps of this interval and of the one before, over the sample period */
+    pmf_tracker_t tracker;
 #endif
 #if PMF_WITH_GUARD
     pmf_guard_state_t guard;
@@ -203,7 +220,8 @@ typedef struct {
     scalar_t now[PMF_MAX_RATES], before[PMF_MAX_RATES];
     scalar_t half[PMF_MAX_RATES]; /* pole times half the sample period */
     scalar_t keep[PMF_MAX_RATES]; /* 1: what the stage had counts, 0: it does not */
-    scalar_t gain[PMF_MAX_RATES], growth[PMF_MAX_RATES]; /* of its coefficients, and that by the step */
+    /* of its coefficients, by the step, and by the mean square of the step over time */
+    scalar_t gain[PMF_MAX_RATES], growth[PMF_MAX_RATES], square[PMF_MAX_RATES];
 } pmf_rates_t;
 #endif
 
@@ -230,6 +248,7 @@ typedef struct {
     real_t column[PMF_MAX_COLUMNS];
 #if PMF_WITH_STEPS
     real_t ratio, ratio_before; /* those of the encoder */
+    real_t time, cubes; /* leaking sums of steps and of their cubes */
 #endif
 } pmf_network_state_t;
 

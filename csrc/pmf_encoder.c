@@ -16,16 +16,33 @@
 #endif
 
 #define FAST_COUNTS 2U /* counts in one sample from which on the tracker is trusted */
+#define FAST_SPEED PMF_R(2.0) /* or in one sample period */
 #define CLOSE 3U
+/* Pauses are counted in samples, or in ticks where the step varies. */
+#if PMF_STEPS
+#define PASSED passed
+#define NEXT_FAST(counts) next_fast(config, state, counts, ticks)
+#define GAINS (&own)
+#else
+#define PASSED 1U
+#define NEXT_FAST(counts) next_fast(state->fast, counts)
+#define GAINS config
+#endif
 
+/* Gains of the tracker and of its smoother. */
 #if PMF_STEPS
 #define TRAVELLED(speed) ((speed) * ratio) /* within the step */
 #define AS_SPEED(change) ((change) / ratio)
-#define SPEED_GAIN(gain) ((gain) * (ratio < PMF_R(1.0) ? ratio : PMF_R(1.0) / ratio)) /* a short step tells little */
+#define SMOOTH_BEFORE(gains) ((gains)->smooth_before)
+typedef struct {
+    real_t position_gain, velocity_gain, smooth_end, smooth_start;
+    real_t smooth_before; /* what smooth_end was one sample earlier */
+} gains_t;
 #else
 #define TRAVELLED(speed) (speed)
 #define AS_SPEED(change) (change)
-#define SPEED_GAIN(gain) (gain)
+#define SMOOTH_BEFORE(gains) ((gains)->smooth_end)
+typedef pmf_encoder_config_t gains_t;
 #endif
 
 static whole_t magnitude(integer_t x)
@@ -53,33 +70,60 @@ static real_t signed_fraction(real_t start, real_t end)
 }
 
 /* The interval before the last: its direction from the tracker, or the last count's. */
-static real_t late_direction(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t innovation,
-                             whole_t fast, real_t velocity_two_before)
+static real_t late_direction(const gains_t *gains, const pmf_encoder_state_t *state, real_t innovation, whole_t fast,
+                             real_t velocity_two_before)
 {
     truth_t slow = (fast == 0) & (state->fast == 0);
     real_t end, start;
     if (PMF_ALL(slow)) {
         return state->direction;
     }
-    end = state->velocity + config->smooth_end * innovation;
-    start = velocity_two_before + config->smooth_end * state->innovation + config->smooth_start * innovation;
+    end = state->velocity + gains->smooth_end * innovation;
+    start = velocity_two_before + SMOOTH_BEFORE(gains) * state->innovation + gains->smooth_start * innovation;
     return PMF_IF(slow, state->direction, signed_fraction(start, end));
 }
 
+#if PMF_STEPS
+/* The step that was, in the unit of pauses. */
+static uint32_t ticks_of(const pmf_encoder_config_t *config, real_t ratio)
+{
+    return PMF_SAMPLE(config) != 1U ? (uint32_t)((real_t)PMF_TICKS * ratio + PMF_R(0.5)) : 1U;
+}
+
+/* A short step has few counts, however fast the motion is. */
+static uint32_t next_fast(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, uint32_t counts,
+                          uint32_t ticks)
+{
+    real_t speed = PMF_SAMPLE(config) != 1U ? state->velocity : PMF_R(0.0);
+    if (counts >= FAST_COUNTS || speed > FAST_SPEED || speed < -FAST_SPEED) {
+        return PMF_FAST_SAMPLES * PMF_SAMPLE(config);
+    }
+    return state->fast > ticks ? state->fast - ticks : 0U;
+}
+#else
 static whole_t next_fast(whole_t fast, whole_t counts)
 {
     return PMF_IF(counts >= FAST_COUNTS, PMF_W(PMF_FAST_SAMPLES), PMF_IF(fast > 0U, fast - 1U, PMF_W(0)));
 }
+#endif
 
 /* Counts and the pauses between them. A pause much longer than the last ones is a standstill. Where counts came at
  * least every CLOSE samples, one sample more is enough; with a coarser encoder it may be a slow reversal, which takes
  * the longer the coarser it is. */
+#if PMF_STEPS
+static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change,
+                           uint32_t ticks)
+#else
 static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change)
+#endif
 {
     uint32_t still = config->standstill_samples;
     truth_t counted = change != 0, rest = PMF_NOT(counted);
+#if PMF_STEPS
+    uint32_t left = still - state->idle, passed = PMF_SAMPLE(config) == 1U || ticks < left ? ticks : left;
+#endif
     if (PMF_ANY(counted)) {
-        whole_t leaked = state->gap - (state->gap >> 2), pause = state->idle + 1U;
+        whole_t leaked = state->gap - ((state->gap >> 2) & ~(PMF_SAMPLE(config) - 1U)), pause = state->idle + PASSED;
         state->gap = PMF_IF(counted, PMF_IF(pause > leaked, pause, leaked), state->gap);
         state->direction = PMF_IF(counted, PMF_IF(change > 0, PMF_R(1.0), PMF_R(-1.0)), state->direction);
         state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
@@ -91,8 +135,9 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
     }
 #endif
     if (PMF_ANY(rest)) {
-        whole_t limit = PMF_IF(state->gap <= CLOSE, state->gap + 1U, 4U * state->gap + 2U);
-        state->idle += PMF_BIT(rest & (state->idle < still), 1U);
+        whole_t limit = PMF_IF(state->gap < (CLOSE + 1U) * PMF_SAMPLE(config), state->gap + PMF_SAMPLE(config),
+                               4U * state->gap + 2U * PMF_SAMPLE(config));
+        state->idle += PMF_BIT(rest & (state->idle < still), PASSED);
         rest = rest & ((state->idle >= still) | (state->idle > limit));
         state->direction = PMF_IF(rest, PMF_R(0.0), state->direction);
         state->moving = PMF_IF(rest, PMF_R(0.0), state->moving);
@@ -100,14 +145,11 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
     return PMF_BIT(rest, PMF_STANDSTILL);
 }
 
-static void track(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t innovation, real_t predicted)
+static void track(const gains_t *gains, pmf_encoder_state_t *state, real_t innovation, real_t predicted)
 {
-#if PMF_STEPS
-    real_t ratio = PMF_STEPPED(config->rate > PMF_R(0.0)) ? state->ratio : PMF_R(1.0);
-#endif
     state->velocity_before = state->velocity;
-    state->position = predicted + config->position_gain * innovation;
-    state->velocity += SPEED_GAIN(config->velocity_gain) * innovation;
+    state->position = predicted + gains->position_gain * innovation;
+    state->velocity += gains->velocity_gain * innovation;
     state->innovation = innovation;
 }
 
@@ -194,6 +236,45 @@ static real_t ratio_of(const pmf_encoder_config_t *config, pmf_encoder_state_t *
     }
     return state->ratio;
 }
+
+/* A Kalman filter for an acceleration that is constant within each step, and its smoother by one sample. */
+static void set_gains(const pmf_encoder_config_t *config, pmf_tracker_t *tracker, real_t ratio, gains_t *gains)
+{
+    real_t half = PMF_R(0.5) * ratio, pushed = config->push * ratio * ratio, pulled = half * pushed;
+    real_t carried = tracker->cross + ratio * tracker->speed; /* of the velocity before with the position now */
+    real_t place = tracker->place + ratio * (tracker->cross + carried) + half * pulled, cross = carried + pulled;
+    real_t inverse = PMF_R(1.0) / (place + PMF_R(1.0));
+    gains->position_gain = place * inverse;
+    gains->velocity_gain = cross * inverse;
+    gains->smooth_before = tracker->start_place;
+    gains->smooth_end = carried * inverse;
+    gains->smooth_start = (tracker->start_place + ratio * tracker->start_speed) * inverse;
+    tracker->start_place = gains->smooth_end;
+    tracker->start_speed = tracker->speed - carried * gains->velocity_gain;
+    tracker->speed += pushed - gains->velocity_gain * cross;
+    tracker->place = gains->position_gain;
+    tracker->cross = gains->velocity_gain;
+}
+
+static void keep_gains(const pmf_encoder_config_t *config, gains_t *gains)
+{
+    gains->position_gain = config->position_gain;
+    gains->velocity_gain = config->velocity_gain;
+    gains->smooth_before = gains->smooth_end = config->smooth_end;
+    gains->smooth_start = config->smooth_start;
+}
+
+/* A reversal at the part x of an interval h changes the acceleration, and the mean velocity is off the mean of those
+ * at its ends, as by a jerk, times 6 x (1 - x) = 1.5 (1 - direction^2). */
+static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real_t velocity)
+{
+    real_t turn = PMF_R(1.0) - direction * direction;
+    if (turn == PMF_R(0.0)) {
+        return turn;
+    }
+    turn *= PMF_R(3.0) * state->ratio_before * state->moving;
+    return velocity < PMF_R(0.0) ? -turn : turn;
+}
 #endif
 
 PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state,
@@ -206,6 +287,13 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     real_t changed, predicted, innovation;
 #if PMF_STEPS
     real_t ratio = ratio_of(config, state, &status);
+    uint32_t ticks = ticks_of(config, ratio);
+    gains_t own;
+    if (PMF_STEPPED(config->rate > PMF_R(0.0))) {
+        set_gains(config, &state->tracker, ratio, &own);
+    } else {
+        keep_gains(config, &own);
+    }
 #endif
 #if PMF_WITH_GUARD
     if (config->guard != 0U) {
@@ -222,18 +310,27 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     state->count = count;
     motion = change;
 #endif
-    fast = next_fast(state->fast, counts);
+    fast = NEXT_FAST(counts);
     /* Position of the axis within the new count, in counts; a count says "in the middle". */
     changed = PMF_TO_REAL(change);
     predicted = PMF_IF(started, state->position + TRAVELLED(state->velocity) - changed, PMF_R(0.5));
     innovation = PMF_R(0.5) - predicted;
 
-    emit_interval(config, state,
-                  state->moving * late_direction(config, state, innovation, fast, state->velocity_before), signal);
+    emit_interval(config, state, state->moving * late_direction(GAINS, state, innovation, fast, state->velocity_before),
+                  signal);
+#if PMF_STEPS
+    if (config->turns != 0U) {
+        signal[PMF_TURN] = late_turn(state, signal[PMF_DIRECTION], state->velocity);
+    }
+#endif
     signal[PMF_VELOCITY] = AS_SPEED(config->velocity_per_count * changed);
 
-    track(config, state, innovation, predicted);
+    track(GAINS, state, innovation, predicted);
+#if PMF_STEPS
+    status |= note_motion(config, state, motion, ticks);
+#else
     status |= note_motion(config, state, motion);
+#endif
     state->mean_velocity = signal[PMF_VELOCITY];
 #if PMF_WITH_SPLIT
     state->change = change;

@@ -52,10 +52,12 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #else
 #define PMF_STEPPED(truth) (truth)
 #endif
-/* The interval that the auxiliary model simulates [s]. */
+/* A sample period in the unit of pauses, and the interval that the auxiliary model simulates [s]. */
 #if PMF_STEPS
+#define PMF_SAMPLE(config) (PMF_STEPPED((config)->rate > PMF_R(0.0)) ? (uint32_t)PMF_TICKS : 1U)
 #define PMF_SPAN(config, state) (PMF_STEPPED((config)->steps != 0U) ? (state)->step : (config)->dt)
 #else
+#define PMF_SAMPLE(config) 1U
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
 #ifdef PMF_LANES

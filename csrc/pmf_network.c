@@ -15,17 +15,29 @@
 #define STAGES(config) (config)->n_stages
 #endif
 
+#define RECENT PMF_R(0.99609375) /* forgetting of steps: 256 samples */
+#define LONGEST PMF_R(4.0) /* a longer one is a gap, not the clock */
+
+/* Of the step, over time: long ones last longer. */
+static real_t mean_square(pmf_network_state_t *state)
+{
+    real_t step = state->ratio < LONGEST ? state->ratio : LONGEST;
+    state->time = RECENT * state->time + step;
+    state->cubes = RECENT * state->cubes + step * step * step;
+    return state->cubes / state->time;
+}
+
 /* The trapezoidal rule over a step, h: pole times half the step. `memory` has the source of the step before. */
 static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_rates_t *rates = &config->rates;
-    real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES];
+    real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES], square = mean_square(state);
     uint32_t i;
     for (i = 0; i < RATES(config); ++i) {
         real_t step = rates->now[i] * state->ratio + rates->before[i] * state->ratio_before;
         real_t h = rates->half[i] * step, inverse = PMF_R(1.0) / (PMF_R(1.0) + h);
         keep[i] = (rates->keep[i] - h) * inverse;
-        gain[i] = (rates->gain[i] + rates->growth[i] * step) * inverse;
+        gain[i] = (rates->gain[i] + rates->growth[i] * step + rates->square[i] * square) * inverse;
     }
     for (i = 0; i < STAGES(config); ++i) {
         const pmf_stage_t *stage = &config->stage[i];

@@ -60,7 +60,7 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
 {
     return at_most(state->idle, config->standstill_samples) &
            at_most(state->gap > 0U ? state->gap - 1U : 0U, config->standstill_samples) &
-           at_most(state->fast, PMF_FAST_SAMPLES) & at_most(state->started, 2U) &
+           at_most(state->fast, PMF_FAST_SAMPLES * PMF_SAMPLE(config)) & at_most(state->started, 2U) &
            within(&state->position, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->velocity, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->velocity_before, 1U, -MOST_COUNTS, MOST_COUNTS) &
@@ -70,7 +70,9 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
            within(&state->input_before, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & finite(&state->mean_velocity, 1U)
 #if PMF_WITH_STEPS
            & within(&state->ratio, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
-           within(&state->ratio_before, 1U, PMF_R(0.0), PMF_MOST_RATIO)
+           within(&state->ratio_before, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
+           finite((const real_t *)(const void *)&state->tracker, REALS(state->tracker)) &
+           not_negative(&state->tracker.place, 1U) & not_negative(&state->tracker.speed, 1U)
 #endif
 #if PMF_WITH_GUARD
            & check_guard(config, &state->guard)
@@ -212,6 +214,9 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #endif
            check_encoder(&config->encoder, &state->encoder) &
            finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
+#if PMF_WITH_STEPS
+           not_negative(&state->network.time, 1U) &
+#endif
 #if PMF_WITH_PROCESS
            check_estimate(&state->lifted) &
 #endif

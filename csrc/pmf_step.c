@@ -5,6 +5,8 @@
 
 #define TAKE_OVER PMF_R(3.0) /* times the samples, or the variance */
 #define SHORT_BAR PMF_R(0.01) /* of the mass */
+/* Mean square of the step over time, in squared periods, beyond which the direct methods are off by percents. */
+#define BURSTS PMF_R(2.0)
 /* What the instrumental recursion says beside the estimate of the simpler method. */
 #define KEPT_ON_FALLBACK ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK))
 
@@ -384,6 +386,11 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
     PMF_WHERE(use, &state->direct,
               stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column));
     status = PMF_IF(use, stepped, status);
+#if PMF_STEPS
+    if (config->encoder.turns != 0U && state->network.cubes > BURSTS * state->network.time) {
+        status |= PMF_UNMODELLED;
+    }
+#endif
 #if PMF_WITH_AUXILIARY
     if (config->auxiliary.enabled != 0U) {
         status = instrument_step(config, state, status, settled);

@@ -16,7 +16,10 @@ static uint32_t network_fits(const pmf_network_config_t *network)
         return 0U;
     }
     for (i = 0; i < network->n_stages; ++i) {
-        fits &= network->stage[i].source < NODES && (network->stage[i].rate == 0U || network->stage[i].rate < network->n_rates) ? 1U : 0U;
+        fits &= network->stage[i].source < NODES &&
+                        (network->stage[i].rate == 0U || network->stage[i].rate < network->n_rates)
+                    ? 1U
+                    : 0U;
     }
     for (i = 0; i < network->n_columns; ++i) {
         fits &= network->tap_end[i] >= tap && network->tap_end[i] <= PMF_MAX_TAPS ? 1U : 0U;

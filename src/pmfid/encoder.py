@@ -79,6 +79,8 @@ class Encoder:
             "guard_leak": 0.0,
             "guard_hold": 0,
             "rate": 0.0,
+            "push": TRACKING_INDEX**2,
+            "turns": 0,
             **tracker_gains(TRACKING_INDEX),
         }
 

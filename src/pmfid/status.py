@@ -78,7 +78,7 @@ _WORDS: dict[Status, tuple[str, str, str]] = {
     Status.UNMODELLED: (
         "the equation is off by more than the encoder's step explains",
         "search the missing term with pmfid terms",
-        "Unmodelled friction, load or delay, or a parameter that changes; the error bars do not cover it.",
+        "Unmodelled friction, load or delay, a parameter that changes, or samples in bursts; no error bar covers it.",
     ),
     Status.FEEDBACK: (
         "the input follows what the equation leaves unexplained, as under position control",

@@ -24,7 +24,7 @@ from pmfid.estimators.sample_steps import SampleSteps, read_steps
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
-from pmfid.filters.network import Network, Taps, scale_taps
+from pmfid.filters.network import TURN, Network, Taps, scale_taps
 from pmfid.kernel.configuration import late_values, new_kernel, shape_values, too_many
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
@@ -276,7 +276,7 @@ class Estimator:
                 self.precision,
                 network.stages,
                 columns,
-                encoder=self.encoder_config,
+                encoder=self.encoder_config | {"turns": int(any(stage[0] == TURN for stage in network.stages))},
                 direct=direct,
                 settle_samples=self.settle_samples,
                 first_samples=self.first_samples,
@@ -292,7 +292,9 @@ class Estimator:
         """The encoder's part of the kernel configuration."""
         config = self.encoder.kernel_config(self.dt) | {"process": int(not self.plant.rests), "from_first": 0}
         if self.steps is not None:
-            return config | {"rate": 1 / self.dt}  # what a motion may do in a sample says nothing of another step
+            still = min(constants_of(None)["PMF_TICKS"] * config["standstill_samples"], 2**28)
+            # no guard: what a motion may do in a sample says nothing of another step
+            return config | {"rate": 1 / self.dt, "standstill_samples": still}
         if self.encoder.guard:
             config["guard"] = TUNING.base_learning * self.settle_samples
             config["guard_leak"] = 1 / (TUNING.base_learned * self.settle_samples)

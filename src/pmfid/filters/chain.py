@@ -100,14 +100,29 @@ def mean_velocity_correction(network: Network, node: int) -> Taps:
 
 
 def correct_uneven_velocity(network: Network, nodes: list[int], cutoff: float, dt: float) -> Taps:
-    """The same, one sample late, where the step varies; nodes: of the chain. The second difference of its last stage is
-    the difference, over two steps, of the derivative between them, times the mean of the steps."""
+    """The same, one sample late, where the step h varies; nodes: of the chain.
+
+    The term of each interval is h^2 times the derivative of its acceleration. Far below 1/h the filters see the mean of
+    h^2 over time. The derivative is a lag of one period late, as the rest is.
+    """
     taps = [(network.delay(nodes[-1]), 1.0)]
     for node, weight in derivative(nodes, 1, cutoff):
-        change = network.stage(node, 0.0, 1.0, -1.0)
-        bend = network.stage(change, 0.0, dt / 2, dt / 2, ("bending", 0.0))
-        taps.append((bend, -weight / 12))
+        taps.append((_mean_jerk(network, node, dt), -weight * dt**2 / 12))
     return taps
+
+
+def correct_turns(network: Network, turns: int, cutoff: float, order: int, dt: float) -> Taps:
+    """What reversals inside an interval add to its direction: friction jumps there, and the acceleration with it, which
+    the mean velocity shows as it shows a jerk."""
+    nodes = chain(network, turns, cutoff, order, dt)
+    return [(node, -weight * dt / 12) for node, weight in derivative(nodes, 1, cutoff)]
+
+
+def _mean_jerk(network: Network, source: int, dt: float) -> int:
+    """Derivative of an acceleration, times the mean square of the step over the square of the period."""
+    pole = 1 / dt
+    gain = (2 / dt) * pole / (2 / dt + pole)
+    return network.stage(source, _tustin_pole(pole, dt), gain, -gain, ("bending", pole * dt / 2))
 
 
 def _tustin_pole(pole: float, dt: float) -> float:

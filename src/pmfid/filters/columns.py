@@ -9,6 +9,7 @@ from pmfid.errors import UsageError
 from pmfid.filters.chain import (
     HOLD_FILTERS,
     chain,
+    correct_turns,
     correct_uneven_velocity,
     derivative,
     differentiating_lag,
@@ -36,6 +37,7 @@ from pmfid.filters.network import (
     SPLIT_FORWARD,
     SPLIT_POSITION,
     START,
+    TURN,
     VELOCITY,
     Network,
     Taps,
@@ -45,6 +47,8 @@ from pmfid.models.equation import Equation, Term
 
 #: The nodes of signals that hold for a sampling interval, in the block from the counts.
 HELD = {"input": INPUT, "direction": DIRECTION, "moving": MOVING, "forward": FORWARD, "backward": BACKWARD}
+#: The part that each has in a reversal.
+TURNS = {"direction": 1.0, "forward": 0.5, "backward": 0.5}
 #: ... and of the velocity in one direction.
 SPLIT = {"forward_output": FORWARD_VELOCITY, "backward_output": BACKWARD_VELOCITY}
 #: The measured velocity, split by the direction of the auxiliary model.
@@ -128,13 +132,20 @@ class ColumnBuilder:
         if term.signal in HELD and term.derivative == 1:
             return self._rate(HELD[term.signal] + block)
         if term.signal in HELD:
-            return self._hold(HELD[term.signal] + block)
+            return self._hold(HELD[term.signal] + block) + self._turns(term, source)
         if term.signal in SPLIT:
             by_model = source == "modelled"
             return self._hold(SPLIT_BY_MODEL[term.signal] if by_model else SPLIT[term.signal] + block)
         if term.derivative == 0:
             return self._hold(POSITIONS[source])
         return self.velocity(term.derivative - 1, simulated=source == "simulated")
+
+    def _turns(self, term: Term, source: str) -> Taps:
+        """What reversals inside an uneven interval add to its direction."""
+        spec, part = self.spec, TURNS.get(term.signal)
+        if part is None or source != "measured" or self.modelled or not spec.uneven or spec.discretization != "matched":
+            return []
+        return scale_taps(correct_turns(self.network, TURN, spec.cutoff, spec.order, spec.dt), part)
 
     def process(self, term: Term) -> Taps:
         """The same for a linear process: no moving fractions."""

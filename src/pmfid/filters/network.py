@@ -24,6 +24,7 @@ SPLIT_FORWARD, SPLIT_BACKWARD = _nodes("SPLIT_FORWARD", "SPLIT_BACKWARD")
 LATE_INPUT, LATE_POSITION = _nodes("LATE_INPUT", "LATE_POSITION")
 (ACCELERATION,) = _nodes("ACCELERATION")
 POSITION, SPLIT_POSITION, MODEL_POSITION = _nodes("POSITION", "SPLIT_POSITION", "MODEL_POSITION")
+(TURN,) = _nodes("TURN")  # of direct methods where the step varies
 ONE, START = _nodes("ONE", "START")  # of a linear process, which has no auxiliary model
 (SIGNALS,) = _nodes("SIGNALS")
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 #: Values of a structure by the names of its fields; of an array the first ones, the others are 0.
 Values = Mapping[str, object]
 Stages = Sequence[tuple[int, float, float, float]]
-#: Coefficients that grow with the step, those of a derivative, and those of a second difference.
+#: Coefficients that grow with the step, those of a derivative, and those by the mean square of the step as well.
 Kind = Literal["lasting", "changing", "bending"]
 #: How a stage follows a step that varies: 1 if its signals are those of the interval before; kind; pole times half a
 #: sample period.
@@ -106,14 +106,11 @@ def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rat
 
 def _rate_values(rates: Sequence[Rate]) -> dict[str, object]:
     """The fields of `pmf_rates_t`."""
-    rows = [(0.0, 0.0, 0.0, 0.0, 1.0, 0.0)] if rates else []
+    rows: list[tuple[float, ...]] = [(0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)] if rates else []
+    kinds: tuple[Kind, ...] = ("changing", "lasting", "bending")  # as gain, growth and square
     for late, kind, half in rates:
-        if kind == "bending":
-            rows.append((0.5, 0.5, 0.0, 0.0, 0.0, 1.0))
-        else:
-            grows = kind == "lasting"
-            rows.append((1.0 - late, float(late), half, 1.0, 0.0 if grows else 1 + half, 1 + half if grows else 0.0))
-    names = ("now", "before", "half", "keep", "gain", "growth")
+        rows.append((1.0 - late, float(late), half, 1.0, *((1 + half) * (kind == one) for one in kinds)))
+    names = ("now", "before", "half", "keep", "gain", "growth", "square")
     return {name: [row[i] for row in rows] for i, name in enumerate(names)}
 
 

@@ -68,7 +68,7 @@ def shape_of(config: Structured) -> KernelSizes:
             bool(process)
             or config["late"]["room"] > 0
             or place_matters(shapes)
-            or any(node in split_signals() for node in nodes)
+            or any(node in split_signals(bool(config["encoder"]["turns"])) for node in nodes)
         ),
         with_noise=int(noise),
         with_steps=int(config["encoder"]["rate"] > 0),
@@ -103,10 +103,12 @@ def columns_of(config: Structured) -> int:
     return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
 
 
-def split_signals() -> range:
-    """Nodes of the signals beyond input, velocity and direction, which only some models and methods use."""
+def split_signals(turns: bool) -> list[int]:
+    """Nodes of the signals beyond input, velocity and direction, which only some models and methods use; turns: that of
+    reversals inside an interval is no such signal."""
     constants = constants_of(None)
-    return range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
+    nodes = range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
+    return [node for node in nodes if not (turns and node == constants["PMF_TURN"])]
 
 
 def tight_state(kernel: Kernel, precision: str, shape: KernelSizes) -> Structured:
@@ -114,7 +116,7 @@ def tight_state(kernel: Kernel, precision: str, shape: KernelSizes) -> Structure
     own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
     state = resize_structure(own, structures(shape, precision)["pmf_state_t"])
     if not shape.with_split:
-        state["network"]["node"][split_signals()] = 0
+        state["network"]["node"][split_signals(bool(shape.with_steps))] = 0
         state["encoder"]["change"] = state["encoder"]["travel"] = 0
     return state
 
