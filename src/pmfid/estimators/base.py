@@ -276,7 +276,7 @@ class Estimator:
                 self.precision,
                 network.stages,
                 columns,
-                encoder=self.encoder_config | {"turns": int(any(stage[0] == TURN for stage in network.stages))},
+                encoder=self.encoder_config | {"turns": int(self._has_turns(network))},
                 direct=direct,
                 settle_samples=self.settle_samples,
                 first_samples=self.first_samples,
@@ -286,6 +286,9 @@ class Estimator:
             )
         except ValueError as error:  # more than it holds
             raise UsageError(str(error)) from None
+
+    def _has_turns(self, network: Network) -> bool:
+        return self.steps is not None and any(stage[0] == TURN for stage in network.stages)
 
     @property
     def encoder_config(self) -> dict[str, float]:
