@@ -120,7 +120,7 @@ class _WrongRun:
 def repair_record(record: Record) -> RepairedRecord:
     """The record with wrong counts and spikes of the input interpolated, and shifts of a counter's zero undone. A
     record with a counter that wraps, or with too many errors, stays as it is."""
-    runs, counts = _find_runs(record.counts)
+    runs, counts = _find_runs(record.counts, _paces_of(record))
     moves = [run for run in runs if run.moved]
     if moves and wrap_of(record.counts) is not None:  # a run without a shift comes back at once and is no wrap
         runs, moves, counts = [], [], record.counts
@@ -139,26 +139,34 @@ def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
     return repair_record(record) if axis.encoder.guard and rests else RepairedRecord(record)
 
 
-def _find_runs(counts: Counts) -> tuple[list[_WrongRun], Counts]:
-    """Runs of changes that are no motion, and the counts (n,) without them; no runs if some remain after all passes."""
+def _paces_of(record: Record) -> Floats:
+    """(n - 1,): the step before each sample but the first, over the sample period."""
+    return np.ones(record.counts.size - 1) if record.steps is None else record.steps.before[1:] / record.dt
+
+
+def _find_runs(counts: Counts, paces: Floats) -> tuple[list[_WrongRun], Counts]:
+    """Runs of changes that are no motion, and the counts (n,) without them; no runs if some remain after all passes, or
+    if steps are so short that a count in one says nothing of the speed."""
     found, left = list[_WrongRun](), counts
+    if np.min(paces, initial=1.0) < TUNING.outliers_pace:
+        return [], counts
     for _ in range(TUNING.outliers_passes):
-        runs = _runs(left)
+        runs = _runs(left, paces)
         if not runs:
             return found, left
         found, left = found + runs, _repair_counts(left, runs)
     return [], counts
 
 
-def _runs(counts: Counts) -> list[_WrongRun]:
+def _runs(counts: Counts, paces: Floats) -> list[_WrongRun]:
     """Runs of successive changes of the counts (n,) that are no motion."""
-    change = np.diff(counts).astype(np.float64)
+    change = np.diff(counts) / paces
     usual, limit = _predict_changes(change)
     wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
     if not 0 < wild.size <= max(2, TUNING.most_changes * change.size):
         return []
     near = np.split(wild, np.flatnonzero(np.diff(wild) > TUNING.outliers_around // 2) + 1)
-    return [run for part in near for run in _split_runs(counts, part, usual, limit)]
+    return [run for part in near for run in _split_runs(counts, paces, part, limit)]
 
 
 def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
@@ -171,21 +179,21 @@ def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
     return found
 
 
-def _split_runs(counts: Counts, wild: NDArray[np.intp], usual: Floats, limit: Floats) -> list[_WrongRun]:
+def _split_runs(counts: Counts, paces: Floats, wild: NDArray[np.intp], limit: Floats) -> list[_WrongRun]:
     """The runs of changes `wild` (k,) close to each other: one run if the counts return after it."""
-    whole = _run(counts, int(wild[0]), int(wild[-1]) + 1, usual, limit)
+    whole = _run(counts, paces, int(wild[0]), int(wild[-1]) + 1, limit)
     if whole.moved == 0:
         return [whole]
     parts = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
-    return [_run(counts, int(part[0]), int(part[-1]) + 1, usual, limit) for part in parts]
+    return [_run(counts, paces, int(part[0]), int(part[-1]) + 1, limit) for part in parts]
 
 
-def _run(counts: Counts, first: int, last: int, usual: Floats, limit: Floats) -> _WrongRun:
+def _run(counts: Counts, paces: Floats, first: int, last: int, limit: Floats) -> _WrongRun:
     if first == 0 or last == counts.size - 1:  # at an end of the record nothing shows a shift of the zero
         return _WrongRun(first, last, 0)
-    neighbours = np.diff(counts)[[first - 1, last]]
-    moved = int(counts[last]) - int(counts[first]) - round((last - first) * float(np.mean(neighbours)))
-    if abs(moved) <= (last - first) * float(np.max(limit[first:last])):
+    speeds, time = (np.diff(counts) / paces)[[first - 1, last]], float(np.sum(paces[first:last]))
+    moved = int(counts[last]) - int(counts[first]) - round(time * float(np.mean(speeds)))
+    if abs(moved) <= time * float(np.max(limit[first:last])):
         moved = 0
     return _WrongRun(first, last, moved)
 

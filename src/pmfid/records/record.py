@@ -18,6 +18,7 @@ from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, n
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
 from pmfid.records.gaps import describe_missing, fill_gaps
+from pmfid.records.repeats import drop_stale_rows
 from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
 from pmfid.records.topics import join_topics
 from pmfid.records.tuning import TUNING
@@ -268,10 +269,10 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     for key, values in columns.items():
         _check_not_empty(f"{key} column {keys[key]!r}", values)
     columns, topic_notes = join_topics(columns)
-    columns, found, clock_notes = _resample(axis, columns)
-    jitter = 0.0 if found is None else found.jitter
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
+    columns, found, clock_notes = _resample(axis, columns, units.y)
+    jitter = 0.0 if found is None else found.jitter
     rows, row_notes = _rows(table, config, columns)
     if rows.rows.size < len(columns["input"]):  # else a copy of each for nothing
         columns = {key: values[rows.rows] for key, values in columns.items()}
@@ -320,20 +321,29 @@ def _own_record(
     )
 
 
-def _resample(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
-    """The columns of an uneven clock on an even grid, what they are made of, None for an even clock, and notes. A
-    record with a counter that wraps, a velocity or rows that are left out keeps its clock."""
+def _resample(
+    axis: Axis, columns: dict[str, Floats], y_scale: float
+) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
+    """The columns of an uneven clock on an even grid, what they are made of, None for an even clock, and notes.
+
+    y_scale: of the output. A record with a counter that wraps, a velocity or rows that are left out keeps its clock."""
     config, encoder = axis.record, axis.encoder
     keeps = config.output_kind == "velocity" or config.mask or config.exclude
     if "time" not in columns or keeps or encoder.bits is not None or encoder.range is not None:
         return columns, None, ()
-    found = resample_uneven(columns["time"], columns["input"], columns["output"])
+    if config.output_kind == "position":
+        _check_position(columns["output"], axis)  # while it is what the file has
+    columns, stale = drop_stale_rows(columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale)
+    found = resample_uneven(columns["time"], columns["input"], columns["output"], thinned=stale > 0)
     if found is None:
         return columns, None, ()
     period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid, as stamps of arrival do: the grid is taken"
     if found.jitter:
         note = f"the steps of the clock vary by {found.jitter:.0%}, around {period:.4g} s"
+    if stale:
+        part = stale / (stale + columns["time"].size)
+        note = f"{part:.0%} of the rows repeat the output of the row before, and are left out: log what is new"
     y = np.rint(found.y) if config.output_kind == "counts" else found.y
     new = columns | {"time": found.time, "input": found.u, "output": y}
     return new, found, (note,)

@@ -35,35 +35,38 @@ class OwnSamples:
     y: Floats
 
 
-def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
+def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False) -> Resampled | None:
     """The record (N,) on an even grid, or None if its clock is even but for gaps, or is no clock at all.
 
     A gap of more than clock_longest samples is shortened, whatever its stamps say: the motion restarts after it anyway.
     The input is held from stamp to stamp, and its mean over each interval of the grid is taken: no impulse is lost.
-    The output is interpolated by a cubic that keeps its shape (Fritsch and Carlson 1980).
+    The output is interpolated by a cubic that keeps its shape (Fritsch and Carlson 1980). thinned: rows with an old
+    output were left out.
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
     stamps, u, y = time[known], u[known], y[known]
-    if stamps.size < TUNING.resampling_fewest or not _is_uneven(stamps, y):
+    if stamps.size < TUNING.resampling_fewest or not (thinned or _is_uneven(stamps, y)):
         return None
     from scipy.interpolate import PchipInterpolator
 
     steps = np.diff(stamps)
     period = _usual_step(steps)
     by_stamps, by_clock = _measure_unexplained(stamps, y)
-    if by_clock < TUNING.resampling_explained * by_stamps:
+    longest = period * (TUNING.longest_between_repeats if thinned else TUNING.longest_step)
+    if not thinned and by_clock < TUNING.resampling_explained * by_stamps:
         return _take_even_clock(stamps, u, y)
     steps = np.minimum(steps, TUNING.clock_longest * period)
     stamps = stamps[0] + np.r_[0.0, np.cumsum(steps)]
     grid = stamps[0] + period * np.arange(int((stamps[-1] - stamps[0]) / period) + 1)
     after = np.clip(np.searchsorted(stamps, grid, side="right"), 1, stamps.size - 1)
-    gap = (steps > TUNING.longest_step * period)[after - 1] & (grid != stamps[after - 1])
+    gap = (steps > longest)[after - 1] & (grid != stamps[after - 1])
     impulse = np.r_[0.0, np.cumsum(u[:-1] * steps)]
     ends = np.r_[grid, grid[-1] + period]
     total = np.interp(ends, stamps, impulse) + u[-1] * np.maximum(ends - stamps[-1], 0.0)
     position = PchipInterpolator(stamps, y)(grid)
-    apart = float(np.sqrt(np.mean((steps[steps <= TUNING.longest_step * period] / period - 1) ** 2)))
-    own = None if _drifts(steps[steps <= TUNING.longest_step * period]) else _fill_own(stamps, u, y, period)
+    within = steps[steps <= longest]
+    apart = float(np.sqrt(np.mean((within / period - 1) ** 2)))
+    own = None if _drifts(within) else _fill_own(stamps, u, y, period, longest)
     return Resampled(grid, np.where(gap, np.nan, np.diff(total) / period), np.where(gap, np.nan, position), apart, own)
 
 
@@ -76,12 +79,13 @@ def _drifts(steps: Floats) -> bool:
     return bool(abs(first - last) > TUNING.resampling_same_period * float(np.mean(steps)) + chance)
 
 
-def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float) -> OwnSamples:
-    """The samples themselves, without those that another follows at once, and with rows that fill the gaps evenly."""
+def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float, longest: float) -> OwnSamples:
+    """The samples themselves, without those that another follows at once, and with rows that fill the gaps evenly;
+    longest: step that is no gap."""
     kept = np.append(np.diff(stamps) > TUNING.resampling_at_once * period, True)
     stamps, u, y = stamps[kept], u[kept], y[kept]
     steps = np.diff(stamps)
-    rows = np.where(steps > TUNING.longest_step * period, np.rint(steps / period).astype(np.intp), 1)
+    rows = np.where(steps > longest, np.rint(steps / period).astype(np.intp), 1)
     source = np.repeat(np.arange(stamps.size), np.append(rows, 1))
     first = np.diff(source, prepend=-1) > 0
     before = np.append(period, np.repeat(steps / rows, rows))

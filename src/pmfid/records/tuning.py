@@ -124,6 +124,8 @@ class RecordTuning:
     outliers_times: float = 4.0
     #: Quantile of the deviations that counts as usual.
     outliers_usual: float = 0.95
+    #: Shortest step, in periods, of a clock whose changes of the counts are judged as speeds.
+    outliers_pace: float = 0.25
     #: Most passes: wrong changes close together hide each other.
     outliers_passes: int = 4
     #: Largest part of wrong changes; above it, the errors are not single samples.
@@ -149,6 +151,22 @@ class RecordTuning:
     most_whole: int = 20
     min_samples: int = 10
 
+    # repeats
+    #: Counts in a row before and after one without any: no motion stops and goes on like that.
+    repeats_sudden: float = 3.0
+    #: Rows with one value; more are a stop, or a sensor that is stuck. The second: unless the next value catches up.
+    repeats_longest: int = 8
+    repeats_longest_slow: int = 4
+    #: Fewest such rows, and their least and most part of the fast ones: a single one is a wrong reading, and an output
+    #: that is held in every other row has a remedy of its own.
+    repeats_fewest: int = 5
+    repeats_part: float = 0.005
+    repeats_most: float = 0.5
+    #: A repeated value is off by more than this [steps of the encoder]; below it, it is as good as the new one.
+    repeats_off: float = 0.75
+    #: Of the range of the input: a change by more is a jump.
+    repeats_jump: float = 0.2
+
     # resampling
     #: Steps that differ from their median by less than this part are taken as even.
     even_steps: float = 0.02
@@ -157,6 +175,8 @@ class RecordTuning:
     resampling_explained: float = 0.9
     #: A step beyond this many usual ones is a gap: nothing is interpolated across a gap.
     longest_step: float = 3.5
+    #: The same where rows with an old output were left out, whose input is known.
+    longest_between_repeats: float = 8.5
     #: Part of the steps, the shortest ones, whose mean is usual.
     resampling_usual: float = 0.98
     #: Length of a record in median steps, as a multiple of its samples, from which on missing lines do not explain it.

@@ -1,0 +1,75 @@
+"""Rows that repeat the output of the row before while the axis moves: a bus that is polled faster than refreshed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.records.tuning import TUNING
+from pmfid.types import Flags, Floats
+
+__all__ = ["drop_stale_rows"]
+
+
+def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[str, Floats], int]:
+    """Columns (n,) of input, output and time without the rows whose output is old, and the number of these rows; step:
+    of the encoder, in the unit of the column. Only if all rows have numbers, and the time rises.
+
+    The input of a row that stays is its mean until the next one: no impulse is lost. A row at which the input jumps
+    stays, with an output from the cubic through its neighbours: a mean would move the jump.
+    """
+    time, u, y = columns["time"], columns["input"], columns["output"]
+    if not (np.all(np.isfinite(u + y + time)) and np.all(np.diff(time) > 0)):
+        return dict(columns), 0
+    stale = find_stale_rows(time, y / step)
+    count = int(np.count_nonzero(stale))
+    if not count:
+        return dict(columns), 0
+    true, jumps = np.flatnonzero(~stale), np.abs(np.diff(u, prepend=u[0])) > TUNING.repeats_jump * np.ptp(u)
+    filled = np.flatnonzero(stale & jumps)
+    place = np.clip(np.searchsorted(true, filled) - 1, 1, true.size - 3)
+    y = y.copy()
+    y[filled] = np.rint(_cubic(time[true], y[true], place, time[filled]) / step) * step
+    kept = np.flatnonzero(~stale | jumps)
+    impulse = np.append(0.0, np.cumsum(u[:-1] * np.diff(time)))
+    mean = np.append(np.diff(impulse[kept]) / np.diff(time[kept]), u[kept[-1]])
+    alone = np.append(np.diff(kept) == 1, True)
+    return {**columns, "time": time[kept], "input": np.where(alone, u[kept], mean), "output": y[kept]}, count
+
+
+def find_stale_rows(time: Floats, y: Floats) -> Flags:
+    """(n,): rows with the output of the row before that are off the cubic through the new values around them; y: in
+    steps of the encoder. All False unless single rows stand still between changes of many steps, as no motion does."""
+    stale = np.zeros(y.size, bool)
+    new = np.flatnonzero(np.diff(y, prepend=np.nan))
+    if new.size < TUNING.repeats_fewest:
+        return stale
+    before, after = np.diff(y[new])[:-1], np.diff(y[new])[1:]
+    rows_each = np.diff(new)
+    caught_up = np.append(False, np.abs(after) > 0.5 * rows_each[1:] * np.abs(before))  # unlike after a stop
+    rests = (rows_each > 1) & (rows_each <= np.where(caught_up, TUNING.repeats_longest, TUNING.repeats_longest_slow))
+    fast = (np.sign(before) == np.sign(after)) & (np.minimum(np.abs(before), np.abs(after)) > TUNING.repeats_sudden)
+    sudden, most = int(np.count_nonzero(fast & rests[1:])), int(np.count_nonzero(fast))
+    if sudden < TUNING.repeats_fewest or not TUNING.repeats_part * most < sudden < TUNING.repeats_most * most:
+        return stale
+    inner = np.flatnonzero(rests[1:-1]) + 1
+    rows = np.concatenate([new[inner] + i for i in range(1, TUNING.repeats_longest)])
+    place = np.concatenate([inner] * (TUNING.repeats_longest - 1))
+    rows, place = rows[rows < new[place + 1]], place[rows < new[place + 1]]
+    off = _cubic(time[new], y[new], place, time[rows]) - y[rows]
+    stale[rows[np.abs(off) > TUNING.repeats_off]] = True
+    return stale
+
+
+def _cubic(time: Floats, y: Floats, place: NDArray[np.intp], at: Floats) -> Floats:
+    """The polynomials through four neighbouring points, of which `place` (m,) is the second, at (m,)."""
+    values = np.zeros(at.size)
+    for i in range(-1, 3):
+        weight = np.ones(at.size)
+        for j in range(-1, 3):
+            if i != j:
+                weight *= (at - time[place + j]) / (time[place + i] - time[place + j])
+        values += weight * y[place + i]
+    return values

@@ -1,0 +1,63 @@
+"""Rows with an old output, as of a bus that is polled faster than it is refreshed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmfid.pipeline.arrays import identify
+from pmfid.records.repeats import drop_stale_rows, find_stale_rows
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive, stop_and_go
+from pmfid.types import Flags, Floats
+
+TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+SAMPLES = 3000
+
+
+def polled(seed: int = 4) -> tuple[dict[str, Floats], Flags, Floats]:
+    """Columns of the cart, the rows in which 10 % show the output of the row before, and the outputs as they were."""
+    rng = np.random.default_rng(seed)
+    u = prbs(SAMPLES, clock=8, amplitude=4.0, rng=rng)
+    y = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION).astype(float)
+    old = rng.random(SAMPLES) < 0.1
+    old[0] = False
+    shown = y[np.maximum.accumulate(np.where(old, 0, np.arange(SAMPLES)))]
+    return {"time": np.arange(SAMPLES) * CART_DT, "input": u, "output": shown}, old, y
+
+
+def test_old_rows_are_found_and_true_ones_stay() -> None:
+    columns, _, y = polled()
+    found = find_stale_rows(columns["time"], columns["output"])
+    off = np.abs(columns["output"] - y)
+    assert np.sum(found & (off == 0)) < 0.01 * SAMPLES
+    assert np.sum(~found & (off > 1)) <= 2
+    left, count = drop_stale_rows(columns, 1.0)
+    assert count == np.sum(found) > 250
+    off = np.abs(left["output"] - np.interp(left["time"], columns["time"], y))
+    assert np.mean(off > 1) < 0.01
+
+
+@pytest.mark.parametrize("motion", ["prbs", "stop-and-go", "still", "slow"])
+def test_a_record_without_old_rows_stays_as_it_is(motion: str) -> None:
+    x = stop_and_go(SAMPLES, CART_DT, 0.1, 0.3, 0.2)
+    if motion == "prbs":
+        x = simulate_drive(CART, prbs(SAMPLES, clock=8, amplitude=4.0, rng=np.random.default_rng(1)), CART_DT).x
+    counts = quantize(x * {"still": 0.0, "slow": 0.01}.get(motion, 1.0), CART_RESOLUTION).astype(float)
+    columns = {"time": np.arange(SAMPLES) * CART_DT, "input": np.ones(SAMPLES), "output": counts}
+    assert drop_stale_rows(columns, 1.0)[1] == 0
+
+
+def test_identify_is_right_and_says_so_once(tmp_path: Path) -> None:
+    columns, *_ = polled()
+    axis = tmp_path / "axis.toml"
+    axis.write_text(
+        '[record]\ninput = "input"\noutput = "output"\noutput_kind = "counts"\ntime = "time"\n'
+        f"[encoder]\nresolution = {CART_RESOLUTION!r}\n[model]\ninput_gain = {CART.input_gain}\n"
+    )
+    result = identify(columns, axis=axis)
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=0.02)
+    said = [finding.sentence for finding in result.findings if "repeat" in finding.sentence]
+    assert len(said) == 1
+    assert "of the rows repeat the output of the row before" in said[0]
