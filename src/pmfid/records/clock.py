@@ -298,7 +298,10 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
     times = np.rint(steps)
     if np.max(np.abs(steps - times)) > TUNING.clock_whole or np.min(times) < 1:
         return None
-    long = np.flatnonzero(times[1:-1] > 1) + 1
+    longer = bool(np.max(times) > 2)  # than rounding makes of a step
+    if longer and np.count_nonzero(times == 2) < TUNING.long_steps:
+        return True
+    long = np.flatnonzero(times[1:-1] == 2 if longer else times[1:-1] > 1) + 1
     long = long[(times[long - 1] == 1) & (times[long + 1] == 1)]
     changes = np.diff(output)
     usual, change = (changes[long - 1] + changes[long + 1]) / 2, changes[long]
