@@ -7,7 +7,7 @@ BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
-.PHONY: demo test test-long coverage spark kills broker-kills service-faults soak check format bench bench-compare study hostile firmware \
+.PHONY: demo test test-long test-core coverage spark kills broker-kills service-faults soak check format bench bench-compare study hostile firmware \
     firmware-tools service-tools spark-tools golden images clean
 
 # What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. An edit of Python
@@ -89,6 +89,17 @@ test: .venv/tools firmware-tools service-tools
 test-long: BOUND = 7200
 test-long: .venv/tools firmware-tools service-tools
 	$(PYTEST) -m long
+
+# Core's tests in an environment of the hard dependencies alone. Out stay the tests of the layers above core (service,
+# fleets, design, what lists the results of all layers) and of the extras (formats, frames).
+ABOVE = $(wildcard tests/test_fleet_*.py tests/test_design_*.py tests/test_hostile*.py) $(addprefix tests/, service spark) \
+    $(patsubst %,tests/test_%.py,formats frames logs_study openings presentation reproduce unpacked)
+build/core/bin/pytest: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
+	$(PYTHON) -m venv build/core
+	build/core/bin/pip install --quiet -c requirements-dev.txt $(BUILD_TOOLS) pytest pytest-timeout pytest-xdist hypothesis
+	build/core/bin/pip install --quiet -c requirements-dev.txt --no-build-isolation -C build-dir=build/core/cmake -e .
+test-core: build/core/bin/pytest
+	$(PYTEST:.venv/%=build/core/%) -m "not long" $(STRUCTURE:%=--ignore %) $(ABOVE:%=--ignore %)
 
 # The lines of src/pmfid that the fast tests reach in their own processes.
 coverage: BOUND = 2700

@@ -11,20 +11,23 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
-import h5py
-import mcap.writer
-import nptdms
 import numpy as np
 import polars as pl
 import scipy.io
-from asammdf import MDF, Signal
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 Columns = Mapping[str, Any]
 #: Step between the stamps of a log, where the columns have none [s].
 STEP = 0.01
 ROW = "logged_msgs/msg/Row"
+#: What reads or writes the formats that need an extra.
+LIBRARIES = {
+    ".xlsx": "fastexcel",
+    ".h5": "h5py",
+    ".mcap": "mcap",
+    ".db3": "rosbags",
+    ".mf4": "asammdf",
+    ".tdms": "nptdms",
+}
 
 
 def frame(columns: Columns) -> pl.DataFrame:
@@ -47,6 +50,8 @@ def _stamps(columns: Columns) -> list[int]:
 
 def write_matlab_7_3(path: Path, columns: Columns) -> None:
     """After MATLAB's header, rows as columns."""
+    import h5py
+
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in _arrays(columns).items():
             file.create_dataset(name, data=np.atleast_2d(values), compression="gzip" if values.size else None)
@@ -56,6 +61,8 @@ def write_matlab_7_3(path: Path, columns: Columns) -> None:
 
 
 def write_hdf5(path: Path, columns: Columns) -> None:
+    import h5py
+
     with h5py.File(path, "w") as file:
         for name, values in _arrays(columns).items():
             file.create_dataset(name, data=values)
@@ -120,6 +127,8 @@ def write_wpilog(path: Path, columns: Columns) -> None:
 
 
 def write_mcap(path: Path, columns: Columns) -> None:
+    import mcap.writer
+
     arrays = _arrays(columns)
     with path.open("wb") as stream:
         writer = mcap.writer.Writer(stream)
@@ -133,6 +142,9 @@ def write_mcap(path: Path, columns: Columns) -> None:
 
 
 def write_rosbag(path: Path, columns: Columns) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     names = {name: values for name, values in _arrays(columns).items() if name.isidentifier() and name.isascii()}
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg("".join(f"float64 {name.lower()}\n" for name in names) or "float64 none", ROW))
@@ -146,6 +158,8 @@ def write_rosbag(path: Path, columns: Columns) -> None:
 
 
 def write_mdf(path: Path, columns: Columns) -> None:
+    from asammdf import MDF, Signal
+
     stamps = np.array(_stamps(columns)) * 1e-9
     signals = [Signal(values, stamps, name=name) for name, values in _arrays(columns).items() if values.dtype != bool]
     with MDF(version="4.10") as file:
@@ -154,6 +168,8 @@ def write_mdf(path: Path, columns: Columns) -> None:
 
 
 def write_tdms(path: Path, columns: Columns) -> None:
+    import nptdms
+
     arrays = {name: values for name, values in _arrays(columns).items() if values.dtype != bool}
     stream = io.BytesIO()
     with nptdms.TdmsWriter(stream) as writer:

@@ -17,7 +17,7 @@ from pmfid.errors import UsageError
 from pmfid.io import SUFFIXES
 from pmfid.records.record import Record, read_record
 from pmfid.records.tuning import TUNING
-from tests.formats import WRITERS
+from tests.formats import LIBRARIES, WRITERS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EMPS = Path(__file__).parents[2] / "shared/data/emps/DATA_EMPS.mat"
@@ -49,6 +49,8 @@ def columns(n: int = 20) -> dict[str, Any]:
 
 
 def write(path: Path, data: dict[str, Any]) -> Path:
+    if path.suffix in LIBRARIES:
+        pytest.importorskip(LIBRARIES[path.suffix])
     WRITERS[path.suffix](path, data)
     return path
 
