@@ -48,9 +48,14 @@ def columns(n: int = 20) -> dict[str, Any]:
     return {"t": k * DT, "u": np.cos(0.3 * k), "y": counts * 1e-3, "counts": counts}
 
 
+def need_library(suffix: str) -> None:
+    """Skips a format whose extra is not installed."""
+    if suffix in LIBRARIES:
+        pytest.importorskip(LIBRARIES[suffix])
+
+
 def write(path: Path, data: dict[str, Any]) -> Path:
-    if path.suffix in LIBRARIES:
-        pytest.importorskip(LIBRARIES[path.suffix])
+    need_library(path.suffix)
     WRITERS[path.suffix](path, data)
     return path
 
@@ -284,6 +289,7 @@ def test_truncated_file(tmp_path: Path, suffix: str, fraction: float) -> None:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_content_of_another_type(tmp_path: Path, suffix: str) -> None:
     """Text is no other format; what begins as a format does is read as that."""
+    need_library(suffix)
     path = tmp_path / f"run{suffix}"
     if suffix == ".csv":
         write(tmp_path / "other.mat", columns(200)).rename(path)
@@ -405,6 +411,7 @@ def test_matlab_variable_that_occurs_twice(tmp_path: Path) -> None:
 
 
 def test_matlab_v73_without_its_contents_is_damaged(tmp_path: Path) -> None:
+    need_library(".h5")
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     path = tmp_path / "run.mat"
     for data in (header.ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n", b"\x89HDF\r\n\x1a\n" + b"\0" * 512):

@@ -155,7 +155,7 @@ cdef class Norms:
 
     def information(self, square):
         """(n,) means of w (n, p)."""
-        cdef const double[:, ::1] w = self.told(square)
+        cdef const double[:, ::1] w = self.expect(square)
         cdef double[::1] found = np.empty(w.shape[0])
         cdef Py_ssize_t k
         for k in range(w.shape[0]):
