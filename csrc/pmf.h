@@ -37,7 +37,9 @@ typedef double scalar_t;
 typedef scalar_t real_t;
 typedef uint32_t whole_t;
 typedef int32_t integer_t;
+#ifndef PMF_API
 #define PMF_API
+#endif
 #define PMF_R(x) PMF_SCALAR(x)
 #endif
 

@@ -7,7 +7,7 @@
 #include "pmf_internal.h"
 
 /* The loops unroll only where the number of parameters arrives as a constant. */
-#if defined(PMF_PARAMETERS)
+#if defined(PMF_PARAMETERS) && !defined(PMF_STRAIGHT)
 #define PMF_INLINE static
 #elif defined(__GNUC__)
 #define PMF_INLINE static inline __attribute__((always_inline))

@@ -9,7 +9,7 @@
 #include "pmf_guard.h"
 
 /* All branches and no loop: on a microcontroller the smaller code is the faster one as well. */
-#if defined(PMF_PARAMETERS) && defined(__GNUC__)
+#if defined(PMF_PARAMETERS) && defined(__GNUC__) && !defined(PMF_STRAIGHT)
 #define PMF_FOR_SIZE __attribute__((cold))
 #else
 #define PMF_FOR_SIZE
@@ -129,7 +129,7 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
         state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
         state->idle = PMF_IF(counted, PMF_W(0), state->idle);
     }
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) { /* a process that does not change is no standstill */
         return PMF_W(0);
     }
@@ -181,7 +181,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
     real_t middle = PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change);
     real_t position;
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) {
         middle += PMF_R(0.5); /* a count says "in the middle" */
     }
@@ -202,7 +202,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     signal[PMF_LATE_INPUT] = state->input_before;
     signal[PMF_LATE_VELOCITY] = state->mean_velocity;
 #endif
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) {
         signal[PMF_ONE] = PMF_R(1.0);
         signal[PMF_START] = PMF_IF(state->started == 1U, PMF_R(1.0), PMF_R(0.0));
@@ -337,7 +337,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     state->travel = (state->travel + (whole_t)change) & 0xffffffffU;
 #endif
     state->started = PMF_W(1);
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) {
         state->first = PMF_IF(started, state->first, signed_count(mask, count & mask));
         if (config->from_first == 0U) {

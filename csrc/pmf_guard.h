@@ -90,7 +90,7 @@ PMF_SELDOM real_t last_miss(const pmf_encoder_config_t *config, const pmf_guard_
 {
     whole_t wait = guard->wait + 1U;
     truth_t judged = (wait == CALM(config)) | (wait == 2U * CALM(config));
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) { /* its output may step there and back */
         return PMF_R(0.0);
     }
@@ -115,7 +115,7 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
     truth_t missed;
     reach = PMF_IF(last > reach, last, reach);
     share = PMF_IF(guard->peak > LEAST_PEAK, reach / guard->peak, PMF_IF(reach > PMF_R(0.0), ANY_SHARE, PMF_R(0.0)));
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process !=
         0U) { /* its output is no motion: it may step by right, so only what it never did is suspicious */
         *open = PMF_NOT(learned | (guard->seen > config->guard >> 3));
@@ -155,7 +155,7 @@ PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_s
 {
     real_t before = guard->missed, most = PMF_R(2.0) * PMF_TO_REAL((integer_t)guard->suspect) * size_of(missed) + limit;
     truth_t third = guard->suspect > 1U;
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) { /* its output may do anything */
         return (third & (size_of(missed - PMF_R(1.25) * before) <= PMF_R(0.75) * size_of(before) + limit)) |
                (guard->suspect > 2U);
@@ -171,7 +171,7 @@ PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_
 {
     real_t first = guard->missed, size = size_of(first);
     truth_t wild = (size_of(missed + PMF_R(2.5) * first) <= PMF_R(0.75) * size) & (size > guard->scatter);
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) { /* its output may step */
         return wild & PMF_NOT(wild);
     }
@@ -188,7 +188,7 @@ static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state
     truth_t doubtful;
     truth_t jumped = ((status & PMF_COUNT_JUMP) != 0U) | (guard->suspect != 0U), lesson;
     real_t fair = size_of(miss) - STEP, least = -BACKWARDS * miss * miss;
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) { /* its output may step */
         return PMF_W(0);
     }
@@ -264,7 +264,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     foreseen = foreseen_change(guard->change, expected);
     rate = PMF_IF(sound, PMF_IF(closes, predicted + share, rate), expected);
     guard->rate = PMF_IF(apart, PMF_R(0.0), rate);
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->process != 0U) { /* its output has a zero that cannot move */
         anew = anew & PMF_NOT(anew);
     }

@@ -48,11 +48,11 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     if (!PMF_ANY(judged)) {
         return PMF_IF(where, state->unmodelled, PMF_W(0));
     }
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     explained = PMF_ALIKE(config->target_power);
 #endif
     for (i = 0; i < PARAMETERS(config); ++i) {
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
         explained -= PMF_SCALAR(2.0) * theta[i] * config->target_noise[i];
 #endif
         for (j = 0; j < PARAMETERS(config); ++j) {
@@ -84,7 +84,7 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
     }
 }
 
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
 /* Variance of the constant plus `lift` times the lowest coefficient, over that of the innovations: a sum of squares,
  * for in the entries of P it would be a small difference. */
 PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
@@ -120,7 +120,7 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
     for (i = 0; i < PARAMETERS(config); ++i) {
         real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
         real_t *inflation = &state->estimate.inflation[i], change;
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
         if (i == config->constant) { /* as it is read */
             white = lifted_factor(config, state) * state->estimate.innovation_variance;
             move[i] += state->lift * move[config->lowest];
@@ -167,7 +167,7 @@ PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_s
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
         if (COMPENSATED(config)) {
             sum -= config->target_noise[i];
         }

@@ -29,19 +29,29 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
         }                                \
     } while (0)
 #endif
-#ifdef PMF_LANES
+/* Lanes and straight steps (many/pmf_straight.c) leave parts out that the structures have room for. */
+#if defined(PMF_LANES) || defined(PMF_STRAIGHT)
+#define PMF_WHOLE 0
 #define PMF_LINEAR 0 /* its matrices would pay in lanes only where all axes compute them at once */
 #else
+#define PMF_WHOLE 1
 #define PMF_LINEAR PMF_WITH_LINEAR
 #endif
-#if defined(PMF_LANES) && !defined(PMF_MOTIONS)
+#ifdef PMF_STRAIGHT
+#define PMF_PROCESS 0
+#define PMF_MODELLED(config) PMF_WITH_MODEL
+#else
+#define PMF_PROCESS PMF_WITH_PROCESS
+#define PMF_MODELLED(config) ((config)->auxiliary.enabled != 0U)
+#endif
+#if !PMF_WHOLE && !defined(PMF_MOTIONS)
 #define PMF_SHAPED 0 /* tables that each axis reads elsewhere pay for motions alone (many/pmf_motions.c) */
 #define PMF_LATE 0 /* as do other inputs for each axis */
 #else
 #define PMF_SHAPED (PMF_MAX_SHAPES > 0)
 #define PMF_LATE PMF_WITH_DEAD_TIME
 #endif
-#ifdef PMF_LANES
+#if !PMF_WHOLE
 #define PMF_STEPS 0 /* each axis would have coefficients of its own */
 #else
 #define PMF_STEPS PMF_WITH_STEPS
@@ -60,7 +70,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_SAMPLE(config) 1U
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
-#ifdef PMF_LANES
+#if !PMF_WHOLE
 #define PMF_FOUND 0
 #else
 #define PMF_FOUND (PMF_LATE && PMF_WITH_DEAD_TIME_FOUND)
@@ -111,7 +121,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_LARGEST_INPUT PMF_R(1e100)
 #endif
 
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
 /* After a step, or another change of the estimate: that of the output itself in state->lifted. */
 PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
 #endif
@@ -176,7 +186,7 @@ void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
 /* The estimate of an output that was counted from its first value, with the constant for the output itself. */
 PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                 pmf_estimate_t *lifted);

@@ -9,7 +9,7 @@
 
 #include "pmf_internal.h"
 
-#if PMF_WITH_LAG
+#if PMF_LATE && PMF_WITH_LAG
 
 /* Needs the two inputs of the interval and the older one's part of it; leaves two levels, a half each. */
 static void lag_input(const pmf_decay_t *decay, pmf_late_state_t *late)

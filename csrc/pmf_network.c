@@ -48,6 +48,31 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
 }
 #endif
 
+#ifdef PMF_NETWORK
+/* Straight code where it is known which stages and taps there are: a list of them, in order. */
+#define STAGE(k, from)                                          \
+    {                                                           \
+        real_t w = node[from], y = stage[k].b0 * w + memory[k]; \
+        memory[k] = stage[k].b1 * w + stage[k].a * y;           \
+        node[PMF_SIGNALS + (k)] = y;                            \
+    }
+#define DELAY(k, from)                       \
+    {                                        \
+        real_t w = node[from];               \
+        node[PMF_SIGNALS + (k)] = memory[k]; \
+        memory[k] = w;                       \
+    }
+#define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];
+#define TAP(c, t, from) column[c] += tap[t].weight * node[from];
+
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
+{
+    const pmf_stage_t *stage = config->stage;
+    const pmf_tap_t *tap = config->tap;
+    real_t *node = state->node, *memory = state->memory, *column = state->column;
+    PMF_NETWORK(STAGE, DELAY, COLUMN, TAP)
+}
+#else
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_stage_t *stage = config->stage;
@@ -73,3 +98,4 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
         state->column[i] = sum;
     }
 }
+#endif

@@ -96,7 +96,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
         }
         if (COMPENSATED(config)) {
             real_t weight = PMF_IF(young, state->sums.weight, PMF_R(1.0));
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
             move[i] -= weight * config->target_noise[i];
 #endif
             for (j = 0; j < p; ++j) {
@@ -106,7 +106,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
     }
 }
 
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
 PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                 pmf_estimate_t *lifted)
 {
@@ -329,7 +329,7 @@ void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_
 }
 #endif
 
-#ifndef PMF_LANES /* of one axis */
+#if PMF_WHOLE /* of one axis */
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)
 {
     uint32_t n = config->n_parameters, i, j, k, column;

@@ -21,7 +21,7 @@ PMF_API void pmf_clear(void *memory, uint32_t size)
 }
 #endif
 
-#ifndef PMF_LANES
+#if PMF_WHOLE
 void pmf_copy(const void *from, void *to, uint32_t size)
 {
     const unsigned char *source = (const unsigned char *)from;
@@ -36,7 +36,7 @@ void pmf_copy(const void *from, void *to, uint32_t size)
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     state->settle = PMF_W(config->first_samples);
 #else
     state->settle = PMF_W(config->settle_samples);
@@ -59,7 +59,7 @@ void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step)
 }
 #endif
 
-#ifndef PMF_LANES
+#if PMF_WHOLE
 void pmf_rebase(pmf_state_t *state, uint32_t count)
 {
     state->encoder.count = count;
@@ -73,7 +73,7 @@ void pmf_rebase(pmf_state_t *state, uint32_t count)
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
 {
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U) {
+    if (PMF_MODELLED(config)) {
         return config->instrument.n_parameters;
     }
 #endif
@@ -132,9 +132,11 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 #if PMF_SHAPED
     pmf_shapes_measured(&config->auxiliary.shapes, state->network.node);
 #endif
-    if (config->auxiliary.enabled != 0U) {
+    if (PMF_MODELLED(config)) {
 #if PMF_STEPS
-        state->auxiliary.step = config->auxiliary.dt * state->encoder.ratio_before;
+        if (config->auxiliary.steps != 0U) {
+            state->auxiliary.step = config->auxiliary.dt * state->encoder.ratio_before;
+        }
 #endif
 #if PMF_LATE
         if (config->late.room != 0U && state->auxiliary.running != 0U) {
@@ -155,7 +157,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 #endif
     pmf_network_step(&config->network, &state->network);
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U) {
+    if (PMF_MODELLED(config)) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, config->instrument.first_column,
                               state->network.column);
 #if PMF_LATE
@@ -174,7 +176,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     settling = state->settle > 0U;
     if (PMF_ANY(settling)) {
 #if PMF_WITH_AUXILIARY
-        if (config->auxiliary.enabled != 0U) {
+        if (PMF_MODELLED(config)) {
             /* by now the measured velocity is known: the model need not run up to it with its own time constant */
             truth_t half_way = settling & (state->settle == config->settle_samples / 2U);
             state->auxiliary.velocity =
@@ -316,7 +318,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
 
 #endif
 
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
 PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state)
 {
 #if PMF_LINEAR
@@ -329,16 +331,16 @@ PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state)
 }
 #endif
 
-#ifndef PMF_LANES /* of one axis */
+#if PMF_WHOLE /* of one axis */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
 {
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->direct.constant != PMF_NO_PARAMETER) {
         return &state->lifted;
     }
 #endif
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U) {
+    if (PMF_MODELLED(config)) {
 #if PMF_FOUND
         if (config->late.found != 0U && (state->status & PMF_FALLBACK) == 0U) {
             return &state->found.believed;
@@ -375,7 +377,7 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
     whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);
     truth_t settled = (filtered & PMF_SETTLING) == 0U, use = settled;
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U) { /* the second half of the settling is the model's */
+    if (PMF_MODELLED(config)) { /* the second half of the settling is the model's */
 #if PMF_WITH_GUARD
         use = use | ((state->hold == 0U) & (state->settle < config->settle_samples / 2U));
 #else
@@ -392,7 +394,7 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
     }
 #endif
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U) {
+    if (PMF_MODELLED(config)) {
         status = instrument_step(config, state, status, settled);
     }
 #endif
@@ -407,7 +409,7 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
     whole_t status = pmf_filter(config, state, input, count);
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     state->direct.lift = config->direct.lift * PMF_TO_REAL(state->encoder.first);
 #if PMF_LINEAR
     state->instrument.lift = state->direct.lift;
@@ -416,7 +418,7 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
     status |= estimate_step(config, state, status);
     PMF_WHERE((status & PMF_RESET) != 0U, state, restart_filters(config, state));
     state->status = status;
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->direct.constant != PMF_NO_PARAMETER) {
         pmf_lift(config, state);
     }
@@ -424,8 +426,8 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
     return status;
 }
 
-#ifndef PMF_LANES
-#if PMF_WITH_PROCESS
+#if PMF_WHOLE
+#if PMF_PROCESS
 /* The constant's row and column for the output itself. */
 static void lift_covariance(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
@@ -444,7 +446,7 @@ static void lift_covariance(const pmf_config_t *config, const pmf_state_t *state
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
 #if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
+    if (PMF_MODELLED(config) && (state->status & PMF_FALLBACK) == 0U) {
         pmf_recursion_covariance(&config->instrument, &state->instrument, p);
 #if PMF_FOUND
         if (config->late.found != 0U) {
@@ -453,7 +455,7 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 #endif
         return;
     }
-    if (config->auxiliary.enabled != 0U) {
+    if (PMF_MODELLED(config)) {
         uint32_t n = pmf_parameters(config), i;
         for (i = 0; i < n * n; ++i) {
             p[i] = i % (n + 1U) == 0U ? state->borrowed.variance_factor[i / (n + 1U)] : PMF_R(0.0);
@@ -470,7 +472,7 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 #else
     pmf_recursion_covariance(&config->direct, &state->direct, p);
 #endif
-#if PMF_WITH_PROCESS
+#if PMF_PROCESS
     if (config->direct.constant != PMF_NO_PARAMETER) {
         lift_covariance(config, state, p);
     }

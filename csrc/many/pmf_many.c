@@ -3,6 +3,7 @@
  */
 #include "pmf_many.h"
 #include "pmf_motions.h"
+#include "pmf_straight.h"
 
 #define FEW_SAMPLES 8U /* fewer are not worth the change into lanes and back */
 
@@ -91,11 +92,20 @@ static void keep(const pmf_config_t *config, const pmf_state_t *state, const pmf
     many->status[row] = state->status;
 }
 
-static void run_one(const pmf_config_t *config, const pmf_many_t *many, uint64_t axis, pmf_state_t *state)
+pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config)
+{
+    pmf_stepper_t *step = pmf_straight_rls(config);
+    step = step != 0 ? step : pmf_straight_bcrls(config);
+    step = step != 0 ? step : pmf_straight_riv(config);
+    return step != 0 ? step : pmf_step;
+}
+
+static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_stepper_t *step, uint64_t axis,
+                    pmf_state_t *state)
 {
     uint64_t sample, row = axis * many->kept, until = many->every;
     for (sample = 0; sample < many->samples; ++sample) {
-        (void)pmf_step(config, state, input_at(&many->input, axis, sample), count_at(&many->counts, axis, sample));
+        (void)step(config, state, input_at(&many->input, axis, sample), count_at(&many->counts, axis, sample));
         if (--until == 0U || sample + 1U == many->samples) {
             keep(config, state, many, row++);
             until = many->every;
@@ -108,6 +118,7 @@ void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const 
 {
     const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
     uint64_t axis = lanes != 0 ? lanes->run(config, layout, many, first, end, packed) : first;
+    pmf_stepper_t *step = pmf_fastest_step(config);
     pmf_state_t state;
     if (axis < end) { /* it takes as long as some samples */
         pmf_clear(&state, (uint32_t)sizeof state);
@@ -115,7 +126,7 @@ void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const 
     for (; axis < end; ++axis) {
         unsigned char *own = packed + axis * layout->packed_size;
         pmf_unpack(layout, own, &state);
-        run_one(config, many, axis, &state);
+        run_one(config, many, step, axis, &state);
         pmf_pack(layout, &state, own);
     }
 }

@@ -101,6 +101,10 @@ cdef extern from "many/pmf_motions.h":
         double *end
     void pmf_move_all(const pmf_motions_t *) nogil
 
+cdef extern from "many/pmf_straight.h":
+    ctypedef uint32_t pmf_stepper_t(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) noexcept nogil
+    pmf_stepper_t *pmf_fastest_step(const pmf_config_t *) nogil
+
 cdef extern from "many/pmf_many.h":
     ctypedef struct pmf_rows_t:
         const unsigned char *start
@@ -172,6 +176,7 @@ cdef class Kernel:
 
     cdef pmf_config_t config
     cdef pmf_state_t state
+    cdef pmf_stepper_t *_step
     cdef public tuple names
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
@@ -186,7 +191,17 @@ cdef class Kernel:
         if pmf_fits(&taken) == 0:
             raise ValueError("these numbers are no configuration: one of them would lead beyond the kernel's memory")
         memcpy(&self.config, &taken, sizeof(pmf_config_t))
+        self._step = pmf_fastest_step(&self.config)
         pmf_init(&self.config, &self.state)
+
+    @property
+    def straight(self):
+        """Whether the step is straight code, made for this method and its network; False asks for the general one."""
+        return self._step != pmf_step
+
+    @straight.setter
+    def straight(self, bint wanted):
+        self._step = pmf_fastest_step(&self.config) if wanted else pmf_step
 
     def reset(self):
         """Back to the state before the first sample."""
@@ -239,7 +254,7 @@ cdef class Kernel:
         if dt is not None:
             self._check_steps(dt)
             pmf_set_step(&self.config, &self.state, <real_t> <double> dt)
-        pmf_step(&self.config, &self.state, <real_t> u, <uint32_t> count)
+        self._step(&self.config, &self.state, <real_t> u, <uint32_t> count)
         return self._snapshot()
 
     def estimate(self):
@@ -264,7 +279,7 @@ cdef class Kernel:
             for k in range(n):
                 if step != NULL:
                     pmf_set_step(&self.config, &self.state, <real_t> step[k])
-                status[k] = pmf_step(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
+                status[k] = self._step(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
                 last = pmf_estimate(&self.config, &self.state)
                 for i in range(p):
                     theta[k, i] = last.theta[i]

@@ -1,0 +1,19 @@
+/* Steps of one axis for configurations that are used most: the same sources, compiled for one method and its network.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#ifndef PMF_STRAIGHT_H
+#define PMF_STRAIGHT_H
+
+#include "../pmf_internal.h"
+
+typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+
+/* Null for any other configuration than its own. */
+pmf_stepper_t *pmf_straight_rls(const pmf_config_t *config);
+pmf_stepper_t *pmf_straight_bcrls(const pmf_config_t *config);
+pmf_stepper_t *pmf_straight_riv(const pmf_config_t *config);
+
+/* The fastest step of a configuration, with the bits of pmf_step(). */
+pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config);
+
+#endif

@@ -1,0 +1,44 @@
+"""Steps that are compiled for one method: used where they may be, with the bits of the general step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pmfid
+from pmfid.simulation import CART_DT
+from tests.conftest import cart_run
+
+METHODS = [pmfid.RLS, pmfid.BCRLS, pmfid.RIV]
+
+
+@pytest.mark.parametrize("forgetting", [0.99, 1.0])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("cls", METHODS)
+def test_bits_are_those_of_the_general_step(cls, precision, forgetting, drive):
+    """Also if counts are wrong, an input is no number, and the axis rests."""
+    run = cart_run(1, increments=2**14)
+    u, counts = run.u.copy(), run.counts.copy()
+    u[700:706], u[1500] = np.nan, 1e9
+    counts[1100] += 900
+    counts[1900:] += 77
+    u[2300:], counts[2300:] = 0.0, counts[2300]
+    found = []
+    for straight in (True, False):
+        estimator = cls(drive, run.encoder, CART_DT, 50.0, forgetting=forgetting, precision=precision)
+        kernel = estimator.runner.kernel
+        kernel.straight = straight
+        assert kernel.straight == straight
+        found.append((*kernel.run(u, counts), np.frombuffer(kernel.raw_state(), np.uint32)))
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("cls", METHODS)
+def test_other_configurations_take_the_general_step(cls, drive):
+    def is_straight(model=drive, **options):
+        return cls(model, pmfid.Encoder(1e-5), CART_DT, 50.0, **options).runner.kernel.straight
+
+    assert is_straight()
+    assert not is_straight(pmfid.Drive(2.0, offset=True))
+    assert not is_straight(order=3)
