@@ -20,11 +20,9 @@
 #define INSTRUMENTS(COLUMN) COLUMN(4, 7, 35) COLUMN(5, 8, 37) COLUMN(6, 9, 31)
 #define SIMULATED(STAGE) \
     STAGE(13, 10) STAGE(14, 38) STAGE(15, 8) STAGE(16, 40) STAGE(17, 9) STAGE(18, 42) STAGE(19, 20) STAGE(20, 44)
-#define MODELLED(COLUMN, TAP)                                                                                    \
-    COLUMN(7, 10, 27)                                                                                            \
-    TAP(7, 11, 28)                                                                                               \
-    COLUMN(8, 12, 28) COLUMN(9, 13, 39) COLUMN(10, 14, 41) COLUMN(11, 15, 42) TAP(11, 16, 43) COLUMN(12, 17, 43) \
-        COLUMN(13, 18, 39) COLUMN(14, 19, 28) COLUMN(15, 20, 43) COLUMN(16, 21, 45)
+#define BY_MODEL(COLUMN, TAP) COLUMN(7, 10, 27) TAP(7, 11, 28) COLUMN(8, 12, 28) COLUMN(9, 13, 39) COLUMN(10, 14, 41)
+#define OF_MODEL(COLUMN, TAP) COLUMN(11, 15, 42) TAP(11, 16, 43) COLUMN(12, 17, 43) COLUMN(13, 18, 39)
+#define CHECKED(COLUMN) COLUMN(14, 19, 28) COLUMN(15, 20, 43) COLUMN(16, 21, 45)
 
 #if METHOD == METHOD_rls
 #define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) MEASURED(STAGE, DELAY) DIRECT(COLUMN, TAP)
@@ -34,7 +32,8 @@
 #else
 #define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
     MEASURED(STAGE, DELAY)                     \
-    PREFILTERED(STAGE) SIMULATED(STAGE) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) MODELLED(COLUMN, TAP)
+    PREFILTERED(STAGE)                         \
+    SIMULATED(STAGE) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) BY_MODEL(COLUMN, TAP) OF_MODEL(COLUMN, TAP) CHECKED(COLUMN)
 #endif
 #define PMF_PARAMETERS 3U
 #define PMF_INSTRUMENTAL (METHOD != METHOD_rls)
