@@ -13,6 +13,9 @@
 #define PMF_LANES (PMF_LANE_BYTES / 8)
 #endif
 
+#ifdef PMF_STRAIGHT
+#include "pmf_method.h"
+#endif
 #include "../pmf_sizes.h"
 #undef PMF_WINDOW_BLOCKS
 #define PMF_WINDOW_BLOCKS 0 /* seldom used, but most of the memory */
@@ -186,6 +189,23 @@ static uint64_t run(const pmf_config_t *config, const pmf_layout_t *layout, cons
     return first;
 }
 
+#if PMF_LANE_BYTES == 64
+#define PMF_LANES_NAME pmf_lanes_64
+#elif PMF_LANE_BYTES == 32
+#define PMF_LANES_NAME pmf_lanes_32
+#else
+#define PMF_LANES_NAME pmf_lanes_16
+#endif
+#define JOINED(name, method) name##_##method
+#define JOIN(name, method) JOINED(name, method)
+
+#ifdef PMF_STRAIGHT
+uint64_t JOIN(PMF_LANES_NAME, PMF_STRAIGHT)(const pmf_config_t *config, const pmf_layout_t *layout,
+                                            const pmf_many_t *many, uint64_t first, uint64_t end, unsigned char *packed)
+{
+    return run(config, layout, many, first, end, packed);
+}
+#else
 /* A table without gaps. */
 static pmf_rows_t table_of(const void *start, uint64_t samples)
 {
@@ -303,11 +323,11 @@ static uint64_t score(const pmf_config_t *config, const pmf_layout_t *layout, co
     return first;
 }
 
-#if PMF_LANE_BYTES == 64
-#define PMF_LANES_NAME pmf_lanes_64
-#elif PMF_LANE_BYTES == 32
-#define PMF_LANES_NAME pmf_lanes_32
-#else
-#define PMF_LANES_NAME pmf_lanes_16
+pmf_lanes_run_t JOIN(PMF_LANES_NAME, rls), JOIN(PMF_LANES_NAME, bcrls), JOIN(PMF_LANES_NAME, riv);
+const pmf_lanes_t PMF_LANES_NAME = {
+    PMF_LANES,
+    sizeof(pmf_state_t) / PMF_LANE_BYTES,
+    {run, JOIN(PMF_LANES_NAME, rls), JOIN(PMF_LANES_NAME, bcrls), JOIN(PMF_LANES_NAME, riv)},
+    score,
+};
 #endif
-const pmf_lanes_t PMF_LANES_NAME = {PMF_LANES, sizeof(pmf_state_t) / PMF_LANE_BYTES, run, score};

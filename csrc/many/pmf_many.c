@@ -92,12 +92,19 @@ static void keep(const pmf_config_t *config, const pmf_state_t *state, const pmf
     many->status[row] = state->status;
 }
 
+uint32_t pmf_method_of(const pmf_config_t *config)
+{
+    return pmf_is_rls(config) ? PMF_RLS : pmf_is_bcrls(config) ? PMF_BCRLS : pmf_is_riv(config) ? PMF_RIV : PMF_GENERAL;
+}
+
 pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config)
 {
-    pmf_stepper_t *step = pmf_straight_rls(config);
-    step = step != 0 ? step : pmf_straight_bcrls(config);
-    step = step != 0 ? step : pmf_straight_riv(config);
-    return step != 0 ? step : pmf_step;
+    switch (pmf_method_of(config)) {
+    case PMF_RLS: return pmf_step_rls;
+    case PMF_BCRLS: return pmf_step_bcrls;
+    case PMF_RIV: return pmf_step_riv;
+    default: return pmf_step;
+    }
 }
 
 static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_stepper_t *step, uint64_t axis,
@@ -117,7 +124,7 @@ void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const 
                   uint64_t end, unsigned char *packed)
 {
     const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
-    uint64_t axis = lanes != 0 ? lanes->run(config, layout, many, first, end, packed) : first;
+    uint64_t axis = lanes != 0 ? lanes->run[pmf_method_of(config)](config, layout, many, first, end, packed) : first;
     pmf_stepper_t *step = pmf_fastest_step(config);
     pmf_state_t state;
     if (axis < end) { /* it takes as long as some samples */

@@ -66,6 +66,9 @@ typedef struct {
     unsigned char *lost; /* 1: the block had none but disturbed samples */
 } pmf_scored_t;
 
+/* What is compiled for one method alone (pmf_straight.h), and what does everything. */
+enum { PMF_GENERAL = 0, PMF_RLS, PMF_BCRLS, PMF_RIV, PMF_METHODS };
+
 /* Axes `first` to `end` through all samples, in groups; packed: the states of all axes. Returns the axis after the last
  * group: the remaining axes are too few for a group. */
 typedef uint64_t pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
@@ -75,7 +78,7 @@ typedef uint64_t pmf_lanes_score_t(const pmf_config_t *config, const pmf_layout_
                                    const pmf_scored_t *many, uint64_t end, unsigned char *packed);
 typedef struct {
     uint32_t lanes, words; /* vectors in a state */
-    pmf_lanes_run_t *run;
+    pmf_lanes_run_t *run[PMF_METHODS]; /* by pmf_method_of() */
     pmf_lanes_score_t *score;
 } pmf_lanes_t;
 /* Null where this build has no such way, the processor has not, or it does not pay for so few samples. */

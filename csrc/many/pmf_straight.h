@@ -4,15 +4,18 @@
 #ifndef PMF_STRAIGHT_H
 #define PMF_STRAIGHT_H
 
-#include "../pmf_internal.h"
+#include "pmf_many.h"
 
 typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
-/* Null for any other configuration than its own. */
-pmf_stepper_t *pmf_straight_rls(const pmf_config_t *config);
-pmf_stepper_t *pmf_straight_bcrls(const pmf_config_t *config);
-pmf_stepper_t *pmf_straight_riv(const pmf_config_t *config);
+/* Is a configuration one of those that the code of a method is compiled for? */
+uint32_t pmf_is_rls(const pmf_config_t *config);
+uint32_t pmf_is_bcrls(const pmf_config_t *config);
+uint32_t pmf_is_riv(const pmf_config_t *config);
+pmf_stepper_t pmf_step_rls, pmf_step_bcrls, pmf_step_riv;
 
+/* Of PMF_GENERAL and so on. */
+uint32_t pmf_method_of(const pmf_config_t *config);
 /* The fastest step of a configuration, with the bits of pmf_step(). */
 pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config);
 

@@ -1,0 +1,39 @@
+/* What a drive with mass, viscous and Coulomb friction needs of the kernel, by the recursive method, whose name is
+ * PMF_STRAIGHT: without tests for parts that it has not, loops over parameters unrolled, the network as straight code.
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#define METHOD_rls 1
+#define METHOD_bcrls 2
+#define METHOD_riv 3
+#define NUMBER_OF(method) METHOD_##method
+#define NUMBER(method) NUMBER_OF(method)
+#define METHOD NUMBER(PMF_STRAIGHT)
+
+/* Stages: number, source; columns and their further taps: column, tap, node. */
+#define MEASURED(STAGE, DELAY) \
+    STAGE(0, 1) STAGE(1, 25) DELAY(2, 25) DELAY(3, 26) DELAY(4, 28) STAGE(5, 2) STAGE(6, 30) STAGE(7, 0) STAGE(8, 32)
+#define DIRECT(COLUMN, TAP) \
+    COLUMN(0, 0, 27) TAP(0, 1, 28) COLUMN(1, 2, 26) TAP(1, 3, 28) TAP(1, 4, 29) COLUMN(2, 5, 31) COLUMN(3, 6, 33)
+#define PREFILTERED(STAGE) STAGE(9, 33) STAGE(10, 34) STAGE(11, 33) STAGE(12, 36)
+#define INSTRUMENTS(COLUMN) COLUMN(4, 7, 35) COLUMN(5, 8, 37) COLUMN(6, 9, 31)
+#define SIMULATED(STAGE) \
+    STAGE(13, 10) STAGE(14, 38) STAGE(15, 8) STAGE(16, 40) STAGE(17, 9) STAGE(18, 42) STAGE(19, 20) STAGE(20, 44)
+#define BY_MODEL(COLUMN, TAP) COLUMN(7, 10, 27) TAP(7, 11, 28) COLUMN(8, 12, 28) COLUMN(9, 13, 39) COLUMN(10, 14, 41)
+#define OF_MODEL(COLUMN, TAP) COLUMN(11, 15, 42) TAP(11, 16, 43) COLUMN(12, 17, 43) COLUMN(13, 18, 39)
+#define CHECKED(COLUMN) COLUMN(14, 19, 28) COLUMN(15, 20, 43) COLUMN(16, 21, 45)
+
+#if METHOD == METHOD_rls
+#define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) MEASURED(STAGE, DELAY) DIRECT(COLUMN, TAP)
+#elif METHOD == METHOD_bcrls
+#define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
+    MEASURED(STAGE, DELAY) PREFILTERED(STAGE) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN)
+#else
+#define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
+    MEASURED(STAGE, DELAY)                     \
+    PREFILTERED(STAGE)                         \
+    SIMULATED(STAGE) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) BY_MODEL(COLUMN, TAP) OF_MODEL(COLUMN, TAP) CHECKED(COLUMN)
+#endif
+#define PMF_PARAMETERS 3U
+#define PMF_INSTRUMENTAL (METHOD != METHOD_rls)
+#define PMF_WITH_MODEL (METHOD == METHOD_riv)
+#define PMF_SCHEME PMF_EXPONENTIAL
