@@ -12,7 +12,10 @@ typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, s
 uint32_t pmf_is_rls(const pmf_config_t *config);
 uint32_t pmf_is_bcrls(const pmf_config_t *config);
 uint32_t pmf_is_riv(const pmf_config_t *config);
-pmf_stepper_t pmf_step_rls, pmf_step_bcrls, pmf_step_riv;
+/* Its step. */
+uint32_t pmf_step_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_step_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_step_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
 /* Of PMF_GENERAL and so on. */
 uint32_t pmf_method_of(const pmf_config_t *config);
