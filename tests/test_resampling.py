@@ -127,3 +127,14 @@ def test_an_even_clock_stays_as_it_is() -> None:
     assert resample_uneven(0.01 * k, y, y) is None
     assert resample_uneven(0.01 * np.r_[k[:200], k[200:] + 7], y, y) is None
     assert resample_uneven(0.01 * k[::-1], y, y) is None
+
+
+@pytest.mark.parametrize(("late", "spread"), [(0.0, 0.09), (0.0, 0.5), (0.3, 0.0), (2.0, 0.0)])
+def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: float) -> None:
+    """A jitter is found beneath steps of a count, and so is an even clock in front of late stamps."""
+    rng = np.random.default_rng(5)
+    time = np.arange(3000) + spread * rng.uniform(-1, 1, 3000)
+    counts = np.floor(60 * np.sin(0.05 * time) + 0.3)
+    stamps = np.sort(time + late * np.abs(rng.standard_normal(3000)))
+    found = resample_uneven(stamps, np.ones(3000), counts)
+    assert (found is not None and found.own is not None) == (late == 0)

@@ -51,9 +51,8 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
 
     steps = np.diff(stamps)
     period = _usual_step(steps)
-    by_stamps, by_clock = _measure_unexplained(stamps, y)
     longest = period * (TUNING.longest_between_repeats if thinned else TUNING.longest_step)
-    if not thinned and by_clock < TUNING.resampling_explained * by_stamps:
+    if not thinned and _are_late(stamps, y):
         return _take_even_clock(stamps, u, y)
     steps = np.minimum(steps, TUNING.clock_longest * period)
     stamps = stamps[0] + np.r_[0.0, np.cumsum(steps)]
@@ -128,16 +127,32 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
     if steady and not even and np.max(np.abs(steps - median)) > TUNING.clock_even * median:
         return True
     if steady or even:
-        by_stamps, by_clock = _measure_unexplained(stamps, y)
-        late = by_clock < TUNING.resampling_explained * by_stamps and not steady
-        return late or by_stamps < TUNING.resampling_explained * by_clock
+        part, error = _weigh_stamps(stamps, y)
+        return part - TUNING.resampling_errors * error > 0.5 or (not steady and _are_late(stamps, y))
     return find_places(stamps) is None
 
 
-def _measure_unexplained(stamps: Floats, y: Floats) -> tuple[float, float]:
-    """How far the output (n,) is off lines through its neighbours, by the stamps (n,) and by an even clock."""
+def _are_late(stamps: Floats, y: Floats) -> bool:
+    """Does the output show an even clock in front of the stamps (n,)?"""
+    part, error = _weigh_stamps(stamps, y)
+    return part + TUNING.resampling_errors * error < 0.5
+
+
+def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
+    """The part of what stamps (n,) would make of the output that it shows, 1: they are the instants of the samples, 0:
+    an even clock stands in front of them; and the standard error of this part.
+
+    A slope: of the distances of the output from the middle of its neighbours, by those of the lines through them.
+    """
     steps = np.diff(stamps)
     part = steps[:-1] / (steps[:-1] + steps[1:])
     single: Flags = (steps[:-1] + steps[1:]) < 2 * TUNING.longest_step * _usual_step(steps)
-    change, whole = y[1:-1] - y[:-2], y[2:] - y[:-2]
-    return float(np.sum(np.abs(change - part * whole)[single])), float(np.sum(np.abs(change - 0.5 * whole)[single]))
+    change, whole = (y[1:-1] - y[:-2])[single], (y[2:] - y[:-2])[single]
+    shown, by_stamps = change - 0.5 * whole, (part[single] - 0.5) * whole
+    plain = np.abs(shown - 0.5 * by_stamps) <= np.quantile(np.abs(shown - 0.5 * by_stamps), TUNING.resampling_plain)
+    shown, by_stamps = shown[plain], by_stamps[plain]
+    square = float(np.sum(by_stamps**2))
+    if not square > 0:
+        return 0.5, np.inf
+    slope = float(np.sum(shown * by_stamps)) / square
+    return slope, float(np.sqrt(np.sum(((shown - slope * by_stamps) * by_stamps) ** 2))) / square

@@ -170,9 +170,10 @@ class RecordTuning:
     # resampling
     #: Steps that differ from their median by less than this part are taken as even.
     even_steps: float = 0.02
-    #: Stamps are the instants of the samples if they leave less than this part of what an even clock leaves
-    #: unexplained.
-    resampling_explained: float = 0.9
+    #: Standard errors by which the output must tell whether stamps are the instants of the samples, and the part of the
+    #: rows that it is asked in: the others may be wrong readings.
+    resampling_errors: float = 2.0
+    resampling_plain: float = 0.99
     #: A step beyond this many usual ones is a gap: nothing is interpolated across a gap.
     longest_step: float = 3.5
     #: The same where rows with an old output were left out, whose input is known.

@@ -64,7 +64,7 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
     }
     pair = pair_of(rest, dt, output)
     if pair is None:
-        listed = ", ".join(table) or "none"
+        listed = ", ".join(name if name in columns else f"{name} (constant)" for name in table) or "none"
         raise UsageError(
             f"{path}: no two columns can be input and output of an axis, of these: {listed}; "
             "rename them, for example to t, u and counts, or write [record] input and output into an AXIS.toml yourself"
