@@ -15,7 +15,7 @@ from pmfid.estimators.likelihood import best_of
 from pmfid.estimators.motion import mean_velocity, sum_travel
 from pmfid.models.shapes import Along, Square, Stribeck, Wave
 from pmfid.pipeline.arrays import axis_of
-from pmfid.simulation import prbs
+from pmfid.simulation import control_machine, multisine, prbs
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 
 AXIS = DriveParameters(mass=2e-3, viscous_friction=4e-3, coulomb_friction=0.05, input_gain=0.4)
@@ -175,3 +175,14 @@ def test_the_error_of_the_simulation_widens_the_bars() -> None:
     best = method.best(run.u, run.counts)
     coarse = method.fit_of(replace(best, difference=replace(best.difference, parts=1)))
     assert coarse.theta_std[0] > 1.3 * method.fit_of(best).theta_std[0]
+
+
+@pytest.mark.parametrize("method", [pmfid.OE, pmfid.IntervalML])
+def test_an_arm_that_is_held_upright_is_followed_in_windows(method: type[pmfid.OE]) -> None:
+    """It falls without its controller, so the input alone leads no motion along the record."""
+    arm = Machine(DriveParameters(2.0, 1.2, 3.0, 1.0), gravity=12.0, gravity_angle=math.pi - 0.2)
+    reference = multisine(1600, 0.01, np.array([0.3, 0.55, 0.9]), 0.6, np.random.default_rng(3))
+    run = control_machine(arm, reference, 0.01, 2 * math.pi / 4096, kp=128.0, kd=22.0, u_max=60.0, steps=20)
+    fit = method(pmfid.Drive(1.0, gravity=True), pmfid.Encoder(2 * math.pi / 4096), 0.01, 10.0).fit(run.u, run.counts)
+    np.testing.assert_array_less(np.abs(fit.theta[:3] - [2.0, 1.2, 3.0]), 4 * fit.theta_std[:3])
+    np.testing.assert_array_less(fit.theta_std[:3], [0.002, 0.01, 0.01])

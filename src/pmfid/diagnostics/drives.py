@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,10 +142,9 @@ def _prepare_fit(found: Adequacy, equation: Equation) -> tuple[Difference, Float
     asked = [name for name in _names(equation) if name in OPTIONS]
     for name in asked:
         values[name], sizes[name] = _late_by(found) / len(asked), own.dt
-    scale = np.r_[[sizes[name] for name in _names(equation)], own.scale[-2:]]
-    theta = np.array([values[name] for name in _names(equation)])
-    difference = replace(own, equation=equation, scale=scale).fine_at(theta)
-    return difference, np.r_[theta / scale[:-2], q[-2:]]
+    scale, theta = (np.array([numbers[name] for name in _names(equation)]) for numbers in (sizes, values))
+    difference = own.replace_equation(equation, scale).fine_at(theta)
+    return difference, np.r_[theta / scale, q[own.parameters :]]
 
 
 def _late_by(found: Adequacy) -> float:

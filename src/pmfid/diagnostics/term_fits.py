@@ -170,7 +170,8 @@ class Bench:
             refused = error
         if trial.best.noise is not None and not (found and (hasty or found[-1].best.clean)):
             difference = _quick(method.make_difference(theta, trial.difference.u, trial.difference.y))
-            start = (trial.best.q * trial.difference.scale)[-2:]
+            p = trial.difference.parameters
+            start = (trial.best.q * trial.difference.scale)[p : p + 2]
             q = np.maximum(np.r_[theta, start] / difference.scale, difference.lower)
             found.append(_climb_to_top(method, model, difference, q, trial.best.status, hasty))
         found = [one for one in found if _acts_in_time(one)]

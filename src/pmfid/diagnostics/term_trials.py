@@ -14,7 +14,7 @@ from pmfid.estimators.adequacy import Adequacy, PeriodicForce, filter_forces, in
 from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.likelihood import Best
 from pmfid.estimators.ls import LS
-from pmfid.estimators.motion import Difference, remove_nuisance, rms
+from pmfid.estimators.motion import Difference, rms
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
@@ -47,7 +47,7 @@ class Trial:
     @property
     def theta(self) -> Floats:
         """(p,) parameters of the equation, followed by those that it is not linear in."""
-        return np.asarray((self.best.q * self.difference.scale)[:-2])
+        return np.asarray((self.best.q * self.difference.scale)[: self.difference.parameters])
 
     @property
     def parameters(self) -> int:
@@ -69,7 +69,7 @@ def inflation(before: Trial, after: Trial) -> float:
     best, old, new = after.best, before.model.equation, after.model.equation
     difference, p = best.difference, best.difference.parameters
     sensitivity = -difference.jacobian(best.q)
-    own = remove_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
+    own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:]) / difference.scale[:p]
     steps = TUNING.term_trials_small * np.maximum(
         np.abs(before.theta), TUNING.term_trials_small * float(np.max(np.abs(before.theta)))
     )
@@ -88,9 +88,9 @@ def known_shapes(best: Best) -> Best:
     """The same motion, from an equation whose shape parameters are known."""
     difference, q = best.difference, best.q
     p = len(difference.equation.names)
-    equation = difference.equation.known_at((q * difference.scale)[p:-2])
-    keep = np.r_[0:p, q.size - 2 : q.size]
-    linear = replace(difference, equation=equation, scale=difference.scale[keep])
+    equation = difference.equation.known_at((q * difference.scale)[p : difference.parameters])
+    keep = np.r_[0:p, difference.parameters : q.size]
+    linear = difference.replace_equation(equation, difference.scale[:p])
     return replace(best, difference=linear, least=best.least[keep], q=q[keep])
 
 

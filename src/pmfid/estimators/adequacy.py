@@ -14,7 +14,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.likelihood import Best, cost, expected_information
-from pmfid.estimators.motion import Difference, remove_nuisance, rms
+from pmfid.estimators.motion import Difference, rms
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.tuning import TUNING
@@ -359,13 +359,13 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     difference, q = best.difference, best.q
     p = difference.parameters
     sensitivity = -difference.jacobian(q)
-    own = remove_nuisance(difference, sensitivity[:, :p], sensitivity[:, p:])
+    own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:])
     candidates = list_candidate_forces(difference, q, places)
     effects = np.column_stack(
         [_effect(difference, q, candidate) for candidate in candidates] or [np.zeros((slope.size, 0))]
     )
     effects = np.where(np.all(np.isfinite(effects), axis=0), effects, 0.0)  # of next to nothing, beyond numbers
-    cleaned = remove_nuisance(difference, effects, sensitivity[:, p:])
+    cleaned = difference.remove_nuisance(effects, sensitivity[:, p:])
     scale = np.maximum(np.linalg.norm(own, axis=0), TUNING.tiny)
     shift = np.linalg.lstsq(own / scale, cleaned)[0] / scale[:, None]
     alone = cleaned - own @ shift

@@ -76,7 +76,7 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     """
     best = climb(difference, q, None)
     if (
-        best[2] <= TUNING.given_away * TUNING.noise_floor or difference.breaks
+        best[2] <= TUNING.given_away * TUNING.noise_floor or difference.restarts
     ):  # the starts after gaps are those of least squares
         return best[1], best[2]
     costs = [best[0]]

@@ -406,6 +406,10 @@ class Difference:
         asked = parts_for(self.equation, theta, self.intervals, self.u, TUNING.parts_error * self.resolution)
         return replace(self, parts=max(self.parts, asked))
 
+    def replace_equation(self, equation: Equation, scale: Floats) -> Difference:
+        """The same for another equation, with the scales (p,) of its parameters."""
+        return replace(self, equation=equation, scale=np.r_[scale, self.scale[self.parameters :]])
+
     @property
     def parameters(self) -> int:
         """The parameters of the equation, with those in which it is not linear."""
@@ -454,7 +458,28 @@ class Difference:
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
         """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
         jacobian, p = self.jacobian(q, width), self.parameters
-        return remove_nuisance(self, jacobian[:, :p], jacobian[:, p:], root)
+        return self.remove_nuisance(jacobian[:, :p], jacobian[:, p:], root)
+
+    def remove_nuisance(self, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
+        """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
+
+        root: (n,) square roots of the samples' information, None: for a white encoder error. The start velocity is
+        taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
+        """
+        weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
+        prior = np.array([[0.0, 1 / self.start_velocity_std]])
+        weighted, targets = np.r_[weight * nuisance, prior], np.r_[weight * columns, np.zeros((1, columns.shape[1]))]
+        return np.asarray(columns - nuisance @ np.linalg.lstsq(weighted, targets)[0])
+
+    @property
+    def finer(self) -> Difference:
+        """The motion in twice as many parts of a sample."""
+        return replace(self, parts=2 * self.parts)
+
+    @property
+    def restarts(self) -> bool:
+        """Does the motion have more than one start?"""
+        return bool(self.breaks)
 
     @property
     def start_velocity_std(self) -> float:
@@ -557,18 +582,6 @@ def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:
     step = np.zeros(gradient.size)
     step[free] = np.linalg.lstsq(hessian[np.ix_(free, free)], gradient[free])[0]
     return step
-
-
-def remove_nuisance(difference: Difference, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
-    """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
-
-    root: (n,) square roots of the samples' information, None: for a white encoder error. The start velocity is
-    taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
-    """
-    weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
-    prior = np.array([[0.0, 1 / difference.start_velocity_std]])
-    weighted, targets = np.r_[weight * nuisance, prior], np.r_[weight * columns, np.zeros((1, columns.shape[1]))]
-    return np.asarray(columns - nuisance @ np.linalg.lstsq(weighted, targets)[0])
 
 
 def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:

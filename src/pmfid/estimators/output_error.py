@@ -21,7 +21,15 @@ from pmfid.estimators.likelihood import Best, best_of, cost, expected_informatio
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.motion import Difference, first_speed, invert_information, least, mean_velocity, rms
 from pmfid.estimators.results import Fit
-from pmfid.estimators.search import Windows, choose_window, descend, find_least_from_start, fit_at_speeds
+from pmfid.estimators.search import (
+    Windows,
+    choose_window,
+    descend,
+    find_least_from_start,
+    fit_at_speeds,
+    fit_windows,
+    is_lost,
+)
 from pmfid.estimators.srivc import ProcessSolver, solve_by_descent
 from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import (
@@ -87,19 +95,36 @@ class Following(Simulating, BatchEstimator):
         u, counts = check_arrays(u, counts)
         theta, status = self._start(u, counts) if start is None else (start, 0)
         difference, q = self._prepare_difference(theta, u, self.position(counts))
+        if not self.equation.place_matters or difference.breaks or self.drift_cutoff:
+            return *self._fit_from_one_start(difference, q), status
+        direct, refused = replace(difference, pole=0.0), None
+        if not is_lost(direct, q):
+            try:
+                single = self._fit_from_one_start(difference, q)
+                if not single[0].pole:
+                    return *single, status
+            except NotIdentifiableError as error:
+                refused = error
+        found = fit_windows(direct, q, self.cutoff)
+        if found is None and refused:
+            raise refused
+        return *(found or self._fit_from_one_start(difference, q)), status
+
+    def _fit_from_one_start(self, difference: Difference, q: Floats) -> tuple[Difference, Floats]:
+        """The difference as it is to be judged, and its least squares, from q (q,) on."""
         q = find_least_from_start(difference, q, self.cutoff)
         difference = difference.fine_at(q[:-2] * difference.scale[:-2])
         if self.drift_cutoff:
-            return difference, q, status
+            return difference, q
         direct = replace(difference, pole=0.0)
         if self.drift_cutoff is None and rms(difference(q)) > TUNING.output_error_hopeless * direct.explained:
-            return difference, q, status
+            return difference, q
         closer = least(direct, q)
         if 1 < rms(direct(closer)) / direct.explained < TUNING.output_error_far:
             closer = min(closer, self._slowly(difference, q), key=lambda found: rms(direct(found)))
         if self.drift_cutoff == 0 or rms(direct(closer)) <= direct.explained:
-            return direct, closer, status
-        return difference, q, status
+            return direct, closer
+        return difference, q
 
     def _slowly(self, difference: Difference, q: Floats) -> Floats:
         """Least squares of the position itself by way of ever slower high-passes: around local minima, or q itself
@@ -261,8 +286,7 @@ def _simulation_scatter(difference: Difference, q: Floats, moves: Floats) -> Flo
     over its top. Many parameters then explain every count."""
     if not (difference.equation.shaped or difference.equation.lag):
         return np.zeros((moves.shape[1], moves.shape[1]))
-    finer = replace(difference, parts=2 * difference.parts)
-    change = moves.T @ (finer(q) - difference(q))
+    change = moves.T @ (difference.finer(q) - difference(q))
     return np.outer(change, change)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.motion import WHITE, Difference, first_speed, least, rms
 from pmfid.estimators.tuning import TUNING
+from pmfid.models.equation import Equation
 from pmfid.types import Floats
 
 Found = TypeVar("Found")
@@ -117,8 +118,8 @@ def fit_at_speeds(
 
 @dataclass(frozen=True)
 class Windows(Difference):
-    """A `Difference` over windows that overlap, without a high-pass, as a function of q = (theta, x0, v0, x0, v0, ...)
-    / scale: parameters (p,), and a start for each window.
+    """A `Difference` over windows of a record, without a high-pass, as a function of q = (theta, x0, v0, x0, v0, ...) /
+    scale: parameters (p,), and a start for each window.
 
     Its samples are those of the windows one after the other. pieces: the windows; firsts: their first samples in the
     record.
@@ -128,11 +129,19 @@ class Windows(Difference):
     firsts: tuple[int, ...] = ()
 
     @classmethod
-    def cover_stretches(cls, difference: Difference, stretches: Sequence[tuple[int, int]], length: int) -> Windows:
-        """Windows of about `length` samples that fill stretches of the record, from first to last - 1 each."""
-        edges = [edge for stretch in stretches for edge in _covering(*stretch, length)]
+    def cover_stretches(
+        cls,
+        difference: Difference,
+        stretches: Sequence[tuple[int, int]],
+        length: int,
+        hops: int = TUNING.search_hops,
+    ) -> Windows:
+        """Windows of about `length` samples that fill stretches of the record, from first to last - 1 each; hops: 1:
+        one after the other, 2: each begins in the middle of the one before."""
+        edges = [edge for stretch in stretches for edge in _covering(*stretch, length, hops)]
         own = {field.name: getattr(difference, field.name) for field in fields(Difference)} | {"pole": 0.0}
         pieces = tuple(Difference(**own).part(first, last) for first, last in edges)
+        own["scale"] = np.r_[difference.scale[:-2], np.tile(difference.scale[-2:], len(pieces))]
         return cls(**own, pieces=pieces, firsts=tuple(first for first, _ in edges))
 
     def start_windows(self, theta: Floats, cutoff: float) -> Floats:
@@ -140,26 +149,79 @@ class Windows(Difference):
         the window before has there, or that the counts show within 1 / cutoff [s]."""
         places, speeds, before = [], np.zeros(0), 0
         for part, first in zip(self.pieces, self.firsts, strict=True):
-            there = speeds[first - before : first - before + 1].tolist()
+            there = speeds[min(first - before, speeds.size - 1) :][:1].tolist()
             q = fit_start(part, choose_start(part, theta, cutoff, there))
             places.append(q[theta.size :])
             speeds, before = part.motion(q)[1], first
         return np.concatenate([theta, *places])
 
     def split_windows(self, q: Floats) -> list[tuple[Difference, Floats]]:
-        """Each window with its own q (p + 2,)."""
+        """Each window with its own part of q (..., q), (..., p + 2)."""
         p = self.parameters
-        return [(part, np.r_[q[:p], place]) for part, place in zip(self.pieces, q[p:].reshape(-1, 2), strict=True)]
+        return [
+            (part, np.concatenate([q[..., :p], q[..., p + 2 * k : p + 2 * k + 2]], axis=-1))
+            for k, part in enumerate(self.pieces)
+        ]
+
+    def _split_rows(self, values: Floats) -> list[Floats]:
+        """The samples of each window, of values (..., k n) for k parts of every sample."""
+        ends = np.cumsum([part.y.size for part in self.pieces])
+        return np.split(values, ends[:-1] * (values.shape[-1] // int(ends[-1])), axis=-1)
 
     def differences(self, qs: Floats) -> Floats:
-        return np.array([np.concatenate([part(own) for part, own in self.split_windows(q)]) for q in qs])
+        return np.concatenate([part.differences(own) for part, own in self.split_windows(qs)], axis=1)
 
-    def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
-        position, velocity = zip(*(part.motion(own) for part, own in self.split_windows(q)), strict=True)
-        return np.concatenate(position), np.concatenate(velocity)
+    def motions(self, qs: Floats, forces: Floats | None = None) -> tuple[Floats, Floats]:
+        own = [None] * len(self.pieces) if forces is None else self._split_rows(forces)
+        found = [part.motions(q, force) for (part, q), force in zip(self.split_windows(qs), own, strict=True)]
+        position, velocity = zip(*found, strict=True)
+        return np.concatenate(position, axis=1), np.concatenate(velocity, axis=1)
 
-    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
-        return np.concatenate([part.own_sensitivity(own, None, width) for part, own in self.split_windows(q)])
+    def _join_slopes(self, blocks: Sequence[Floats]) -> Floats:
+        """(n, q) from the derivatives (n, p + 2) of each window by its own q."""
+        p, begin = self.parameters, 0
+        joined = np.zeros((sum(map(len, blocks)), p + 2 * len(blocks)))
+        for k, block in enumerate(blocks):
+            rows = slice(begin, begin + len(block))
+            joined[rows, :p], joined[rows, p + 2 * k : p + 2 * k + 2] = block[:, :p], block[:, p:]
+            begin = rows.stop
+        return joined
+
+    def jacobian(self, q: Floats, width: float = TUNING.quotient_step, first: int = 0) -> Floats:
+        return self._join_slopes([part.jacobian(own, width) for part, own in self.split_windows(q)])[:, first:]
+
+    def forward_jacobian(self, q: Floats, e: Floats, widths: Floats | float = TUNING.quotient_step) -> Floats:
+        rows = zip(self.split_windows(q), self._split_rows(e), self.split_windows(widths + 0 * q), strict=True)
+        return self._join_slopes([part.forward_jacobian(own, left, wide) for (part, own), left, (_, wide) in rows])
+
+    def remove_nuisance(self, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
+        roots = [None] * len(self.pieces) if root is None else self._split_rows(root)
+        rows = zip(self.pieces, self._split_rows(columns.T), self._split_rows(nuisance.T), roots, strict=True)
+        return np.concatenate(
+            [
+                part.remove_nuisance(own.T, starts[2 * k : 2 * k + 2].T, weights)
+                for k, (part, own, starts, weights) in enumerate(rows)
+            ]
+        )
+
+    def replace_equation(self, equation: Equation, scale: Floats) -> Windows:
+        pieces = tuple(part.replace_equation(equation, scale) for part in self.pieces)
+        return replace(self, equation=equation, scale=np.r_[scale, self.scale[self.parameters :]], pieces=pieces)
+
+    def fine_at(self, theta: Floats) -> Windows:
+        return replace(self, pieces=tuple(part.fine_at(theta) for part in self.pieces))
+
+    @property
+    def finer(self) -> Windows:
+        return replace(self, pieces=tuple(part.finer for part in self.pieces))
+
+    @property
+    def restarts(self) -> bool:
+        return True
+
+    @property
+    def parameters(self) -> int:
+        return self.scale.size - 2 * len(self.pieces)
 
     def sum_by_sample(self, values: Floats) -> Floats:
         """(n, ...) at the samples of the record, the sum over the windows that have them."""
@@ -171,7 +233,7 @@ class Windows(Difference):
 
     @property
     def lower(self) -> Floats:
-        return np.concatenate([super().lower[:-2], np.full(2 * len(self.pieces), -np.inf)])
+        return np.concatenate([self.pieces[0].lower[:-2], np.full(2 * len(self.pieces), -np.inf)])
 
     @property
     def size_of_motion(self) -> float:
@@ -179,10 +241,55 @@ class Windows(Difference):
         return rms(np.concatenate([part.y - np.mean(part.y) for part in self.pieces]) / self.resolution)
 
 
-def _covering(first: int, last: int, length: int) -> list[tuple[int, int]]:
+def is_lost(difference: Difference, q: Floats) -> bool:
+    """Whether the motion at q (q,) is far from the counts, from a single start."""
+    return not rms(difference(q)) < TUNING.restarts_lost * difference.size_of_motion
+
+
+def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Difference, Floats] | None:
+    """A difference without a high-pass in as few windows as its motion needs, and its least squares (q,), from q (q,)
+    on. None if short windows do not explain the counts.
+
+    A controller holds an arm where gravity or a magnet pulls it away, and then errors of the simulation grow without
+    bound. Windows that are short enough follow the motion (multiple shooting: Bock 1981).
+    """
+    theta, p, found = q[:-2], difference.parameters, None
+    coarse = replace(difference, parts=1)
+    for count in TUNING.restarts_tried:
+        found = _explain_in_windows(coarse, theta, cutoff, count)
+        if found is not None:
+            break
+    while found is not None and len(found[0].pieces) > 1:
+        longer = _explain_in_windows(coarse, found[1][:p], cutoff, len(found[0].pieces) // 2)
+        if longer is None or rms(longer[0](longer[1])) > TUNING.restarts_as_well * rms(found[0](found[1])):
+            break
+        found = longer
+    if found is not None and len(found[0].pieces) == 1:
+        fine = difference.fine_at(found[1][:p] * difference.scale[:p])
+        return fine, least(fine, found[1])
+    return found
+
+
+def _explain_in_windows(
+    difference: Difference, theta: Floats, cutoff: float, count: int
+) -> tuple[Windows, Floats] | None:
+    """Windows, `count` in the record, and their q (q,) from scaled parameters (p,) on; None where they do not explain
+    the counts."""
+    n = difference.y.size
+    if n < count * TUNING.search_fewest:
+        return None
+    windows = Windows.cover_stretches(difference, [(0, n)], n // count, hops=1)
+    windows = windows.fine_at(theta * difference.scale[: theta.size])
+    q = descend(windows, windows.start_windows(theta, cutoff), TUNING.search_roughly)
+    return (windows, q) if rms(windows(q)) <= windows.explained else None
+
+
+def _covering(first: int, last: int, length: int, hops: int) -> list[tuple[int, int]]:
     count = max(1, round((last - first) / length))
+    if hops == 1:  # no sample is left out
+        return list(pairwise(np.linspace(first, last, count + 1).round().astype(int).tolist()))
     size = (last - first) // count
-    begins = np.linspace(first, last - size, TUNING.search_hops * (count - 1) + 1).round().astype(int)
+    begins = np.linspace(first, last - size, hops * (count - 1) + 1).round().astype(int)
     return [(begin, begin + size) for begin in begins.tolist()]
 
 
