@@ -16,7 +16,8 @@ from pmfid.types import Floats
 
 #: Segments on each side of a step, at least.
 SIDE = 2
-#: Segments from that of a step on that hold some of both sides: left out of its size where enough remain.
+#: Segments after a step that mix samples from before and after it. The size of the step leaves them out if enough
+#: segments remain.
 MIXED = 1
 
 
@@ -72,7 +73,7 @@ def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | No
 
 
 def _sums(part: Floats, places: np.ndarray) -> tuple[Floats, Floats]:
-    """Sums of part (n, p) before and from each place on."""
+    """Sums of part (n, p) before each place and from each place on."""
     total = np.cumsum(part, axis=0)
     left = total[places - 1]
     return left, total[-1] - left
@@ -118,8 +119,9 @@ def _correlation(rest: Floats) -> Floats:
 def attribute_change(
     relative: Floats, stds: Floats, correlation: Floats, names: Sequence[str]
 ) -> tuple[str, float, float]:
-    """The one cause that explains relative changes (p,) best, its relative size and standard deviation: a parameter,
-    all friction alike, or the gain of the input, whose loss looks as if all parameters had grown alike."""
+    """The one cause that explains relative changes (p,) best, with its relative size and standard deviation. A cause is
+    a parameter, all friction in the same proportion, or the gain of the input. A lower gain looks as if all parameters
+    had grown in the same proportion."""
     covariance = correlation * np.outer(stds, stds) + TUNING.changes_floor**2 * np.eye(stds.size)
     friction = np.array([FRICTION in name for name in names], float)
     directions = dict(zip(names, np.eye(len(names)), strict=True)) | {INPUT_GAIN: np.ones(len(names))}
@@ -182,7 +184,7 @@ WALK = np.r_[0.0, np.geomspace(1e-3, 2, 16)]
 
 @dataclass(frozen=True)
 class Beyond:
-    """By how much a step and a line explain a series better than its wandering, as Student's t; size: (p,) relative,
+    """How much better a step and a line explain a series than a random walk does, as Student's t. size: (p,) relative
     root mean square about the mean."""
 
     step: float

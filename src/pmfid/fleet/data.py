@@ -42,7 +42,8 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Local:
-    """workers: threads; None: as many as there are processors. How many have a shard in memory is up to `RowBudget`."""
+    """workers: number of threads, by default one for each processor. How many have a shard in memory is up to
+    `RowBudget`."""
 
     name: ClassVar[str] = "local"
     workers: int | None = None
@@ -97,7 +98,7 @@ TRIED = 5
 
 @dataclass(frozen=True)
 class Work:
-    """settings, columns: of the history; length: of a slice [s]."""
+    """settings, columns: those of the history; length: duration of a slice [s]."""
 
     settings: Settings
     columns: SourceColumns
@@ -141,13 +142,13 @@ def check_columns(columns: SourceColumns, parts: Sequence[Part], found: Survey) 
     raise UsageError(f"no file of the data set could be read{reason}; run pmfid check on one")
 
 
-#: Full shards in memory at once on one machine, however many threads it has.
+#: Full shards that one machine holds in memory at a time, for any number of threads.
 FULL = 3
 
 
 class Parts:
-    """Files, or frames in memory, each a part. `SparkRows` answers the same questions of rows that stay in Spark;
-    length: of a slice [s]."""
+    """Files, or frames in memory, each a part. `SparkRows` has the same methods for rows that stay in Spark. length:
+    duration of a slice [s]."""
 
     def __init__(self, parts: Sequence[Part], columns: SourceColumns, engine: Engine) -> None:
         self._parts = {part.name: part for part in parts}
@@ -181,8 +182,9 @@ class Parts:
     def prepare_shards(
         self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> Iterator[None]:
-        """A context for all work on these shards of the survey. Puts aside the rows of files that mix their axes; an
-        engine of many machines shuffles such files itself. folder: for these rows, None: that for temporary files."""
+        """A context for all work on these shards of the survey. Sets aside the rows of files that mix axes; an engine
+        of many machines shuffles such files itself. folder: where these rows go, by default the folder of temporary
+        files."""
         names = find_mixed_parts(survey.rows, shards) if isinstance(self._engine, Local) else set()
         if not names:
             yield

@@ -185,7 +185,7 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Seq
 
 
 def _problems(problems: Sequence[RowProblem]) -> pl.DataFrame:
-    """Each kind once for an axis or a file, with how often and from when on."""
+    """Each kind of problem once for an axis or a file, with its number and its first time."""
     found: dict[tuple[str, str, str], list[RowProblem]] = defaultdict(list)
     for problem in problems:
         found[problem.axis, problem.part, problem.code].append(problem)
@@ -205,7 +205,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class History:
-    """What a fleet has been through.
+    """The history of a fleet.
 
     periods: a row for each axis and period; axes: a row for each axis, those that need attention first; problems: what
     could not be used, and why; names, units: of the parameters; samples: that estimates were made of; segment: [s] of

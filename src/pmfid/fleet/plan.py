@@ -74,7 +74,7 @@ def _together(windows: pl.DataFrame) -> pl.DataFrame:
 
 def count_rows(rows: pl.LazyFrame, columns: SourceColumns, *more: pl.Expr) -> pl.LazyFrame:
     """Numbers of rows and of lost rows for each axis and day, with first and last time, type, and further columns
-    `more`; rows: of `Part.rows`."""
+    `more`. rows: as `Part.rows` returns them."""
     known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
     kind = pl.col(TYPE).min() if columns.type else pl.lit("")
     return rows.group_by(AXIS, (pl.col(TIME) / TUNING.plan_day).floor().alias("day")).agg(
@@ -114,7 +114,7 @@ def mixture(columns: SourceColumns) -> pl.Expr:
 
 
 def content(part: Part, columns: SourceColumns) -> str:
-    """The stamp of a part that has no date: of all its rows. Empty where it cannot be read."""
+    """The stamp of a part without a date, which depends on all its rows. Empty where it cannot be read."""
     try:
         with readable("data"):
             found = part.rows(columns).select(pl.len(), mixture(columns).sum().alias("sum")).collect(engine="streaming")
@@ -145,8 +145,8 @@ class RowShard:
 
 
 def slice_length(rows: pl.DataFrame, period: float | None) -> float:
-    """Length of a slice [s]: a part or a multiple of the period [s], None: of any; by the rate at which most axes are
-    sampled, and short enough for the rows of the fastest to fit a shard."""
+    """Length of a slice [s]: a part or a multiple of the period [s], or any length without a period. The usual sample
+    rate of the axes decides; the rows of the fastest axis must fit a shard."""
     step = (pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)
     steps = rows.filter(pl.col(LAST) > pl.col(FIRST)).select(step.alias("dt"))["dt"].to_numpy()
     if not steps.size:
@@ -174,7 +174,7 @@ def _fastest(rows: pl.DataFrame) -> float:
 
 
 def shards_of(rows: pl.DataFrame, length: float) -> list[RowShard]:
-    """All shards, in the order of time and of axes; rows: of the `Survey`; length: of a slice [s]."""
+    """All shards, ordered by time and axis. rows: those of the `Survey`; length: duration of a slice [s]."""
     blocks: dict[int, dict[str, dict[str, float]]] = defaultdict(lambda: defaultdict(dict))
     for part, axis, count, first, last in rows.select(PART, AXIS, ROWS, FIRST, LAST).iter_rows():
         for block, share in _blocks(first, last, length * TUNING.plan_block):
@@ -215,7 +215,7 @@ def _pack_axes(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, 
 def _cut(
     axes: Sequence[str], block: Mapping[str, Mapping[str, float]], first: int, last: int, share: float = 1.0
 ) -> list[RowShard]:
-    """The slices of a group of axes, halved until their rows fit; share: of the block's rows that they have."""
+    """The slices of a group of axes, halved until their rows fit. share: their part of the rows of the block."""
     total = share * sum(sum(block[axis].values()) for axis in axes)
     if total > TUNING.plan_budget and last - first > 1:
         middle = (first + last) // 2
@@ -225,7 +225,7 @@ def _cut(
 
 
 class Places:
-    """names: of the parts that can be read in windows; rows: of the `Survey`. Files of one window are read whole."""
+    """names: parts that can be read in windows; rows: those of the `Survey`. Files of one window are read whole."""
 
     def __init__(self, names: Set[str], rows: pl.DataFrame) -> None:
         large = pl.col(ROWS).sum().over(PART) > TUNING.source_window
@@ -234,7 +234,7 @@ class Places:
         self._rows = {str(key[0]): group for key, group in groups.items()}
 
     def narrow(self, part: Part, shard: RowShard, length: float) -> Part:
-        """The part from the first to the last row that the shard may have in it; length: of a slice [s]."""
+        """The stretch from the first to the last row that may belong to the shard. length: duration of a slice [s]."""
         if part.name not in self._rows:
             return part
         inside = (pl.col(LAST) >= shard.first * length) & (pl.col(FIRST) < shard.last * length)

@@ -27,7 +27,7 @@ ASIDE = "aside-"
 
 
 def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]:
-    """Names of the parts that are put aside. rows: of the `Survey`.
+    """Names of the parts that are set aside. rows: those of the `Survey`.
 
     An axis whose rows reach over a part of the file makes its shard read that much; no shard reads more than all of it.
     """
@@ -38,8 +38,8 @@ def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]
 
 @dataclass(frozen=True)
 class _Laid:
-    """Where the rows of a part lie. axes: of their numbers; places: shard -> first row and number of rows of each of
-    its stretches; error: why there are none."""
+    """Where the rows of a part are stored. axes: names by number; places: shard -> first row and number of rows of each
+    stretch; error: the reason if there are none."""
 
     path: Path
     axes: tuple[str, ...]
@@ -80,8 +80,8 @@ class Aside:
         return name in self._waiting
 
     def prepare(self, shard: RowShard) -> None:
-        """Puts aside what the shard needs. Raises UsageError if the disk is full; a part that cannot be read says so
-        when its rows are asked for."""
+        """Puts aside what the shard needs. Raises UsageError if the disk is full. A part that cannot be read raises it
+        when its rows are requested."""
         for name in shard.parts:
             if name in self:
                 with self._lock:  # one part at a time, so that memory knows no number of threads
@@ -89,7 +89,7 @@ class Aside:
                         self._laid[name] = self._lay(name)
 
     def only(self, shards: Sequence[RowShard]) -> None:
-        """The rows of no other shard will be asked for."""
+        """Only rows of these shards will be requested."""
         wanted = set(shards)
         for one in {shard for waiting in self._waiting.values() for shard in waiting} - wanted:
             self.release(one)
@@ -167,8 +167,8 @@ def _batches(part: Part, target: ShardTable, columns: SourceColumns) -> Iterator
 
 
 class ShardTable:
-    """Which shard a row belongs to. shards: share no row; length: of a slice [s]; axes: of all shards, sorted; times:
-    (n,) [s] at which shards begin or end."""
+    """Finds the shard that a row belongs to. shards: they share no row; length: duration of a slice [s]; axes: sorted
+    names of all shards; times: (n,) [s] at which shards begin or end."""
 
     def __init__(self, shards: Sequence[RowShard], length: float) -> None:
         self.axes = tuple(sorted({axis for shard in shards for axis in shard.axes}))
@@ -215,8 +215,8 @@ class ShardRows:
 
 @dataclass(frozen=True)
 class RecordPiece:
-    """Rows of one axis, one slice and no gap. start: of its first sample [s]; table: of columns by their name in the
-    data, the time from the start on."""
+    """Rows of one axis and one slice without a gap. start: time of the first sample [s]; table: columns by their name
+    in the data, with the time counted from the start."""
 
     axis: str
     start: float
@@ -226,9 +226,9 @@ class RecordPiece:
 def read_rows(
     shard: RowShard, parts: Mapping[str, Part], columns: SourceColumns, length: float, aside: Aside | None = None
 ) -> tuple[ShardRows, tuple[RowProblem, ...]]:
-    """The rows of a shard in order, of those that stand twice one, and of those that contradict each other none;
-    length: of a slice [s]; aside: where the rows of some parts are. Parts that cannot be read have problems in place of
-    rows."""
+    """The rows of a shard in order. Of equal rows one is kept, of rows that contradict each other none. length:
+    duration of a slice [s]; aside: where rows of some parts have been set aside. Parts that cannot be read have
+    problems in place of rows."""
     frames, problems = list[_Columns](), list[RowProblem]()
     if aside is not None:
         aside.prepare(shard)
@@ -272,7 +272,7 @@ def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: SourceCo
 
 
 def rows_of(frame: pl.DataFrame, columns: SourceColumns) -> tuple[ShardRows, tuple[RowProblem, ...]]:
-    """The same of a frame with the columns of `source`, in any order."""
+    """The rows of a frame with the columns of `source`, in any order."""
     axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
     named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
     known = frame.filter(pl.col(TIME).is_finite()).drop_nulls(AXIS).with_columns(named)
@@ -324,7 +324,7 @@ def _report_rows(rows: ShardRows, which: Flags, code: str, text: str) -> list[Ro
 
 
 def pieces_of(rows: ShardRows, columns: SourceColumns, length: float) -> Iterator[RecordPiece]:
-    """The pieces of rows in order; length: of a slice [s]."""
+    """The pieces of rows, in order. length: duration of a slice [s]."""
     if not rows.time.size:
         return
     place = np.floor(rows.time / length)

@@ -38,8 +38,9 @@ from pmfid.types import Counts, Flags, Floats
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples (n,) of one segment, without a gap. samples: of the record, with the rests that are left out; lost: part
-    of them that was filled in; repeats: how often each is among the n; looked_at: is it one for a second look?"""
+    """Samples (n,) of one segment, without a gap. samples: slice of the record, including omitted rests; lost: part of
+    it that was imputed; repeats: how often each sample occurs among the n; looked_at: whether the segment gets a second
+    look."""
 
     axis: str
     start: float
@@ -72,7 +73,7 @@ class Share:
         return own if own.size == self.size else np.resize(own, self.size)
 
     def counts(self, counts: Counts) -> Counts:
-        """The same; a repetition begins where the one before ended."""
+        """The same with repetitions, each of which starts where the one before ended."""
         own = counts[self.places]
         if own.size == self.size:
             return own
@@ -134,7 +135,7 @@ def _cut(samples: int, quarter: int) -> list[slice]:
     )
 
 
-#: Estimates with one of these are not looked at again.
+#: Estimates with one of these bits get no second look.
 SEEN = UNUSABLE | int(Status.UNMODELLED | Status.FALLBACK | Status.DEAD_TIME)
 
 
@@ -201,7 +202,7 @@ def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tupl
 
 
 def velocity(counts: Counts) -> Floats:
-    """(n,) counts per sample, each the mean over as many samples as a few counts take at the usual speed."""
+    """(n,) counts per sample, each averaged over the time that a few counts take at the usual speed."""
     change = np.diff(counts, append=counts[-1]).astype(np.float64)
     width = 2 * math.ceil(TUNING.segments_counts / max(rms(change), 1e-3) / 2) - 1
     if width < 3:
@@ -295,7 +296,7 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
 
 
 def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, share: Share, looked_at: bool) -> Stretch:
-    """first: sample of the record that the share counts from."""
+    """first: sample of the record at which the share starts."""
     places = share.places + first
     begin, end = int(places[0]), int(places[-1]) + 1
     return Stretch(

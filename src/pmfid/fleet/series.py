@@ -16,7 +16,7 @@ from pmfid.fleet.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-#: An estimate with one of these at its end says nothing.
+#: An estimate with one of these bits at its end is not used.
 UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)
 #: Bits of a segment that are no `Status`: it moved forward or backward alone, where a load looks like friction; its
 #: input had one size alone, where saturation or a dead zone looks like another force per input; it had a second look,
@@ -43,8 +43,8 @@ class Series:
 
     @property
     def usable(self) -> Flags:
-        """(n,) which segments count: of those that say something the ones in which the equation holds, if they are
-        most. A change within a segment, or a bad start, makes it another one."""
+        """(n,) the segments that count: usable ones in which the equation holds, if they are the majority of the usable
+        ones. A change within a segment, or a bad start, makes it another one."""
         clean = self.known & ((self.status & int(Status.UNMODELLED)) == 0)
         return clean if 2 * np.count_nonzero(clean) > np.count_nonzero(self.known) else self.known
 
@@ -111,7 +111,7 @@ def noise_of(series: Series) -> Floats:
     return np.maximum(found, TUNING.least_noise if len(stds) >= TUNING.series_few else 1.0)
 
 
-#: Of periods with a name: length and start of one of them [s].
+#: Named periods: length and start of one of them [s].
 NAMED = {"day": (86_400.0, 0.0), "shift": (28_800.0, 21_600.0)}
 #: Status bits that a period reports if at least half of its segments have them.
 REPORTED = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)

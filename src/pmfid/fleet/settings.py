@@ -73,7 +73,7 @@ class Chosen:
 
 
 def choose_method(axis: Axis) -> Axis:
-    """The axis with the method that "auto" stands for. Raises UsageError for settings that a history does not
+    """The axis with the method that "auto" selects. Raises UsageError for settings that a history does not
     support."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator):

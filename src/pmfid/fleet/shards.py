@@ -48,7 +48,7 @@ def shard_of(axis: str, shards: int) -> int:
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """What all shards have in common. shards: how many there are."""
+    """Properties that all shards share. shards: their number."""
 
     prepared: Prepared
     pace: Pace
@@ -57,7 +57,7 @@ class StreamPlan:
 
 @dataclass
 class Outcomes:
-    """What a batch gave, as an outlet."""
+    """An outlet that collects the outcomes of a batch."""
 
     estimates: list[EstimateRows] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
@@ -100,7 +100,7 @@ class StreamShard:
         self._engine.tick(0.0)
 
     def _check_names(self, items: Sequence[Item]) -> list[Item]:
-        """Refuses blocks under the name of an axis of another shard: such an axis would have two states."""
+        """Refuses blocks of an axis that belongs to another shard: the axis would have two states."""
         wrong = {name for name in _names(items) if shard_of(name, self.plan.shards) != self.number}
         if not wrong:
             return list(items)
@@ -160,7 +160,7 @@ def _names(items: Sequence[Item]) -> set[str]:
 
 
 def _sort_messages(messages: Iterable[bytes]) -> list[bytes]:
-    """Messages by epoch and first number, with messages of one form joined, so that they are read at once."""
+    """Messages ordered by epoch and first number. Messages of one form are joined, so that one call reads them."""
     keyed = sorted((_key(data), data) for data in messages)
     return [b"".join(data for _, data in some) for _, some in groupby(keyed, lambda pair: pair[0])]
 
@@ -173,7 +173,7 @@ def _key(data: bytes) -> tuple[Any, ...]:
     return (epoch, first, version, flags, samples, letters, len(data).to_bytes(8, "big"))
 
 
-#: What a row is, in the column `row`.
+#: Kinds of rows, in the column `row`.
 ESTIMATE, NOTICE, COUNTS = "estimate", "notice", "counts"
 
 
@@ -224,7 +224,7 @@ def _notice(notice: Notice) -> pl.DataFrame:
 
 @dataclass(frozen=True)
 class States:
-    """What is known of axes of one configuration: checkpoints of its shards, or of a service."""
+    """States of axes of one configuration, from checkpoints of its shards or of a service."""
 
     snapshots: tuple[Snapshot, ...]
     digest: str
@@ -281,7 +281,7 @@ class States:
         return list(names) or known
 
     def monitor(self, axis: str, prepared: Prepared, pace: Pace) -> Monitor:
-        """A monitor that goes on where an axis stands. Raises UsageError for one that is not there."""
+        """A monitor that continues from the state of an axis. Raises UsageError for one that is not there."""
         self.only([axis])
         group = next(group for group in self.groups if axis in group.axes)
         return group.restore_group(prepared, pace).fleet.monitor(group.axes.index(axis))
@@ -294,8 +294,8 @@ class States:
         return {number: self._body(plan.prepared, plan.pace, names) for number, names in sorted(parts.items())}
 
     def write(self, folder: Path, prepared: Prepared, pace: Pace, names: Sequence[str] = ()) -> int:
-        """The states of some axes, all where no name is given, as the checkpoint of a service with [service] state =
-        that folder, which goes on with them; how many. Raises UsageError if another service has the folder."""
+        """Writes the states of some axes, or of all if no name is given, as the checkpoint of a service that has this
+        folder as [service] state. Returns the number of axes. Raises UsageError if another service has the folder."""
         chosen = self.only(names)
         with closing(Vault(folder)) as vault:
             try:
@@ -316,7 +316,7 @@ class States:
 
 
 SETTINGS, STREAM = "pmfid.json", "stream.json"
-#: What a user can do where a setting is not that of the checkpoint.
+#: The remedy if a setting differs from the checkpoint.
 REMEDIES = {
     "config": "give the configuration and the reference of before, or new folders for --checkpoint and --out",
     "shards": "the state is shared out by it; give it as before",
@@ -329,8 +329,8 @@ REMEDIES = {
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """What may not change between two starts. config: digest of the configuration; window, every: [s]; layout: of the
-    state in the store, 2 since shards have keys and are packed."""
+    """Settings that must not change between two starts. config: digest of the configuration; window, every: [s];
+    layout: version of the stored states, 2 since shards have keys and are packed."""
 
     config: str
     shards: int
@@ -376,7 +376,7 @@ def _result(out: Path, number: str, settings: StreamSettings) -> None:
 
 
 def _holds(folder: Path, *known: str) -> bool:
-    """Whether a folder holds anything but what is known, or is none."""
+    """Whether a folder holds unknown files, or is no folder."""
     try:
         return any(path.name not in known and path.suffix != ".part" for path in folder.iterdir())
     except FileNotFoundError:
@@ -409,8 +409,8 @@ def _read(path: Path) -> dict[str, object] | None:
 
 @dataclass(frozen=True)
 class Folder:
-    """estimates/, notices/: a Parquet file for each batch; batches/: its counts as JSON, written last: what has none is
-    not yet whole."""
+    """estimates/ and notices/ have a Parquet file for each batch; batches/ has its counts as JSON. The counts are
+    written last: a batch without them is incomplete."""
 
     path: Path
     KINDS = ("estimates", "notices", "batches")

@@ -1,4 +1,4 @@
-"""Where the rows of a history are: files, lakes, times."""
+"""Sources of the rows of a history: files, lakes, times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pmfid.io.tables import LONGEST_CELL, table_of
 from pmfid.records.clock import UNITS, time_factor
 from pmfid.records.tuning import TUNING as RECORD_TUNING
 
-#: What a history writes into its folder, at least.
+#: Files that every history writes into its folder.
 RESULTS = {"work", "periods.parquet", "axes.parquet", "problems.parquet"}
 
 
@@ -52,10 +52,10 @@ def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
     return folders, others, closed
 
 
-#: Where Delta Lake and Iceberg list the files that count.
+#: Folders in which Delta Lake and Iceberg list their valid files.
 DELTA, ICEBERG, METADATA = "_delta_log", "metadata", "*.metadata.json"
-#: What a reader of plain files may leave to the log: of everything else, rows in the files may not count, or columns
-#: have other names.
+#: Actions of the log that a reader of plain files may ignore. With any other action, rows of the files may be invalid,
+#: or columns have other names.
 _PLAIN = {"timestampNtz", "vacuumProtocolCheck", "v2Checkpoint"}
 _PARTITION = "partition."
 
@@ -98,7 +98,7 @@ def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
         yield folder / unquote(row["path"]), said
 
 
-#: Of ISO 8601: what stands at the end of a time that says its distance from UTC.
+#: End of an ISO 8601 time with an offset from UTC.
 _OFFSET = r"([+-])(\d\d):?(\d\d)$"
 _FORM = "%Y-%m-%d %H:%M:%S%.f"
 
@@ -138,8 +138,8 @@ def _parse_dates(column: pl.Expr) -> pl.Expr:
 
 
 def other_unit(first: float, last: float, factor: float) -> str:
-    """What to do where times [s] lie beyond this century and another unit makes dates of it; empty if they do not.
-    factor: seconds per unit that was taken."""
+    """The remedy if times [s] lie outside this century and another unit turns them into plausible dates; empty
+    otherwise. factor: seconds per assumed unit."""
     if last < RECORD_TUNING.clock_epochs[1]:
         return ""
     fitting = [
@@ -161,14 +161,14 @@ AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask
 #: Name of a part that is no file.
 FRAME = "the frame"
 _DATES = ", or as dates of ISO 8601 (UTC without an offset)"
-#: What Hive and Spark name the folder of rows that have no value.
+#: Hive's and Spark's folder name for rows without a value.
 _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 
 
 @dataclass(frozen=True)
 class SourceColumns:
-    """Names of the columns in the data: axis, time, input, output, and, where there are such, mask and type; factor:
-    seconds per unit of a time that is a number."""
+    """Names of the columns in the data: axis, time, input, output, and optionally mask and type. factor: seconds per
+    unit of a numeric time."""
 
     axis: str
     time: str
@@ -227,7 +227,7 @@ class Part:
         return self.stamp_now is not None and self.stamp_now() != self.stamp
 
     def windows(self) -> Iterator[Part]:
-        """The same rows, in their order, source_window at a time where the format lets them be read so. Raises
+        """The same rows in order, source_window at a time if the format can be read in pieces. Raises
         UsageError for a damaged file."""
         if not self.sliced:
             yield self
@@ -261,7 +261,7 @@ class Part:
         return frame.select(made)
 
     def other_types(self, columns: SourceColumns) -> list[str]:
-        """What is written as text and should be a number, or as numbers that are too short, for people."""
+        """Columns with text in place of numbers, or with numbers of too few bits, for people."""
         schema = self.open().collect_schema()
         texts = [name for name in (columns.time, columns.input, columns.output) if schema.get(name) == pl.String]
         notes = [
@@ -297,7 +297,7 @@ def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
 
 
 def is_spark(source: object) -> bool:
-    """Whether it is a DataFrame of Spark, or of Spark Connect."""
+    """Whether an object is a DataFrame of Spark or of Spark Connect."""
     kinds = type(source).__mro__
     return any(kind.__name__ == "DataFrame" and kind.__module__.startswith("pyspark.sql") for kind in kinds)
 
@@ -352,7 +352,7 @@ def _kind(path: Path) -> str:
 
 
 def _stamp(path: Path) -> str:
-    """Empty where there is no such file any more."""
+    """Empty if the file no longer exists."""
     try:
         stat = path.stat()
     except OSError:
@@ -379,7 +379,7 @@ def _open_file(path: Path) -> pl.LazyFrame:
 
 
 def seconds(text: str) -> float:
-    """A duration such as "10 min", "1 h", "1.5 d" or a number of seconds. Raises UsageError for anything else."""
+    """Parses a duration, as "10 min", "1 h", "1.5 d" or a number of seconds. Raises UsageError for anything else."""
     lengths = UNITS | {"min": 60.0, "h": 3600.0, "d": 86400.0}
     number = text.strip().rstrip("abcdefghijklmnopqrstuvwxyzµ").strip()
     unit = text.strip()[len(number) :].strip() or "s"

@@ -1,4 +1,4 @@
-"""What is done and kept."""
+"""A store of finished work."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Store:
         self._lock.close()
 
     def get(self, key: str) -> Survey | None:
-        """What lies under a key; None: nothing, or nothing that this version writes."""
+        """The value of a key, or None if there is none that this version could have written."""
         try:
             problems = json.loads(self._problems_path(key).read_text(encoding="utf-8"))
             return Survey(
@@ -68,7 +68,7 @@ class Store:
         return self.folder / f"{key}.parquet"
 
     def keep(self, keys: Iterable[str]) -> None:
-        """Removes all others: of parts that are gone, of other configurations, and what a killed call left half."""
+        """Removes all other values: of missing parts, of other configurations, and incomplete ones of a killed call."""
         kept = set(keys)
         for path in self.folder.iterdir():
             if path.name.partition(".")[0] not in {*kept, LOCK} or path.suffix == ".part":

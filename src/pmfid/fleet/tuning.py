@@ -12,7 +12,7 @@ class FleetTuning:
     # aside
     #: A file is mixed if reading it shard by shard takes more than this multiple of its rows.
     aside_times: int = 3
-    #: Rows that are in memory at once while a file is put aside.
+    #: Most rows in memory at a time while a file is set aside.
     aside_batch: int = 2**20
 
     # changes
@@ -100,7 +100,7 @@ class FleetTuning:
     series_median: float = 0.6745
     #: A pause from which on a new run begins [s]; of long segments, as long as one.
     series_pause: float = 60.0
-    #: Of the segments that had a second look the part that may be off: a change is in one.
+    #: Part of the segments of a second look that may be off, as a change lies in one of them.
     series_looks: float = 0.25
     #: Standard deviations, and part of their size, by which estimates of one direction and the others may differ.
     series_agrees: float = 4.0
@@ -134,7 +134,7 @@ class FleetTuning:
     source_nanosecond: float = 1e-9
     #: Columns that are listed where one is missing.
     source_listed: int = 30
-    #: Rows of a file that are in memory at once: a row group may hold all of them.
+    #: Most rows of a file in memory at a time; a row group may hold the whole file.
     source_window: int = 2**21
     #: Of a period [s].
     source_shortest: float = 1.0
@@ -147,7 +147,7 @@ class FleetTuning:
     # spark.engine
     #: Rows that are handed to polars at once: Spark's own batches are small.
     at_once: int = 2**20
-    #: Items of a job, in processors, and at least: what it found is kept when it is done, and a job costs a tenth of a
+    #: Items of a job per processor, and the least number. Results are kept when a job is done; a job costs a tenth of a
     #: second. While the last items of a job are worked on, the next one has the other processors.
     engine_each: int = 4
     engine_least: int = 8
@@ -172,7 +172,7 @@ class FleetTuning:
     stream_tried: int = 30
 
     # verdicts
-    #: Axes that are named by chance, of a whole fleet in which nothing is the matter, for each way of being named.
+    #: Axes of a fleet without faults that each test may name by chance.
     by_chance: float = 0.3
     #: Standard deviations from which on the period of a step reports it, whatever the fleet is like.
     verdicts_clear: float = 6.0

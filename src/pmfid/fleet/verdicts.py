@@ -1,4 +1,4 @@
-"""Verdicts on axes, and their words."""
+"""Verdicts on axes, and the sentences that state them."""
 
 from __future__ import annotations
 

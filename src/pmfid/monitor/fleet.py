@@ -315,8 +315,8 @@ class MonitorFleet:
         return make_parts(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
-        """Goes on from saved states, of as many axes as they are of. Raises UsageError, and stays as it was, for those
-        of another configuration, damaged ones, and numbers that no sample could have made."""
+        """Resumes from saved states; the number of axes must be the same. Raises UsageError, and stays as it was, for
+        those of another configuration, damaged ones, and numbers that no sample could have made."""
         self._all = self._read(state)
 
     def _read(self, state: bytes) -> AxisStates:

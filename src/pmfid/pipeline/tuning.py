@@ -154,7 +154,7 @@ class PipelineTuning:
     #: Largest ratio of the unexplained part after integration to the unexplained part of the record as it is.
     drives_better: float = 0.5
     drives_chunk: int = 100_000
-    #: Largest part of the motion that a simulation which follows the motion leaves unexplained.
+    #: A simulation follows the motion if it leaves at most this part of it unexplained.
     drives_followed: float = 0.2
 
     # friction

@@ -79,7 +79,7 @@ def session_of(master: str | None = None, settings: Mapping[str, str] | None = N
 
 
 def is_own(master: str | None) -> bool:
-    """Whether a session there is one of this machine alone, which nobody has set up."""
+    """Whether a running session is a local one that nobody has configured."""
     return master.startswith("local") if master is not None else not any(name in os.environ for name in SET_UP)
 
 
@@ -123,7 +123,7 @@ def _own_environment() -> Iterator[None]:
         yield
 
 
-#: Columns of what comes back: which item or shard, and what was found for it, pickled.
+#: Columns of the results: the item or shard, and its pickled result.
 NUMBER, FOUND = "number", "found"
 RETURNED = f"{NUMBER} long, {FOUND} binary"
 NOT_THERE = (
@@ -133,7 +133,7 @@ NOT_THERE = (
 
 
 def answer_task(work: Callable[[], object], version: str) -> bytes:
-    """The answer of an executor, packed; version: of the package where the answer goes."""
+    """The packed answer of an executor. version: the package version of the receiver."""
     try:
         if version != __version__:
             raise UsageError(f"the executors have pmfid {__version__}, the driver {version}: install the same on both")
@@ -217,7 +217,7 @@ class Spark:
 
 
 def processors(session: SparkSession) -> int:
-    """Tasks that run at once."""
+    """Number of tasks that run in parallel."""
     try:
         return int(session.sparkContext.defaultParallelism)
     except Exception:  # Spark Connect has no context

@@ -41,7 +41,7 @@ _PLACE = "place"
 
 
 def tag_rows(rows: pl.LazyFrame, columns: SourceColumns, plan: ShardTable) -> pl.DataFrame:
-    """The rows that are in a shard, with its index; rows: of `Part.rows`."""
+    """The rows of each shard, with its index. rows: as `Part.rows` returns them."""
     known = rows.select(plan.number.alias(_PLACE), *columns.carried).drop_nulls([_PLACE, TIME]).collect()
     shard = plan.find(known[_PLACE].to_numpy(), known[TIME].to_numpy())
     return known.select(pl.Series(NUMBER, shard), *columns.carried).filter(pl.col(NUMBER) >= 0)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NAME = "spark.log"
 #: A line that names the cause of a failure, in Python or Java.
 CAUSE = re.compile(r"(Caused by: )?[\w.$]+(Error|Exception): .")
-#: What Spark says of a checkpoint that is not whole.
+#: Spark's messages about an incomplete checkpoint.
 DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
 REPAIR = "the checkpoint is damaged: put back a copy of it, or give new folders for --checkpoint and --out"
 AGAIN = "mend that, and start it again"
@@ -62,7 +62,7 @@ class SparkLog:
             os.close(kept)
 
     def problem(self, error: Exception) -> str:
-        """What Spark says of a failure, without its traces."""
+        """Spark's message about a failure, without stack traces."""
         messages = b""
         with suppress(OSError), open(self.path, "rb") as file:
             file.seek(max(self._begun, file.seek(0, os.SEEK_END) - TUNING.log_lately))
@@ -77,7 +77,7 @@ class SparkLog:
 
 
 _STORE = "spark.sql.streaming.stateStore"
-#: What the session of a stream needs.
+#: Settings that the session of a stream needs.
 SETTINGS = {
     f"{_STORE}.providerClass": "org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider",
     f"{_STORE}.rocksdb.changelogCheckpointing.enabled": "true",
@@ -113,7 +113,7 @@ def watch_blocks(blocks: DataFrame, plan: StreamPlan, begin: States | None = Non
         initial = spark.createDataFrame(rows, "shard int, body binary").groupBy("shard")
     shard = f.element_at(f.lit(keys), f.expr(f"cast(pmod(crc32(encode(axis, 'UTF-8')), {plan.shards}) as int) + 1"))
     schema = ", ".join(f"`{name}` {kind}" for name, kind in columns_of(plan).items())
-    # a row without one of them, as of a file with other columns, is no block, and counted as such
+    # a row without one of these columns is no block, and is counted as such
     block = f.expr("if(axis is null or block is null, encode('nothing', 'UTF-8'), block)").alias("block")
     whole = blocks.select(f.expr("coalesce(axis, '')").alias("axis"), block)
     grouped = whole.withColumn("shard", shard).groupBy("shard")
@@ -167,7 +167,7 @@ def stream_files(
 
 
 def settings_of(plan: StreamPlan, source: Path) -> StreamSettings:
-    """What may not change between two starts."""
+    """Settings that must not change between two starts."""
     pace = plan.pace
     return StreamSettings(plan.prepared.digest, plan.shards, pace.window, pace.every, str(source.resolve()))
 
@@ -246,7 +246,7 @@ def _find_keys(spark: SparkSession, shards: int) -> list[int]:
     """A key for each shard, by which Spark gives every shard a partition of its own: the least whole number whose hash
     is the number of the shard, modulo `shards`.
 
-    With as many partitions as shards, each partition has one shard. Numbers in order would leave a third of the
+    One partition for each shard. Numbers in order would leave a third of the
     partitions empty, and put several shards into others.
     """
     numbers = spark.range(TUNING.stream_tried * shards).selectExpr(

@@ -53,7 +53,7 @@ class _BlockReader(DataSourceStreamReader):  # type: ignore[misc]
         return {}
 
     def latestOffset(self, start: dict[str, int], limit: object) -> dict[str, int]:
-        """Where each file ends now, at the end of a block; what has only begun waits."""
+        """Size of each file up to its last whole block; a block that has only begun waits."""
         found = dict(start)
         for path in sorted(self._folder.glob("*.pmfb")):
             known = start.get(path.name, 0)
@@ -66,7 +66,7 @@ class _BlockReader(DataSourceStreamReader):  # type: ignore[misc]
         return [_Range(str(self._folder / name), first, last) for name, first, last in pairs if last > first]
 
     def read(self, partition: _Range) -> Iterator[tuple[Any, ...]]:
-        """What is no block is a row as well, so that the shards count it."""
+        """Invalid data also become a row, so that the shards count them."""
         with open(partition.path, "rb") as file:
             file.seek(partition.start)
             data = file.read(partition.end - partition.start)
