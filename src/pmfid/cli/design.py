@@ -177,7 +177,7 @@ def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, float]:
 
 @contextmanager
 def _infeasible_as_json(as_json: bool) -> Iterator[None]:
-    """Before the error goes on to its one line: what to relax, as an object."""
+    """Prints what to relax as a JSON object, before the error is shown in one line."""
     try:
         yield
     except PmfidError as error:

@@ -1,4 +1,4 @@
-"""What the terminal shows of a design and of a commissioning."""
+"""Tables of a design and of a commissioning for the terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def print_appraisal(appraisal: Appraisal, out: Path | None) -> None:
 
 
 def print_commissioning(state: Commissioning, out: Path | None) -> None:
-    """What is known after each round, and what is next."""
+    """The estimates after each round, and the next step."""
     from pmfid.report.design import rounds_table
 
     if state.rounds:

@@ -42,7 +42,7 @@ class CommandGroup(click.Group):
         except PmfidError as error:
             click.echo(f"pmfid: {printable(str(error))}", err=True)
             ctx.exit(error.exit_code)
-        except BrokenPipeError:  # the reader went away: what it has read is all that it wanted
+        except BrokenPipeError:  # the reader has closed the pipe and needs no more
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(0)
         except OSError as error:

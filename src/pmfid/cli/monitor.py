@@ -81,7 +81,7 @@ def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> 
 
 
 def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory, tell: _Teller) -> None:
-    """What came from a pipe is nowhere else: its page replaces no other."""
+    """Data of a pipe exist nowhere else, so the page of a pipe replaces no other page."""
     from pmfid.io.row_file import fresh, is_stream
     from pmfid.report.monitored import write_monitored
 
@@ -149,7 +149,7 @@ class _Teller:
             self._failed = self._failed or _report_failure(error)
 
     def start(self, setup: Setup, out: Path | None) -> None:
-        """What is watched and how, and where the estimates go."""
+        """Prints what is watched and how, and where estimates are written."""
         from pmfid.pipeline.monitored.setup import start_object
 
         self({**start_object(setup), "out": None if out is None else str(out)})

@@ -1,4 +1,4 @@
-"""What the terminal shows: the tables of results."""
+"""Tables of results for the terminal."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class MonitorConfig(FileSection):
     )
 
 
-#: Section, key, and whether the key is of a transfer function; otherwise it is of a machine with friction.
+#: Section, key, and whether the key belongs to a transfer function; otherwise it belongs to a machine with friction.
 _KEYS_OF_ONE_KIND = (
     ("record", "gap", True),
     ("record", "hold", True),

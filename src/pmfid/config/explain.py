@@ -171,7 +171,7 @@ def _models(section: str, name: str) -> str:
 
 def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[ReferenceEntry]:
     """What a word means among the known, None: those of AXIS.toml: a key with its section or without, a whole section,
-    or a word of a status, spaces for underscores. Raises UsageError with what it may have meant."""
+    or a word of a status, spaces for underscores. Raises UsageError with similar words."""
     wanted = re.sub(r"^\[(.+)\]\s*", r"\1.", word.strip()).rstrip(".").replace(" ", "_").replace("-", "_").lower()
     known = entries() if known is None else known
     if found := [entry for entry in known if wanted and wanted in entry.called]:
@@ -197,7 +197,7 @@ def page() -> str:
 
 
 def tables(known: Sequence[ReferenceEntry], about: Callable[[str], str]) -> list[str]:
-    """A table of the keys of each section, in Markdown; about: what stands above that of a section."""
+    """A Markdown table of the keys of each section. about: the text above the table of a section."""
     found = []
     for section in dict.fromkeys(entry.section for entry in known):
         rows = [entry for entry in known if entry.section == section]

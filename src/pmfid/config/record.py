@@ -146,7 +146,7 @@ class Sections:
 
 @dataclass(frozen=True)
 class Conversion:
-    """Factors to SI of u and y; kind: of axis, None if nothing determines it; notes: for people."""
+    """Factors to SI of u and y. kind: kind of the axis, None if nothing determines it; notes: sentences for people."""
 
     u: float
     y: float

@@ -50,7 +50,7 @@ def _units(of: str, factors: dict[str, float]) -> dict[str, Unit]:
     return {name: Unit(name, of, factor) for name, factor in factors.items()}
 
 
-#: What an output may be in, and what an input may be in.
+#: Units of outputs, and units of inputs.
 OUTPUTS = {
     **_units("length", _LENGTHS),
     **_units("angle", _ANGLES),
@@ -79,7 +79,7 @@ _LEAST_LETTERS = 2
 
 
 class Quantity(float):
-    """A number in SI, and the unit that it was written in."""
+    """A number in SI with the unit in which it was written."""
 
     unit: Unit
 

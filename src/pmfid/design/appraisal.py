@@ -1,4 +1,4 @@
-"""What an input is worth on machines around nominal."""
+"""Value of an input on machines around the nominal one."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Choice:
 def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
     """The best input for the problem of a design: that design, others with a larger least speed, or a standard input.
 
-    starts, seed: of the search for the others. Where the noise is not that of an
-    encoder it is taken for white, the start for unknown.
+    starts, seed: of the search for the others. Noise of another source than an encoder is taken as white, and the start
+    as unknown.
     """
     problem = design.problem
     inputs = {"design": design.u} | dict(_others(design, starts, seed))
@@ -56,8 +56,9 @@ def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
 def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floats | None]) -> str:
     """Name of the best of some inputs by their covariances (p, p), in the units of the parameters; None: no estimate.
 
-    Of those that leave every unknown parameter surely better known than the trapezoid does, the first with surely no
-    less than the largest value; the trapezoid where there is none. Without a trapezoid, all count.
+    The first input whose value is surely no less than the largest, among inputs that determine every unknown parameter
+    surely better than the trapezoid does. Without such an input, the trapezoid. Without a trapezoid, all inputs are
+    candidates.
     """
     usual = stds(problem, covariances.get(USUAL))
     scale = np.outer(problem.scale, problem.scale)
@@ -240,7 +241,7 @@ def _price_of_robustness(design: Design) -> float:
 
 
 def worth_of(ready: Setting, u: Floats) -> Worth:
-    """What one run of the input u (n,) tells."""
+    """Information from one run of the input u (n,)."""
     problem, maps = ready.problem, ready.maps[0]
     covariance = expected_covariance(problem, u)
     F = maps.information(u)

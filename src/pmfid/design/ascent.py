@@ -84,7 +84,7 @@ class Climber:
         return [here @ here.T + maps.prior for maps, here in zip(self.maps, s, strict=True)]
 
     def _blend(self, values: Floats) -> Floats:
-        """Log value of all cases together, from those of each, (cases, ...)."""
+        """Log value of all cases together, from the values of each case, (cases, ...)."""
         if len(values) == 1:
             return np.asarray(values[0])
         if not self.worst:
@@ -141,7 +141,7 @@ class Climber:
         return list(dict.fromkeys(s for n in TUNING.ascent_shifts if 0 < abs(s := n * max(1, round(size / 40))) < size))
 
     def _recall(self, value: float, u: Floats) -> tuple[float, Floats] | None:
-        """Where the search from this local optimum has ended before."""
+        """Whether an earlier search has ended at this local optimum."""
         scale = 0.02 * float(np.abs(u).max())
         for seen, where, best, best_u in self._known:
             if abs(seen - value) < TUNING.ascent_tolerance and np.abs(where - u).max() < scale:

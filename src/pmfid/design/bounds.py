@@ -204,7 +204,7 @@ class _BoundSearch:
         del node.seen[: -TUNING.bounds_remembered]
 
     def _turn(self, node: _Node) -> None:
-        """A new tangent, at the best mixture of what has been seen, where the present one is too high."""
+        """A new tangent at the best mixture of known inputs, if the present tangent is too high."""
         if len(node.seen) < 2 or time.thread_time() > self.until:
             return
         informations = np.array([self.maps.information(u) for u in node.seen])

@@ -1,4 +1,4 @@
-"""What counts leave unknown of a motion."""
+"""Uncertainty of a motion that is measured in counts."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     another start phase: what their counts leave open is as in `counted`, with sensitivities of the simulated motion. A
     motion that is the best for the nominal values may come to rest on another machine, and tell a hundredth: so the
     corners of what is not known are among the machines.
-    None if the noise is not that of an encoder, or if the run and the prior leave a parameter open.
+    None if the noise does not come from an encoder, or if run and prior do not determine a parameter.
     """
     ready = _informations(problem, u) if is_counted(problem) else None
     if ready is None:
@@ -305,7 +305,7 @@ def _informations(problem: Problem, u: ArrayLike) -> tuple[Floats, Floats] | Non
 
 
 def is_counted(problem: Problem) -> bool:
-    """Whether the noise is that of an encoder, on an axis that can be simulated."""
+    """Whether the noise comes from an encoder, on an axis that can be simulated."""
     return problem.resolution is not None and problem.noise_variance is None and problem.drive.friction == "symmetric"
 
 

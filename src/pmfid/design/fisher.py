@@ -103,7 +103,7 @@ def discretise(regime: Regime, dt: float) -> StateStep:
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """What is affine in the input u (K,) of a problem with p parameters, N samples and K intervals.
+    """Sensitivities that are affine in the input u (K,) of a problem with p parameters, N samples and K intervals.
 
     matrix (p N, K), offset (p N,): sensitivities in units of the noise's deviation, per scaled parameter; parameter by
     parameter. prior (p, p): prior information on the scaled parameters. scale (p,): what they are scaled with.

@@ -1,4 +1,4 @@
-"""What is asked of a design, and its result."""
+"""The design problem, and its result."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def check_positive(name: str, value: float | None) -> None:
         raise UsageError(f"limit {name} must be positive and finite, got {value}; leave it out where there is none")
 
 
-#: Of a drive, what no design takes.
+#: Fields of a drive that no design supports.
 NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late", "lag": "an input with a lag"}
 
 

@@ -48,7 +48,7 @@ class Commissioning:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What speaks against the estimate."""
+        """Findings against the estimate."""
         missing = self.rounds[-1].known.unexplained if self.rounds else 0.0
         if not missing:
             return ()
@@ -174,7 +174,7 @@ def redesign(
 ) -> Commissioning:
     """The estimate from recorded runs, and the design of the next run if a wanted deviation is not yet reached.
 
-    Without a wanted standard deviation there is always a next design. Raises as `sequential` does.
+    Without a target standard deviation, a next design always follows. Raises as `sequential` does.
     """
     _check_wanted(problem, wanted, 1)
     rounds = (Round(runs[-1], calibrate(problem, runs)),) if runs else ()
@@ -203,8 +203,8 @@ def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float
 def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.random.Generator) -> Experiment:
     """Return an experiment on a simulated drive, with stiction and the encoder.
 
-    The encoder starts at a random phase of its lattice. Without a resolution the noise is normal with the problem's
-    variance.
+    The encoder starts at a random phase of its lattice. Without a resolution, the noise is normal with the variance of
+    the problem.
 
     Parameters
     ----------

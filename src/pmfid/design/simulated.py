@@ -42,7 +42,7 @@ def simulated_information(
     """Fisher information (p, p) of one run over unknown + nuisance, in their own units, without the prior.
 
     u: (n,); step: change of each parameter as a part of its nominal value, > 0; side: 1 to change them upwards, -1
-    downwards, 0 both ways. Where the axis just fails to stop, or just stops, the sides differ.
+    downwards, 0 both ways. If the axis just stops, or just fails to stop, the two sides differ.
     Raises UsageError as `simulate` does.
     """
     columns = []

@@ -1,4 +1,4 @@
-"""Standard inputs to compare with."""
+"""Standard inputs for comparison."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()
 
 @dataclass(frozen=True, eq=False)
 class _Maker:
-    """What the standard inputs of one problem share."""
+    """Data that the standard inputs of one problem share."""
 
     problem: Problem
     inputs: InputSet

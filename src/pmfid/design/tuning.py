@@ -15,7 +15,7 @@ class DesignTuning:
     #: Least speeds over the one of the limits: the first two leave whole counts per sample, the others keep a machine
     #: moving that is heavier, or has more friction, than its data sheet says.
     appraisal_faster: tuple[float, ...] = (1.23, 1.57, 2.5, 4.0, 6.0)
-    #: Part of the claimed information below which a design is warned of.
+    #: Least part of the claimed information; a smaller part gives a warning.
     appraisal_survives: float = 0.95
 
     # ascent
@@ -55,7 +55,7 @@ class DesignTuning:
 
     # calibration
     max_evaluations: int = 200
-    #: Root mean square of the residual over that of the motion, from which the fit is refused.
+    #: Ratio of root mean squares, residual over motion, from which the fit is refused.
     worst_fit: float = 0.2
     #: Deviations that hold 95 % of a normal distribution.
     calibration_normal: float = 1.96
@@ -68,7 +68,7 @@ class DesignTuning:
     #: Steps towards the middle, and the part of it by which the last one still narrows the range.
     encoder_error_steps: int = 20
     encoder_error_settled: float = 1e-4
-    #: Distance from the middle along an axis [standard deviations] that is still possible if the ridge goes on.
+    #: Largest distance from the middle along an axis [standard deviations] at which a continuing ridge is searched.
     encoder_error_beyond: float = 4.0
     #: Each step along a ridge is longer than the last by this factor, or half as long if the last one left the ridge;
     encoder_error_longer: float = 1.5
@@ -98,7 +98,7 @@ class DesignTuning:
     count_walkers: int = 48
     #: One in encoder_error_checked walkers is checked.
     encoder_error_checked: int = 4
-    #: Counts that the map may be wrong by.
+    #: Largest error of the map [counts].
     encoder_error_lost: float = 0.05
     #: Rounds of the walk, each on a map around the last one's middle: steps to spread, steps that count.
     encoder_error_rounds: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] = ((100, 60), (60, 60), (60, 240))
@@ -147,7 +147,7 @@ class DesignTuning:
     standard_rounding: float = 1e-7
     #: Parts of what can be reached that legs with a free end try to cover.
     standard_shares: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.2)
-    #: Peak velocity [m/s] beyond which no profile is looked for.
+    #: Largest peak velocity [m/s] in the search for a profile.
     standard_fastest: float = 1e6
 
 

@@ -130,7 +130,7 @@ def _tustin_pole(pole: float, dt: float) -> float:
 
 
 def _stage_responses(pole: float, order: int) -> np.ndarray:
-    """Impulse responses (order, order samples) of the stages of `hold_exact`."""
+    """Impulse responses of the stages of `hold_exact`, (order, order) for `order` stages and samples."""
     responses = np.zeros((order, order))
     responses[0] = (1 - pole) * pole ** np.arange(order)
     for i in range(1, order):

@@ -201,7 +201,7 @@ def are_units(fields: Sequence[str]) -> bool:
 
 
 def _fit_line(line: list[str], fields: Sequence[str]) -> list[str]:
-    """The line if it has as many fields, or one less and the last field is empty; else an empty list."""
+    """The line if it has this number of fields, or one less and its last field is empty; else an empty list."""
     if len(line) == len(fields) - 1 and not fields[-1]:
         line = [*line, ""]
     return line if len(line) == len(fields) else []

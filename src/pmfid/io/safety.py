@@ -56,7 +56,7 @@ def require_extra(extra: str) -> Iterator[None]:
 
 
 def most_of(packed: int) -> int:
-    """Most bytes that `packed` bytes may unpack to."""
+    """Largest unpacked size [bytes] that `packed` bytes may have."""
     return max(MOST_BYTES, MOST_TIMES * packed)
 
 

@@ -133,7 +133,8 @@ def save_state(kernel: Kernel, precision: str) -> bytes:
 
 
 def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
-    """Sets the kernel's state to what `save_state` or firmware wrote. Raises UsageError for anything else."""
+    """Restores the state of the kernel from bytes that `save_state` or firmware wrote. Raises UsageError for anything
+    else."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     config = configuration(kernel, precision)

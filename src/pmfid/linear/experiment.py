@@ -45,7 +45,7 @@ class Grid:
 
     @property
     def reversed(self) -> Grid:
-        """The same with the last instant first."""
+        """The grid in reverse order."""
         return Grid(self.steps if isinstance(self.steps, float) else self.steps[::-1], self.size)
 
 
@@ -273,8 +273,8 @@ class Experiment(Presentable):
         return np.asarray(columns[:, :kept] @ response)
 
     def detrend(self) -> Experiment:
-        """About the operating point: without the means of input and output. What drifts in the output stays: a drift
-        that is taken out of the output, but not out of the input, is one of the process, too."""
+        """About the operating point: without the means of input and output. Drifts stay. To remove a drift from the
+        output alone would change the process."""
         return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
 
     detrended = rename_method("detrended", "detrend")

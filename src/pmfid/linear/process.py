@@ -72,8 +72,8 @@ class Process(Presentable):
     b : ndarray (m+1,)
         Coefficients of the numerator, from the constant upwards.
     cov : ndarray (n+m+1, n+m+1)
-        Covariance of a and b, with one row and column more if the delay was estimated, too. What is known, as a pole at
-        0, has no variance.
+        Covariance of a and b, with one row and column more if the delay was estimated, too. Known values, as a pole at
+        0, have no variance.
     delay : float
         [s].
 
@@ -98,7 +98,7 @@ class Process(Presentable):
 
     @classmethod
     def from_theta(cls, structure: Structure, theta: ArrayLike, cov: ArrayLike, delay: float) -> Process:
-        """From theta (p,) and its covariance (p, p); an offset is left out."""
+        """Makes the process from theta (p,) and its covariance (p, p), without the offset."""
         theta = np.asarray(theta, float)
         known, late = structure.integrators, structure.latest is not None
         rows = [*range(structure.free + structure.m + 1), *[theta.size - 1] * late]

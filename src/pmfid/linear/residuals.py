@@ -294,7 +294,7 @@ def _whiten_stretch(stretch: RecordStretch, weights: Floats) -> RecordStretch | 
 
 
 def places(problem: ProcessProblem) -> Places:
-    """(N,) where each measured sample of all stretches lies on a line of even steps."""
+    """(N,) positions of the measured samples of all stretches on one line of even steps."""
     found, start = [], 0
     for stretch in problem.stretches:
         found.append(start + stretch.rows)

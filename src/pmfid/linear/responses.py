@@ -81,7 +81,7 @@ def _places(grid: Grid, t: Floats, steps: Floats, dead_time: float) -> tuple[NDA
 
 
 def _advance_states(F: Floats, g: Floats, grid: Grid, x: Floats, w: Floats, slope: Floats, rest: Floats) -> Floats:
-    """x (n, channels, N) by the times `rest` (N,) further on."""
+    """The states x (n, channels, N) after the further times `rest` (N,)."""
     if grid.uniform:
         step = transition(F, g, Grid(float(rest[0]), 2))
         moved = product(step.phi, x.reshape(F.shape[0], -1)).reshape(x.shape)

@@ -33,7 +33,7 @@ class ProcessProblem:
 
     @property
     def without_reference(self) -> ProcessProblem:
-        """The same with the sensitivities to the input as it was."""
+        """The linearisation with the previous sensitivities to the input."""
         return replace(self, stretches=tuple(replace(stretch, inputs=stretch.inputs[:1]) for stretch in self.stretches))
 
 
@@ -78,7 +78,7 @@ def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoi
 
 
 def _regular(R: Floats) -> Floats:
-    """Where too few samples are left to tell all initial conditions, a small pivot becomes an infinite one."""
+    """If too few samples remain to determine all initial conditions, a small pivot becomes infinite."""
     pivots = np.abs(np.diagonal(R))
     dead = pivots < 1e-12 * max(float(np.max(pivots)), 1e-300)
     if not np.any(dead):
@@ -216,7 +216,7 @@ def small(point: ProcessPoint, step: Floats, settled: float = TUNING.solve_settl
 
 
 def solve(problem: ProcessProblem) -> Solution:
-    """From least squares by refinement; if that does not settle, by descent, and from other filters. With
+    """Refines the solution of least squares. If the refinement does not settle, descends, and tries other filters. With
     solve_several poles
     or more one of them may miss its resonance, so all filters are tried and the best solution counts."""
     best: Solution | None = None
@@ -360,7 +360,7 @@ def solve_dead_time(
 
 
 def _cost(problem: ProcessProblem, dead_time: float) -> float:
-    """What a few passes leave with this dead time."""
+    """The remaining cost after a few passes with this dead time."""
     fixed = replace(problem, structure=replace(problem.structure, dead_time=dead_time, latest=None))
     with np.errstate(all="ignore"):
         try:

@@ -58,13 +58,13 @@ class LinearTuning:
     #: Steps between the ends of a line and its beginning, on the circle of a transform, at least.
     residuals_round: int = 256
     residuals_lags: int = 25
-    #: Normal deviate of the bounds: 99 % of independent residuals lie within.
+    #: Normal deviate of the bounds, which contain 99 % of independent residuals.
     residuals_deviate: float = 2.576
     #: Two periods are the same if no input differs by more than this part of its range.
     residuals_same: float = 1e-6
     #: Samples around the first change of the input that a period must show again, before all are compared.
     residuals_look: int = 4
-    #: Samples of a period, at least, beyond the parameters: else there is nothing left to tell from.
+    #: Least number of samples of a period in excess of the parameters; with fewer, the residual says nothing.
     residuals_least: int = 8
     #: Lines on either side of a harmonic that it is compared with, at least, harmonics among them.
     residuals_around: int = 6

@@ -66,7 +66,7 @@ class Watching:
         return total
 
     def derive(self, own: Watched) -> None:
-        """What follows from the references."""
+        """Values that are derived from the references."""
         own.sigma[:] = self.sizes(own.theta)[:, None] * self._seen.sigma
         own.tolerance[:] = self.relative * np.abs(own.theta) / own.sigma
         known: dict[bytes, int] = {}
@@ -167,7 +167,7 @@ class WatchedAxis:
 
     @property
     def reference(self) -> Floats:
-        """(p,) parameters that deviations are measured from."""
+        """(p,) parameters from which deviations are measured."""
         return np.array(self._own.theta[0])
 
     @property

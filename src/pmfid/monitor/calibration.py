@@ -77,8 +77,8 @@ def resample_units(
 ) -> tuple[Floats, Floats]:
     """Units (runs, n, p) of pieces of `length` of a record x, w: (n, p), from random places.
 
-    Mean and standard deviation of each run come from a second record of the original length, drawn in the same way. So
-    their errors are those of such a record.
+    Mean and standard deviation of each run come from a second record of the original length, drawn in the same way.
+    Their errors are then as large as the errors of such a record.
     """
     drawn = _rows(len(x), shape, length, rng)
     learned = _rows(len(x), (shape[0], len(x)), length, rng)
@@ -136,7 +136,7 @@ def sum_blocks(blocks: Blocks, information: Floats, size: float) -> Blocks:
 
 
 def learn(blocks: Blocks, information: Floats) -> NormalWork:
-    """From the blocks of normal work and their (n,) information, in average blocks."""
+    """Learns normal work from its blocks and their information (n,), in average blocks."""
     found = _learn_units(
         units := sum_blocks(blocks, information, TUNING.calibration_sizes[0]), TUNING.calibration_sizes[0]
     )
@@ -271,7 +271,7 @@ class Calibration:
 
 
 def block_keep(estimator: Estimator) -> float:
-    """Discount of a block in the memory of the estimator; without forgetting that of 10 blocks."""
+    """Discount of a block in the memory of the estimator; without forgetting, the discount of a memory of 10 blocks."""
     forgetting = float(getattr(estimator, "forgetting", 1.0))
     return forgetting ** block_samples(estimator) if forgetting < 1 else 0.9
 

@@ -1,4 +1,4 @@
-"""What changed, by how much and since when: the one cause that explains the block scores best."""
+"""The one cause that explains the block scores best: its parameter, size and time."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def explain(
     was noticed then; friction: (p,) theta with 0 for parameters other than friction, if all friction may grow alike.
 
     The blocks use a motion simulated with the reference. It reverses at other instants than the changed plant, which
-    looks like a part of the change. The motion of the estimate reverses with the plant. So causes that the estimate
-    excludes are left out, and the size combines blocks and estimate.
+    looks like a part of the change. The simulated motion of the estimate reverses at the same time as the plant. So
+    causes that the estimate excludes are left out, and the size combines blocks and estimate.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + TUNING.cause_ridge * np.diag(np.diagonal(Z[0]))

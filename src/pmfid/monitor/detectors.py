@@ -37,7 +37,7 @@ class Detector(ABC):
 
     @abstractmethod
     def detection(self, p: int) -> Detection:
-        """What computes it for p parameters."""
+        """The recursion of the statistic for p parameters."""
 
     def start(self, shape: tuple[int, ...]) -> Floats:
         """The state (..., rows, p) before the first block; shape: (..., p) of x."""
@@ -133,7 +133,7 @@ def statistics(detector: Detector, x: Floats, w: Floats, tolerance: Floats) -> F
 
 
 def _run(detector: Detector, state: Floats, x: Floats, w: Floats, tolerance: Floats) -> Floats:
-    """The same from a state (..., rows, p), which goes on."""
+    """The statistic from a state (..., rows, p), which is updated."""
     *many, n, p = x.shape
     axes, blocks = int(np.prod(many)), (-1, n, p)
     tolerances = np.broadcast_to(tolerance, (*many, p)).reshape(axes, p)

@@ -162,7 +162,7 @@ class StateChange:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A sample that no motion explains; it is left out, and the watch goes on.
+    """A sample that no motion explains. The sample is left out, and monitoring continues.
 
     Attributes
     ----------

@@ -194,7 +194,7 @@ class MonitorFleet:
         return kept
 
     def _run_rows(self, index: Places, u: Floats, counts: Counts, rows: FleetRows) -> Flags:
-        """The same with rows for these axes alone. Axes that follow one another are computed in their place."""
+        """A copy with the rows of these axes only. Axes that follow one another are computed in their place."""
         every = self._all
         if index[-1] - index[0] == index.size - 1 and (np.diff(index) == 1).all():
             sampled = every.sampled.take_rows(slice(int(index[0]), int(index[-1]) + 1))
@@ -315,8 +315,8 @@ class MonitorFleet:
         return make_parts(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
-        """Resumes from saved states; the number of axes must be the same. Raises UsageError, and stays as it was, for
-        those of another configuration, damaged ones, and numbers that no sample could have made."""
+        """Resumes from saved states; the number of axes must be the same. States of another configuration, damaged
+        states, and impossible numbers raise UsageError and change nothing."""
         self._all = self._read(state)
 
     def _read(self, state: bytes) -> AxisStates:

@@ -221,7 +221,7 @@ class Monitor(WatchedAxis, Presentable):
         self._inputs.rebase(counts)
 
     def skip(self, samples: int) -> list[Event]:
-        """Passes over lost samples: time goes on and the filters settle again. Returns the events."""
+        """Skips lost samples: time advances, and the filters settle again. Returns the events."""
         few, events = min(samples, self._front.settle_samples), []
         for _ in range(few):
             events += self.step(float("nan"), 0)[1]

@@ -82,7 +82,7 @@ class AxisStates:
         return AxisStates(*again, self.disturbed.repeat_rows(times))
 
     def join_rows(self, other: AxisStates) -> AxisStates:
-        """These axes, then those of `other`."""
+        """The states of these axes, followed by the states of `other`."""
         parts = self.sampled.join_rows(other.sampled), self.watched.join_rows(other.watched)
         return AxisStates(*parts, self.disturbed.join_rows(other.disturbed))
 
@@ -93,7 +93,7 @@ def write_states(saved: AxisStates, config: int) -> bytes:
 
 
 def make_parts(saved: AxisStates, config: int) -> list[memoryview]:
-    """The same bytes in parts, still without the checksum; all parts but the first are the arrays themselves."""
+    """The saved bytes in parts, without the checksum. All parts but the first are the arrays themselves."""
     parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: Status bits of samples that are not used.
 UNUSABLE = int(Status.SETTLING | Status.SAMPLE_REJECTED)
-#: The same for an axis with unmodelled static friction: the axis rests while its model creeps on.
+#: The scores for an axis with unmodelled static friction: the axis rests while its model still creeps.
 UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
 
 
@@ -140,13 +140,13 @@ class ScoreFilter:
         return self.kernel.score(u, counts, self.scoring.numbers, self.theta, self.sums[0], self.progress[0])
 
     def sample(self, u: float, count: int) -> tuple[Floats | None, NDArray[np.uint8]]:
-        """The same of one sample; None: the block is not whole yet."""
+        """Adds one sample. Returns None while the block is incomplete."""
         self._u[0], self._count[0] = u, count
         rows, lost = self.rows(self._u, self._count)
         return (rows if len(rows) else None), lost
 
     def run(self, u: Floats, counts: NDArray[np.int64]) -> Blocks:
-        """The same; blocks while the filter waits are set to 0."""
+        """The scores of blocks, which are 0 while the filter waits."""
         rows, lost = self.rows(np.ascontiguousarray(u), np.ascontiguousarray(counts))
         used = np.empty(len(rows))
         for k in range(len(rows)):
@@ -202,7 +202,7 @@ def make_scale(blocks: Blocks) -> Scale:
     return Scale(inverse, w.mean(axis=0), np.sqrt((x**2).mean(axis=0)))
 
 
-#: What follows from other arrays, and is not saved.
+#: Arrays that are derived from others and are not saved.
 DERIVED = {"saved": False}
 
 
@@ -238,7 +238,7 @@ class RowArrays:
         return type(self)(**{name: np.repeat(part, times, axis=0) for name, part in self.parts()})
 
     def join_rows(self, other: Self) -> Self:
-        """These rows, then those of `other`."""
+        """These rows, followed by the rows of `other`."""
         return type(self)(**{name: np.concatenate([part, getattr(other, name)]) for name, part in self.parts()})
 
 

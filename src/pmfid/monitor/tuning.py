@@ -52,12 +52,13 @@ class MonitorTuning:
     hours_per_mtbf: float = 4.0
     least_hours: float = 20.0
     most_hours: float = 100.0
-    #: Maxima that the line through the tail is fitted to.
+    #: Number of maxima to which the line of the tail is fitted.
     calibration_tail: int = 100
     #: Difference of a record's noise from the simulated noise, in standard errors, from which the record's noise is
     #: used.
     calibration_noisier: float = 3.0
-    #: Hours of resampled work for one hour of simulated work, and the number of runs that these hours are drawn in.
+    #: Hours of resampled work for each hour of simulated work, and the number of runs into which these hours are
+    #: divided.
     calibration_resampled: float = 4.0
     calibration_runs: int = 64
     #: Parts of a record whose thresholds are compared, and how much rarer than asked alarms are made at most, by what
@@ -115,7 +116,7 @@ class MonitorTuning:
     #: Time until the model's velocity is the plant's, in the plant's time constants, and the most blocks of it.
     start_time_constants: float = 4.0
     most_start_blocks: int = 60
-    #: Units that an alarm looks back on.
+    #: Number of past units that an alarm examines.
     look_back: int = 64
 
 

@@ -1,1 +1,1 @@
-"""From the columns of a file to a record: clock, counts, gaps, wrong samples."""
+"""Makes records from the columns of a file: clock, counts, gaps, wrong samples."""

@@ -372,7 +372,7 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
 
 
 def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
-    """Places and period for stamps that scatter by chance, from places (n,) that are nearly right."""
+    """Sample numbers and period for stamps that scatter by chance, from approximate sample numbers (n,)."""
     for _ in range(TUNING.clock_turns):
         period, start = np.polyfit(places, time - time[0], 1)
         at = (time - time[0] - start) / period

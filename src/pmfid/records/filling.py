@@ -81,7 +81,7 @@ class FilledMachine(Body):
     """A model with its parameters, and the quantities of it that fill a gap."""
 
     def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
-        """Position [counts] from 0 and velocity [counts/s], (n,), from a speed [counts/s] on."""
+        """Position [counts] from 0 and velocity [counts/s], (n,) each, after a start at a speed [counts/s]."""
         velocity = self.speeds(u, speed)[0]
         return np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
 
@@ -97,7 +97,7 @@ class FilledMachine(Body):
 
 
 def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
-    """Input and counts (n,) with missing samples filled by the motion. The present values are those of `fill_gaps`. An
+    """Input and counts (n,) with missing samples filled by the motion. The present values come from `fill_gaps`. An
     input that is NaN stays NaN, and becomes NaN if the motion determines it better. None if the record identifies no
     motion."""
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)

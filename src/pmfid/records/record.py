@@ -165,7 +165,7 @@ class Record:
 
     @property
     def times(self) -> Floats:
-        """(n,) of the samples [s], from 0 on."""
+        """(n,) times of the samples [s], from 0."""
         if self.steps is None:
             return np.arange(self.u.size, dtype=np.float64) * self.dt
         return np.append(0.0, np.cumsum(self.steps.before[1:]))
@@ -308,7 +308,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
 def _own_record(
     own: OwnSamples, steps: SampleSteps, u_scale: float, y_scale: float, quantize: float | None, axis: Axis
 ) -> Record:
-    """The record at its own instants; scales: of input and output."""
+    """The record at its own instants. scales: factors of input and output."""
     kind, resolution = axis.record.output_kind, axis.encoder.resolution
     y = _scale_column(np.rint(own.y) if kind == "counts" else own.y, y_scale, "the unit of the output")
     counts = counts_of(y, axis)[0]

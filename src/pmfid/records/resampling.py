@@ -73,7 +73,7 @@ def _drifts(steps: Floats) -> bool:
     """Do the halves of a record differ in the mean of their steps (n,) by more than chance?"""
     half = steps.size // 2
     first, last = (float(np.mean(part)) for part in (steps[:half], steps[half:]))
-    scatter = float(np.std(np.diff(steps)))  # of neighbours, which a drift hardly shows in
+    scatter = float(np.std(np.diff(steps)))  # differences of neighbours, which a drift hardly changes
     chance = TUNING.most_by_chance * scatter / np.sqrt(half)
     return bool(abs(first - last) > TUNING.resampling_same_period * float(np.mean(steps)) + chance)
 

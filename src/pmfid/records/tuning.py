@@ -45,8 +45,8 @@ class RecordTuning:
     clock_turns: int = 5
     #: Least part of the steps of a grid that are single periods.
     clock_single: float = 0.3
-    #: Steps beyond the median that tell missing lines from rounded stamps: of a pause or two the output says too
-    #: little.
+    #: Least number of long steps for a distinction of missing lines and rounded stamps. After one or two pauses the
+    #: output says too little.
     long_steps: int = 5
     #: Longest gap on the grid [samples]. Longer gaps are shortened: the motion restarts after a gap of any length.
     clock_longest: int = 1000
@@ -65,7 +65,7 @@ class RecordTuning:
     #: Error of the velocity at an event by wrong parameters, as a part of the root mean square velocity: before and
     #: after the inputs are found.
     filling_wrong: tuple[float, float] = (1e-2, 1e-3)
-    #: The same of the position [counts].
+    #: The same limit for the position [counts].
     filling_shift: float = 0.1
     #: Interval of further events, in filter time constants and in samples: a deviation is as smooth as the motion.
     filling_often: float = 2.0

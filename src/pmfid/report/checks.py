@@ -1,4 +1,4 @@
-"""What a report shows of the model's checks."""
+"""The section of a report on the checks of the model."""
 
 from __future__ import annotations
 
@@ -148,8 +148,8 @@ __all__ = [
 def model_checks(result: DriveResult) -> list[Section]:
     """Sections on the fit of the model at the result's theta; of a recursive method the last one.
 
-    With a forgetting factor below 1 only the last three memories of the record are judged. Where the parameters are
-    none of a drive (a mass that is not positive), or nothing can be simulated, one section says so.
+    With a forgetting factor below 1 only the last three memories of the record are judged. If the parameters are
+    impossible for a drive, as a mass that is not positive, or nothing can be simulated, one section says so.
     """
     try:
         theta = result.theta[: len(result.estimator.names)]  # without a gain of the input that was found

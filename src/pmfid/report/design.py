@@ -135,7 +135,7 @@ def write_design(out: Path, appraisal: Appraisal) -> None:
 
 
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
-    """Columns t, u, x, v at the nodes; the input of a row holds until the next one, that of the last row is 0."""
+    """Columns t, u, x, v at the nodes. The input of a row holds until the next row; the last input is 0."""
     rows = zip(t.tolist(), [*u.tolist(), 0.0], x.tolist(), v.tolist(), strict=True)
     lines = ["t,u,x,v", *(",".join(repr(round(value, 12)) for value in row) for row in rows)]
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")

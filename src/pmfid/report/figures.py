@@ -27,7 +27,7 @@ from pmfid.types import Flags, Floats
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
 MAGENTA = "#CC0099"
 GREY = "#777777"
-#: With these bits set an estimate is not to be relied on.
+#: An estimate with one of these bits is unreliable.
 DOUBTFUL = Status.POOR_EXCITATION | Status.COMPENSATION_HELD
 NO_ESTIMATE = Status.STARTING | Status.SETTLING
 
@@ -64,7 +64,8 @@ def figure_style() -> Iterator[None]:
 
 @contextmanager
 def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any) -> Iterator[tuple[Figure, list[Axes]]]:
-    """A figure in that style, `height` inches high, and its panels, row by row; subplots: of `Figure.subplots`."""
+    """A figure in the style of reports, `height` inches high, and its panels, row by row. subplots: arguments of
+    `Figure.subplots`."""
     with figure_style():
         figure = Figure(figsize=(TUNING.figures_width, height), layout="constrained")
         yield figure, list(figure.subplots(rows, columns, squeeze=False, **subplots).ravel())

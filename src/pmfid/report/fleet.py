@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 #: Colours of the verdicts, and of the quality of a period, worst first.
 KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0], "wanders": COLOURS[5]}
-#: The same without colours, and the lines of parameters that lie on one another.
+#: The map without colours, and the overlaid lines of parameters.
 MARKERS = {"changed": "o", "drifts": "^", "differs": "s", "wanders": "d"}
 LINES = (("-", "o"), ("--", "^"), (":", "s"), ("-.", "d"))
 MAP = {"change": COLOURS[1], "no estimate": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}

@@ -24,7 +24,7 @@ from pmfid.report.tuning import TUNING
 def replace_file(path: Path, data: bytes) -> None:
     """Writes `data` in place of what was at the path; a link is replaced, not followed; a device is written to.
 
-    Raises OSError if that cannot be: then the file is what it was.
+    Raises OSError if this fails; then the file is unchanged.
     """
     if path.exists() and not path.is_file():
         path.write_bytes(data)
@@ -54,7 +54,7 @@ class Section:
     heading, text: plain text, an empty line in the text starts a new paragraph; table: (header, rows), numbers
     are shown with 4 digits, text as it is; svg: an <svg> element as from `svg`, embedded as it is; first: it stands
     above text and table, not below them; code: lines of a file, as they are.
-    Raises UsageError if a row of the table has not as many cells as the header.
+    Raises UsageError if the number of cells in a row differs from the header.
     """
 
     heading: str
@@ -132,5 +132,5 @@ def _is_number(text: str) -> bool:
 
 
 def _own_ids(svg: str, prefix: str) -> str:
-    """Put a prefix before each id: two figures on a page number their elements alike."""
+    """Puts a prefix before each id, because two figures on a page use the same numbers for their elements."""
     return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{prefix}", svg)

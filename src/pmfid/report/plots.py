@@ -117,8 +117,8 @@ class Drawing(Figure):
 
 
 def figure_of(shown: object, **options: object) -> Drawing:
-    """The figure of a result; options: the keywords of the function for its kind below. Raises UsageError for others,
-    and for what has no figure."""
+    """The figure of a result; options: the keywords of the function for its kind below. Raises UsageError for other
+    names, and for results without a figure."""
     try:
         figure = _draw(shown, **options)
     except TypeError as error:
@@ -136,8 +136,8 @@ def _draw(shown: object) -> Figure:
 
 @_draw.register
 def _drive(result: DriveResult) -> Figure:
-    """The estimates over time of a recursive method, else how the simulation follows the motion; where nothing can be
-    simulated, the motion."""
+    """The estimates of a recursive method over time. For other methods, the simulated and the measured motion; if
+    nothing can be simulated, the measured motion."""
     if result.track is not None:
         return estimate_figure(result.record.times, result.track)
     try:
@@ -223,7 +223,7 @@ def _design(design: Design) -> Figure:
 
 @_draw.register
 def _appraisal(appraisal: Appraisal) -> Figure:
-    """The same of all inputs."""
+    """The figure of all inputs."""
     return designed_figure(appraisal.design.problem, motions_of(appraisal))
 
 

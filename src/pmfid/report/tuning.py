@@ -53,7 +53,7 @@ class ReportTuning:
     # plots
     #: Axes of a fleet that are drawn one by one.
     plots_most_axes: int = 50
-    #: Of a figure in a notebook: 9 inches are 900 pixels.
+    #: Resolution of a figure in a notebook: 9 inches are 900 pixels.
     plots_dpi: int = 100
 
     # result

@@ -324,7 +324,7 @@ def _check_lattice(dt: float, resolution: float, phase: float) -> None:
 
 #: Runge-Kutta steps per sample, on each side of the input's switch.
 STEPS = 10
-#: What the integration knows of a machine as constants.
+#: Constants of a machine in the integration.
 _BODY = ("mass", "viscous", "coulomb", "gain", "offset", "stribeck", "stribeck_speed", "quadratic", "asymmetry",
          "stiffness", "gravity", "gravity_angle", "cogging", "cogging_pitch", "cogging_phase", "uneven",
          "uneven_period")  # fmt: skip

@@ -48,7 +48,7 @@ COUNT_LIMIT = 2**53
 class Faults:
     """Faults of an encoder; none by default.
 
-    The same seed gives the same faults. Edges inside one sample follow from its net travel.
+    Equal seeds give equal faults. Edges inside one sample follow from its net travel.
 
     Parameters
     ----------

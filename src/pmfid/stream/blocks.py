@@ -116,7 +116,7 @@ def encode(block: Block) -> bytes:
     refused = problem_of(block, u, counts)
     if refused is not None:
         raise UsageError(f"a receiver would refuse this block: {refused.problem}")
-    with np.errstate(over="ignore"):  # what has no float32 is sent as float64
+    with np.errstate(over="ignore"):  # values beyond float32 are sent as float64
         single, short = u.astype(U[0]), counts.astype(COUNTS[0])
     wide_u, wide_counts = not ((single == u) | np.isnan(u)).all(), not (short == counts).all()
     flags = WIDE_U * wide_u | WIDE_COUNTS * wide_counts
