@@ -53,7 +53,7 @@ def bcrls(resolution: float, precision: str) -> pmfid.BCRLS:
     return pmfid.BCRLS(pmfid.Drive(2.0), encoder, 0.01, 50.0, forgetting=0.99, precision=precision)
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.long)])
 def test_a_heavier_load_raises_the_alarm(precision: str, tmp_path: Path) -> None:
     scenario = make_scenario("mass-step", seed=3, increments=1024, duration=60.0)
     u, counts = scenario.motion.u, scenario.counts

@@ -24,6 +24,7 @@ from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from pmfid.report.fleet import write_fleet
 from studies.fleet_data import AXIS_TOML, DT, Change, Machine, machines, rows
+from tests.conftest import long_unless
 from tests.tuned import set_tuning
 
 AXES, SAMPLES, HALF = 12, 60_000, 300.0
@@ -138,7 +139,9 @@ def in_arrow(log: pl.DataFrame, folder: Path) -> None:
     log[log.height // 2 :].with_columns(pl.col("counts").cast(pl.String)).write_parquet(folder / "b.parquet")
 
 
-@pytest.mark.parametrize("layout", [by_axis, by_time, in_arrow], ids=lambda layout: layout.__name__)
+@pytest.mark.parametrize(
+    "layout", long_unless([by_axis, in_arrow].__contains__, [by_axis, by_time, in_arrow]), ids=lambda one: one.__name__
+)
 def test_partitions_order_and_threads_leave_the_bytes(
     log: pl.DataFrame, config: Path, plain: History, layout: Layout, tmp_path: Path
 ) -> None:

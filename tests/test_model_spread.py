@@ -108,6 +108,7 @@ def test_a_method_with_an_error_of_its_own_has_it_in_the_interval() -> None:
     assert np.all(off <= DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result)))
 
 
+@pytest.mark.long
 def test_squares_that_a_parked_axis_misleads_have_it_in_the_interval() -> None:
     """Of four seeds this one: viscous friction 1.6 % off by output error, with an error bar of 0.07 %; the interval
     likelihood of the same motion knows better."""

@@ -59,7 +59,13 @@ def needs(target: Target) -> pytest.MarkDecorator:
     return pytest.mark.skipif(bool(target.missing), reason=target.missing)
 
 
-@pytest.mark.parametrize("target", [pytest.param(one, marks=needs(one), id=one.name) for one in (GCC, M7)])
+@pytest.mark.parametrize(
+    "target",
+    [
+        pytest.param(GCC, marks=needs(GCC), id=GCC.name),
+        pytest.param(M7, marks=[needs(M7), pytest.mark.long], id=M7.name),
+    ],
+)
 def test_a_state_goes_from_firmware_through_everything_and_back(
     prepared: Prepared, tmp_path: Path, target: Target
 ) -> None:

@@ -105,7 +105,7 @@ def test_directional_friction_is_named_with_its_size(directional: TermSearch) ->
         ("prbs", {"dead_time": 1e-3}, {"dead_time": "estimate"}),
         ("stop-and-go", {"stribeck": 0.02, "stribeck_speed": 0.6}, {"stribeck": "estimate"}),
         pytest.param("stop-and-go", {"dead_time": 1e-3}, {"dead_time": "estimate"}, marks=pytest.mark.long),
-        ("stop-and-go", {"stiffness": 0.01}, {"spring": True}),
+        pytest.param("stop-and-go", {"stiffness": 0.01}, {"spring": True}, marks=pytest.mark.long),
     ],
 )
 def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[str, object]) -> None:
@@ -229,6 +229,7 @@ def test_a_term_that_another_has_made_superfluous_is_dropped() -> None:
     assert rms(found.chosen.difference(found.chosen.best.q)) < 0.5
 
 
+@pytest.mark.long
 def test_another_record_may_be_what_is_to_be_predicted() -> None:
     record, second = made(asymmetry=0.15), made(seed=12, asymmetry=0.15)
     found = searched(record, other=(second.u, second.counts))

@@ -65,7 +65,7 @@ BY_ROWS = (".xlsx", ".wpilog", ".mcap", ".db3")
 
 
 @pytest.mark.parametrize(
-    "suffix", long_unless((".csv", ".parquet", ".h5").__contains__, [one for one in SUFFIXES if one not in BY_ROWS])
+    "suffix", long_unless((".csv", ".h5").__contains__, [one for one in SUFFIXES if one not in BY_ROWS])
 )
 def test_a_column_takes_a_few_times_its_size(tmp_path: Path, suffix: str) -> None:
     path, u = tmp_path / f"run{suffix}", np.arange(ROWS) % 7 / 8
@@ -127,7 +127,7 @@ def test_every_format_is_tried_here() -> None:
     assert {Path(name).suffix for name in BOMBS} == set(SUFFIXES) - set(PLAIN)
 
 
-@pytest.mark.parametrize("name", BOMBS)
+@pytest.mark.parametrize("name", long_unless(lambda name: name not in ("list.parquet", "cells.xlsx"), BOMBS))
 def test_a_bomb_is_refused_before_it_goes_off(tmp_path: Path, name: str) -> None:
     write, what = BOMBS[name]
     write(tmp_path / name)
