@@ -41,7 +41,7 @@ OTHER_SEEDS = {"saturated input": 3}
 UNREADABLE, JUDGED = "counts as position", "dead time"
 SEEN = [fault for fault in FAULTS if fault not in (UNREADABLE, JUDGED)]
 #: Of each severity, of the log and of the model.
-SAID = ("reversed sign", "saturated input", "clipped counter", "stuck counter", "sample rate too high")
+SAID = ("reversed sign", "clipped counter", "sample rate too high")
 
 
 @cache

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pandas as pd
 import polars as pl
 import pytest
 
@@ -46,18 +47,27 @@ class Capsule:
         return self.frame.__arrow_c_stream__(requested_schema)
 
 
-FRAMES = {
-    "dict": COLUMNS,
-    "pandas": pd.DataFrame(COLUMNS),
-    "polars": pl.DataFrame(COLUMNS),
-    "arrow": Capsule(pl.DataFrame(COLUMNS)),
-    "lists": {name: values.tolist() for name, values in COLUMNS.items()},
-    "pandas moments": pd.DataFrame(COLUMNS | {"t": pd.date_range("2026-03-04", periods=800, freq="10ms", tz="UTC")}),
-    "polars moments": pl.DataFrame(
-        COLUMNS | {"t": [START + datetime.timedelta(milliseconds=10 * k) for k in range(800)]}
-    ),
-    "pandas nullable": pd.DataFrame(COLUMNS).convert_dtypes(),
-}
+FRAMES = ("dict", "pandas", "polars", "arrow", "lists", "pandas moments", "polars moments", "pandas nullable")
+
+
+@cache
+def frames() -> dict[str, Any]:
+    import pandas as pd
+
+    return {
+        "dict": COLUMNS,
+        "pandas": pd.DataFrame(COLUMNS),
+        "polars": pl.DataFrame(COLUMNS),
+        "arrow": Capsule(pl.DataFrame(COLUMNS)),
+        "lists": {name: values.tolist() for name, values in COLUMNS.items()},
+        "pandas moments": pd.DataFrame(
+            COLUMNS | {"t": pd.date_range("2026-03-04", periods=800, freq="10ms", tz="UTC")}
+        ),
+        "polars moments": pl.DataFrame(
+            COLUMNS | {"t": [START + datetime.timedelta(milliseconds=10 * k) for k in range(800)]}
+        ),
+        "pandas nullable": pd.DataFrame(COLUMNS).convert_dtypes(),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +81,7 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_frame_is_the_same_record(kind: str, axis: Path) -> None:
     from pmfid.config.axis import load_axis
 
-    record = record_of(table_of(FRAMES[kind]), load_axis(axis))
+    record = record_of(table_of(frames()[kind]), load_axis(axis))
     np.testing.assert_array_equal(record.u, RUN.u)
     np.testing.assert_array_equal(record.counts, RUN.counts)
     assert record.dt == pytest.approx(0.01, rel=1e-9)
@@ -80,13 +90,15 @@ def test_every_frame_is_the_same_record(kind: str, axis: Path) -> None:
 def test_identify_takes_a_frame_a_file_and_an_axis(axis: Path, tmp_path: Path) -> None:
     pl.DataFrame(COLUMNS).write_parquet(tmp_path / "run.parquet")
     with unjudged():
-        first = pmfid.identify(FRAMES["pandas"], axis=axis)
+        first = pmfid.identify(frames()["pandas"], axis=axis)
         assert first["mass"] == pytest.approx(1.07, rel=0.03)
-        for record in (FRAMES["arrow"], tmp_path / "run.parquet", str(tmp_path / "run.parquet")):
+        for record in (frames()["arrow"], tmp_path / "run.parquet", str(tmp_path / "run.parquet")):
             np.testing.assert_array_equal(pmfid.identify(record, axis=str(axis)).theta, first.theta)
 
 
 def test_epochs_in_ns_keep_their_digits_and_missing_numbers_are_missing() -> None:
+    import pandas as pd
+
     epoch = 1_772_582_400_000_000_000 + 10_000_000 * np.arange(5)
     stamps, _ = times(table_of(pd.DataFrame({"t": epoch})), "t")
     np.testing.assert_allclose(np.diff(stamps), 1e7, atol=256)
@@ -99,7 +111,7 @@ def test_what_is_no_frame_is_refused(axis: Path) -> None:
         with pytest.raises(UsageError, match="a record is a frame of pandas, Polars or Arrow, a dict of arrays or"):
             pmfid.identify(wrong, axis=axis)
     with pytest.raises(UsageError, match="axis says everything but the record"):
-        pmfid.identify(FRAMES["dict"], axis=axis, dt=0.01)
+        pmfid.identify(frames()["dict"], axis=axis, dt=0.01)
     with pytest.raises(UsageError, match="neither model nor axis is given"):
         pmfid.identify(RUN.u, RUN.counts, dt=0.01)
 

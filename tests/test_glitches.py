@@ -220,7 +220,7 @@ def test_side_by_side_each_axis_has_its_own_bits(cls: Any, precision: str, way: 
 @pytest.mark.parametrize(
     ("cls", "guard", "target"),
     long_unless(
-        lambda cls, guard, target: guard and cls is (RIV if target is GCC else BCRLS),
+        lambda cls, guard, target: guard and cls is RIV and target is GCC,
         product([RIV, BCRLS], [True, False], [GCC, M4F]),
     ),
     ids=lambda value: value.name if isinstance(value, Target) else None,

@@ -56,12 +56,12 @@ def searched(record: Made, **settings: object) -> TermSearch:
 
 @pytest.fixture(scope="module")
 def directional() -> TermSearch:
-    return searched(made(asymmetry=0.15))
+    return searched(made(samples=2000, asymmetry=0.15))
 
 
 def test_a_search_shows_itself(directional: TermSearch) -> None:
     lines = repr(directional).splitlines()
-    assert lines[0] == f"record, {SAMPLES} samples. {directional.sentence}"
+    assert lines[0] == f"record, 2000 samples. {directional.sentence}"
     assert len(lines) < 12
     assert [line.split(":")[0].strip() for line in lines[1 : 1 + len(directional.models)]] == [
         model.label for model in directional.models
