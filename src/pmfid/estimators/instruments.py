@@ -128,13 +128,12 @@ class Instruments(ProcessSolver, Simulating):
         if self.equation.dead_time == ESTIMATE:
             return self._start_late(self.model.replace_dead_time, TUNING.instruments_tried, u, counts, bounded)
         batch = like(BCLS, self, model=self.model.simple)
-        if bounded:
+        found = None if bounded else batch.fit(u, counts).theta
+        if found is None or not found[batch.equation.leading] > 0:
             positive = np.array(batch.equation.positive)
             if (stiffness := batch.equation.roles[STIFFNESS]) is not None:
                 positive[stiffness] = True
             found = solve_bounded(batch.columns(u, counts), positive)
-        else:
-            found = batch.fit(u, counts).theta
         theta = spread(batch.equation.role_values(found), self.equation)
         for term in batch.equation.shaped:
             theta[self.names.index(str(term.name))] = found[batch.names.index(str(term.name))]

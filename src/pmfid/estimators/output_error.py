@@ -213,7 +213,7 @@ class Following(Simulating, BatchEstimator):
             columns, theta = first.settle_iteration(u, counts)
         except NotIdentifiableError:
             batch = like(BCLS, self, model=self.model.simple)
-            check_identifiable(batch.columns(u, counts), batch.names)
+            check_identifiable(batch.columns(u, counts), batch.names, TUNING.motion_apart**2)
             theta = first.start(u, counts, bounded=True)
             columns = first.columns_at(theta, u, counts)
         return theta, columns.status

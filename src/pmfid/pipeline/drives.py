@@ -28,7 +28,7 @@ from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.ls import LS
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Fit, Track, join_tracks
@@ -285,7 +285,8 @@ def _estimate(
     batch = _batch_twin(estimator)
     seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _needs_simulation(estimator) else batch
     columns = seen.columns(record.u, record.counts)
-    check_identifiable(columns, seen.names, seen.least_part)
+    simulates = isinstance(batch, Following)  # the whole motion shows more than the filtered equation
+    check_identifiable(columns, seen.names, ESTIMATOR_TUNING.motion_apart**2 if simulates else seen.least_part)
     known = known_of(axis, estimator)
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress, known, axis)
