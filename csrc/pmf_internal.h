@@ -126,6 +126,8 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
 #endif
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
+/* What each step computes before it reads it is zero in what is saved. */
+void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state);
 /* Byte-wise, too: an assignment need not copy the padding, which a checksum covers. */
 void pmf_copy(const void *from, void *to, uint32_t size);
 

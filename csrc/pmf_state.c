@@ -30,6 +30,49 @@ static uint32_t checksum(const pmf_saved_t *saved)
     return pmf_crc32(pmf_crc32(0U, head, (uint32_t)sizeof head), &saved->state, (uint32_t)sizeof saved->state);
 }
 
+/* Do all stages compute their nodes from nodes of the same step? */
+static uint32_t computes_nodes(const pmf_network_config_t *network)
+{
+    uint32_t i;
+    for (i = 0; i < network->n_stages; ++i) {
+        if (network->stage[i].source >= PMF_SIGNALS + i) {
+            return 0U;
+        }
+    }
+#if PMF_WITH_STEPS
+    return network->n_rates == 0U;
+#else
+    return 1U;
+#endif
+}
+
+void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state)
+{
+    real_t *node = state->network.node;
+    uint32_t keeps = 0U, models = 0U, size = (uint32_t)sizeof *node;
+#if PMF_WITH_LINEAR
+    keeps |= config->linear.enabled;
+#endif
+    if (keeps == 0U) {
+        pmf_clear(state->network.column, (uint32_t)sizeof state->network.column);
+    }
+    if (computes_nodes(&config->network) != 0U) {
+        pmf_clear(&node[PMF_SIGNALS], PMF_MAX_STAGES * size);
+    }
+#if PMF_WITH_PROCESS
+    keeps |= config->encoder.process;
+#endif
+#if PMF_WITH_DEAD_TIME
+    keeps |= config->late.room;
+#endif
+#if PMF_WITH_AUXILIARY
+    models = config->auxiliary.enabled; /* it may rest */
+#endif
+    if (keeps == 0U) {
+        pmf_clear(node, (models != 0U ? (uint32_t)PMF_AUXILIARY : (uint32_t)PMF_SIGNALS) * size);
+    }
+}
+
 void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved)
 {
     saved->magic = PMF_STATE_MAGIC;
@@ -38,6 +81,7 @@ void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t 
     saved->size = (uint32_t)sizeof *saved;
     saved->config = pmf_crc32(0U, config, (uint32_t)sizeof *config);
     pmf_copy(state, &saved->state, (uint32_t)sizeof *state);
+    pmf_clear_computed(config, &saved->state);
     saved->checksum = checksum(saved);
 }
 

@@ -13,8 +13,8 @@ import pytest
 
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.kernel.saved import FLEET_HEAD, _checksum, configuration, shape_of
-from pmfid.kernel.structures import structures
+from pmfid.kernel.saved import FLEET_HEAD, OLDER, _checksum, configuration, fleet_head, shape_of
+from pmfid.kernel.structures import structures, whole_words
 from tests.conftest import long_unless
 from tests.firmware.build import GCC
 from tests.hostile.crafted import LAGS, attack, estimators, folder_of, leaves, program
@@ -165,3 +165,40 @@ def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> Non
     outcome = attack(program(estimator, place, tmp_path), folder_of(estimator, place, tmp_path / "files"), 300, 1)
     assert outcome.report == ""
     assert 100 < outcome.taken < 300
+
+
+@pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.RIV])
+def test_a_fleet_continues_from_a_state_of_the_version_before(cls: type) -> None:
+    """Which had also what each step computes again."""
+    u, counts = fleet_record()
+    fleet, other = pmfid.Fleet(make(cls), AXES), pmfid.Fleet(make(cls), AXES)
+    fleet.run(u, counts)
+    kernel = fleet._many.kernel
+    older = kernel.repack(kernel.states, OLDER, whole_words("float64"), back=True)
+    assert older.shape[1] > 1.2 * kernel.states.shape[1]
+    head = fleet_head(kernel, "float64")
+    head["version"], head["size"] = OLDER, older.shape[1]
+    head["checksum"] = zlib.crc32(older.tobytes(), zlib.crc32(head.tobytes()[:-4]))
+    other.set_state(head.tobytes() + older.tobytes())
+    assert other.get_state() == fleet.get_state()
+
+
+def test_a_sharded_fleet_continues_from_shards_of_the_version_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    u, counts = fleet_record()
+    fleet = pmfid.ShardedFleet(tmp_path, [make(pmfid.BCRLS)], shard=2 * AXES)
+    handles = fleet.add(make(pmfid.BCRLS), AXES)
+    fleet.run(handles, u, counts)
+    shard, words = fleet._shards[0], whole_words("float64")
+    expected, kernel, identity = shard.used.copy(), shard.group.borrow(), shard.group.identity
+    monkeypatch.setattr(shard.group, "identity", shard.group.older)
+    shard.states = kernel.repack(shard.states, OLDER, words, back=True)
+    fleet.checkpoint()
+    fleet.close()
+    for _ in range(2):  # the second time from its own version
+        again = pmfid.ShardedFleet(tmp_path, [make(pmfid.BCRLS)], shard=2 * AXES)
+        assert again._shards[0].group.identity == identity
+        assert np.array_equal(again._shards[0].used, expected)
+        again.checkpoint()
+        again.close()

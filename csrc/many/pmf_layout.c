@@ -53,6 +53,18 @@ static void leave_estimate(unused_t *unused, uint32_t at, uint32_t p)
     leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, inflation), p, sizeof(scalar_t));
 }
 
+/* What other configurations have. */
+static void leave_idle(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
+{
+    if (config->scheme != PMF_CONSTANT_TRACE) {
+        leave_out(unused, at + IN_RECURSION(reference), at + IN_RECURSION(trace) + (uint32_t)sizeof(scalar_t));
+        leave_out(unused, at + IN_RECURSION(excited), at + IN_RECURSION(since) + 4U);
+    }
+    if (!(config->lift > PMF_SCALAR(0.0)) && !(config->lift < PMF_SCALAR(0.0))) {
+        leave_out(unused, at + IN_RECURSION(lift), at + IN_RECURSION(lift) + (uint32_t)sizeof(scalar_t));
+    }
+}
+
 static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
 {
     uint32_t p = config->n_parameters;
@@ -150,9 +162,22 @@ static uint32_t has_lane(uint32_t offset)
                : 1U;
 }
 
-/* One pass over all words; adds the reals in use, or the whole numbers. */
-static void add_words(pmf_layout_t *layout, const unused_t *unused, const unsigned char *is_whole, uint32_t whole)
+/* No byte of it is zero. */
+static void fill_state(pmf_state_t *state)
 {
+    unsigned char *byte = (unsigned char *)state;
+    uint32_t i;
+    for (i = 0; i < sizeof *state; ++i) {
+        byte[i] = 1U;
+    }
+}
+
+/* One pass over all words; adds the reals in use, of a state that is not zero where a packed one has something, or the
+ * whole numbers. */
+static void add_words(pmf_layout_t *layout, const unused_t *unused, const pmf_state_t *filled,
+                      const unsigned char *is_whole, uint32_t whole)
+{
+    const unsigned char *kept = (const unsigned char *)filled;
     uint32_t offset = 0, lane = 0;
     while (offset < sizeof(pmf_state_t)) {
         uint32_t found = is_whole[offset / 4U], lies = has_lane(offset);
@@ -161,7 +186,7 @@ static void add_words(pmf_layout_t *layout, const unused_t *unused, const unsign
             offset += 4U;
             continue;
         }
-        if (found == whole && is_used(unused, offset) != 0U && layout->words < PMF_MAX_WORDS) {
+        if (found == whole && kept[offset] != 0U && is_used(unused, offset) != 0U && layout->words < PMF_MAX_WORDS) {
             pmf_word_t *word = &layout->word[layout->words++];
             word->offset = offset;
             word->packed = layout->packed_size;
@@ -174,15 +199,22 @@ static void add_words(pmf_layout_t *layout, const unused_t *unused, const unsign
     layout->lane_words = lane;
 }
 
-uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout)
+uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, uint32_t version, pmf_layout_t *layout)
 {
     unused_t unused;
+    pmf_state_t filled;
     find_unused(config, &unused);
+    fill_state(&filled);
+    if (version >= PMF_WITHOUT_COMPUTED) {
+        pmf_clear_computed(config, &filled);
+        leave_idle(&unused, IN_STATE(direct), &config->direct);
+        leave_idle(&unused, IN_STATE(instrument), &config->instrument);
+    }
     layout->words = 0U;
     layout->packed_size = 0U;
-    add_words(layout, &unused, is_whole, 0U);
+    add_words(layout, &unused, &filled, is_whole, 0U);
     layout->reals = layout->words;
-    add_words(layout, &unused, is_whole, 1U);
+    add_words(layout, &unused, &filled, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
     if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW ||
         config->linear.enabled != 0U || config->late.room != 0U || config->auxiliary.shapes.n != 0U ||

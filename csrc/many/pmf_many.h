@@ -95,9 +95,10 @@ extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 /* 1: these can be the numbers of a configuration of this build, 0: they would lead beyond its memory. */
 uint32_t pmf_fits(const pmf_config_t *config);
 uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
-/* is_whole: for every four bytes of a pmf_state_t 1 where they are a whole number, else 0. Returns 0 where the words
- * are more than a layout holds. */
-uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout);
+/* is_whole: for every four bytes of a pmf_state_t 1 where they are a whole number, else 0; version: of packed states.
+ * Returns 0 where the words are more than a layout holds. */
+#define PMF_WITHOUT_COMPUTED 3U /* from this version on nothing is packed that each step computes again */
+uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, uint32_t version, pmf_layout_t *layout);
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
 /* What is not in use is left as it is: zero, in a state that pmf_init() or pmf_clear() has made. */
 void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state);

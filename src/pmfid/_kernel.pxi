@@ -79,6 +79,7 @@ cdef extern from "pmf_internal.h":
                                  real_t *) nogil
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
+    void pmf_clear_computed(const pmf_config_t *, pmf_state_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
 
 cdef extern from "many/pmf_motions.h":
@@ -138,7 +139,7 @@ cdef extern from "many/pmf_many.h":
         unsigned char *lost
     uint32_t pmf_fits(const pmf_config_t *) nogil
     uint32_t pmf_shapes_fit(const pmf_shapes_config_t *) nogil
-    uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, pmf_layout_t *) nogil
+    uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, uint32_t, pmf_layout_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
     uint32_t pmf_many_way() nogil
@@ -334,8 +335,10 @@ cdef class Kernel:
         return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
 
     def raw_state(self):
-        """The bytes of the state, as a `pmf_state_t` of this module's sizes."""
-        return PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_state_t))
+        """The bytes of the state, as a `pmf_state_t` of this module's sizes, zero where each step computes again."""
+        cdef pmf_state_t state = self.state
+        pmf_clear_computed(&self.config, &state)
+        return PyBytes_FromStringAndSize(<char *> &state, sizeof(pmf_state_t))
 
     def set_raw_state(self, bytes state):
         """Takes the bytes that `raw_state` of the same configuration gave.
@@ -389,13 +392,12 @@ cdef class ManyKernel:
     cdef readonly object states
 
     fastest_way = pmf_many_way()
+    #: The version of packed states.
+    packing = 3
 
     def __init__(self, Kernel kernel, Py_ssize_t axes, bytes is_whole not None):
         self.config = kernel.config
-        if 4 * len(is_whole) != sizeof(pmf_state_t):
-            raise ValueError(f"a state has {sizeof(pmf_state_t) // 4} words, got {len(is_whole)}")
-        if pmf_layout(&self.config, <const unsigned char *> is_whole, &self.layout) == 0:
-            raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
+        self._lay_out(&self.layout, self.packing, is_whole)
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
         self._start = own
@@ -425,6 +427,37 @@ cdef class ManyKernel:
             if pmf_plausible(&self.config, &state) == 0:
                 raise ValueError(IMPLAUSIBLE)
         self.states[:] = taken
+
+    def older_size(self, uint32_t packing, bytes is_whole not None):
+        """Bytes of a state in an older version `packing`. Raises ValueError as the constructor does."""
+        cdef pmf_layout_t layout
+        self._lay_out(&layout, packing, is_whole)
+        return layout.packed_size
+
+    def repack(self, cnp.ndarray[unsigned char, ndim=2, mode="c"] states not None, uint32_t packing, bytes is_whole not None,
+               bint back=False):
+        """States (axes, bytes) of an older version `packing` as this one packs them; back: the other way round. Raises
+        ValueError for another number of bytes."""
+        cdef pmf_layout_t older
+        cdef pmf_state_t state
+        cdef Py_ssize_t axis
+        self._lay_out(&older, packing, is_whole)
+        cdef pmf_layout_t *given = &self.layout if back else &older
+        cdef pmf_layout_t *wanted = &older if back else &self.layout
+        if states.shape[1] != given.packed_size:
+            raise ValueError(f"a state has {given.packed_size} bytes, got {states.shape[1]}")
+        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] packed = np.zeros((states.shape[0], wanted.packed_size), np.uint8)
+        pmf_clear(&state, sizeof(state))
+        for axis in range(states.shape[0]):
+            pmf_unpack(given, &states[axis, 0], &state)
+            pmf_pack(wanted, &state, &packed[axis, 0])
+        return packed
+
+    cdef _lay_out(self, pmf_layout_t *layout, uint32_t packing, bytes is_whole):
+        if 4 * len(is_whole) != sizeof(pmf_state_t):
+            raise ValueError(f"a state has {sizeof(pmf_state_t) // 4} words, got {len(is_whole)}")
+        if pmf_layout(&self.config, <const unsigned char *> is_whole, packing, layout) == 0:
+            raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
 
     def hold(self, cnp.ndarray[unsigned char, ndim=2, mode="c"] states not None):
         """Goes on with these states (axes, bytes) of the same configuration, of any number of axes, in their place:

@@ -18,7 +18,7 @@ from pmfid.durable import CheckpointFolder, DamagedError, crash_point, map_file,
 from pmfid.errors import UsageError
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.runner import Runner, SampleBlock
-from pmfid.kernel.saved import fleet_head
+from pmfid.kernel.saved import OLDER, fleet_head
 from pmfid.kernel.structures import whole_words
 
 if TYPE_CHECKING:
@@ -91,13 +91,13 @@ class Handles:
 
 
 class ShardGroup:
-    """A configuration. runner: that it came with; identity: distinguishes its states from others; start: (bytes,) the
-    state in which axes begin where nothing else is said."""
+    """A configuration. runner: that it came with; identity: distinguishes its states from others; older: the same of the
+    version before; start: (bytes,) the state in which axes begin where nothing else is said."""
 
     def __init__(self, runner: Runner[RecursiveEstimator]) -> None:
         self.runner = runner
         self.start = state_of(runner)
-        self.identity = identity_of(runner)
+        self.identity, self.older = identity_of(runner), identity_of(runner, OLDER)
         self._idle: SimpleQueue[ManyKernel] = SimpleQueue()
         self.fastest_way = _many(runner).fastest_way
 
@@ -123,10 +123,13 @@ def state_of(runner: Runner[RecursiveEstimator]) -> NDArray[np.uint8]:
     return np.array(_many(runner).states[0])
 
 
-def identity_of(runner: Runner[RecursiveEstimator]) -> bytes:
-    """The prefix of a configuration's states: it identifies kernel, layout and configuration."""
-    head = fleet_head(_many(runner), runner.precision)
+def identity_of(runner: Runner[RecursiveEstimator], version: int | None = None) -> bytes:
+    """The prefix of a configuration's states: it identifies kernel, layout and configuration. version: an older one."""
+    many = _many(runner)
+    head = fleet_head(many, runner.precision)
     head["axes"] = 0
+    if version is not None:
+        head["version"], head["size"] = version, many.older_size(version, whole_words(runner.precision))
     return head.tobytes()[:-4]  # without the checksum
 
 
@@ -327,14 +330,29 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
     head = listed.identity + _SHARD.pack(shard.number, listed.rows)
     if found.sequence != listed.sequence or bytes(found.body[: len(head)]) != head:
         raise DamagedError("it is of another checkpoint or shard")
-    width = shard.states.shape[1]
-    if len(found.body) != len(head) + listed.rows * width:
+    if (len(found.body) - len(head)) % max(listed.rows, 1):
         raise DamagedError("it has states of another number of axes")
-    states = np.frombuffer(found.body, np.uint8, offset=len(head)).reshape(listed.rows, width)
+    states = np.frombuffer(found.body, np.uint8, offset=len(head)).reshape(listed.rows, -1)
+    states = _in_version(shard, states, older=listed.identity == shard.group.older)
     if not _plausible(shard.group, states):
         raise DamagedError("these numbers are no states of its configuration, whatever their checksum says")
     shard.states[: listed.rows] = states
     shard.rows, shard.side, shard.sequence = listed.rows, listed.side, listed.sequence
+
+
+def _in_version(shard: Shard, states: NDArray[np.uint8], *, older: bool) -> NDArray[np.uint8]:
+    """Raises DamagedError if a state has another number of bytes."""
+    if older:
+        kernel, shard.changed = shard.group.borrow(), True
+        try:
+            states = kernel.repack(states, OLDER, whole_words(shard.group.runner.precision))
+        except ValueError as error:
+            raise DamagedError(str(error)) from None
+        finally:
+            shard.group.give_back(kernel)
+    if states.shape[1] != shard.states.shape[1]:
+        raise DamagedError("it has states of another number of axes")
+    return states
 
 
 def _plausible(group: ShardGroup, states: NDArray[np.uint8]) -> bool:

@@ -18,6 +18,7 @@ from pmfid.kernel.structures import (
     layout_number,
     resize_structure,
     structures,
+    whole_words,
 )
 
 if TYPE_CHECKING:
@@ -164,7 +165,9 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
 
 #: What stands before the states of a fleet; checksum: CRC-32 of the words before it and the states.
 FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
-FLEET_MAGIC, FLEET_VERSION = 0x46464D50, 2  # "PMFF"
+FLEET_MAGIC = 0x46464D50  # "PMFF"
+#: The version before the present one, whose states have also what each step computes again.
+OLDER = 2
 
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
@@ -180,22 +183,27 @@ def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     data, place = bytes(data), FLEET_HEAD.itemsize
-    expected = fleet_head(kernel, precision)
-    if len(data) != place + kernel.states.nbytes:
+    if len(data) < place:
         raise UsageError(_FOREIGN_FLEET)
-    head = np.frombuffer(data[:place], FLEET_HEAD)[0]
+    head, expected = np.frombuffer(data[:place], FLEET_HEAD)[0], fleet_head(kernel, precision)
+    axes, version = len(kernel.states), int(head["version"])
+    if version == OLDER:
+        expected["version"], expected["size"] = OLDER, head["size"]
+    if len(data) != place + axes * int(expected["size"]):
+        raise UsageError(_FOREIGN_FLEET)
     if head["checksum"] != zlib.crc32(data[place:], zlib.crc32(data[: place - 4])):
         raise UsageError(_DAMAGED)
     if head.tobytes()[:-4] != expected.tobytes()[:-4]:
         raise UsageError(_FOREIGN_FLEET)
+    states = np.frombuffer(data, np.uint8, offset=place).reshape(axes, -1)
     with _refused_in_one_sentence():
-        kernel.set_states(np.frombuffer(data, np.uint8, offset=place).reshape(kernel.states.shape))
+        kernel.set_states(kernel.repack(states, OLDER, whole_words(precision)) if version == OLDER else states)
 
 
 def fleet_head(kernel: ManyKernel, precision: str) -> Structured:
     """What says whose the states of a `ManyKernel` are, still without the checksum."""
     head = np.zeros((), FLEET_HEAD)
-    head["magic"], head["version"] = FLEET_MAGIC, FLEET_VERSION
+    head["magic"], head["version"] = FLEET_MAGIC, kernel.packing
     head["layout"] = layout_number(structures(None, precision)["pmf_state_t"])
     head["config"] = zlib.crc32(kernel.raw_config())
     head["axes"], head["size"] = kernel.states.shape
