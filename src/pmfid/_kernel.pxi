@@ -334,10 +334,11 @@ cdef class Kernel:
         """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
         return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
 
-    def raw_state(self):
-        """The bytes of the state, as a `pmf_state_t` of this module's sizes, zero where each step computes again."""
+    def raw_state(self, bint kept=False):
+        """The bytes of the state, as a `pmf_state_t` of this module's sizes; kept: zero where each step computes again."""
         cdef pmf_state_t state = self.state
-        pmf_clear_computed(&self.config, &state)
+        if kept:
+            pmf_clear_computed(&self.config, &state)
         return PyBytes_FromStringAndSize(<char *> &state, sizeof(pmf_state_t))
 
     def set_raw_state(self, bytes state):

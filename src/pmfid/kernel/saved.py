@@ -112,9 +112,9 @@ def split_signals(turns: bool) -> list[int]:
     return [node for node in nodes if not (turns and node == constants["PMF_TURN"])]
 
 
-def tight_state(kernel: Kernel, precision: str, shape: KernelSizes) -> Structured:
-    """The kernel's state as firmware with its configuration has it; shape: of the configuration."""
-    own = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"])[0]
+def tight_state(kernel: Kernel, precision: str, shape: KernelSizes, *, kept: bool = False) -> Structured:
+    """The kernel's state as firmware with its configuration has it; shape: of the configuration; kept: as it saves it."""
+    own = np.frombuffer(kernel.raw_state(kept), structures(None, precision)["pmf_state_t"])[0]
     state = resize_structure(own, structures(shape, precision)["pmf_state_t"])
     if not shape.with_split:
         state["network"]["node"][split_signals(bool(shape.with_steps))] = 0
@@ -128,7 +128,7 @@ def save_state(kernel: Kernel, precision: str) -> bytes:
     shape = shape_of(config)
     types = structures(shape, precision)
     saved = _envelope(config, shape, precision)
-    saved["state"] = tight_state(kernel, precision, shape)
+    saved["state"] = tight_state(kernel, precision, shape, kept=True)
     saved["checksum"] = _checksum(saved.tobytes(), types)
     return saved.tobytes()
 
