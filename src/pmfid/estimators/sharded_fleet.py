@@ -100,14 +100,14 @@ def _listings(vault: CheckpointFolder, tell: Callable[[Event], None]) -> list[Li
 def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGroup], each: Each) -> Taken:
     broken: dict[int, str] = {}
     shards = list[Shard]()
-    groups = {one.older: one for one in groups.values()} | dict(groups)
+    known = {one.older: one for one in groups.values()} | dict(groups)
     for number, listed in enumerate(listing.shards):
-        if listed.identity not in groups:
+        if listed.identity not in known:
             raise UsageError(
-                f"{folder} has axes of a configuration that is none of the {len(set(groups.values()))} estimators given; give all "
+                f"{folder} has axes of a configuration that is none of the {len(groups)} estimators given; give all "
                 "with which axes were added, as in ShardedFleet(folder, [estimator]), or choose another folder"
             )
-        shards.append(Shard(groups[listed.identity], number, listing.size))
+        shards.append(Shard(known[listed.identity], number, listing.size))
 
     def read(shard: Shard) -> None:
         listed = listing.shards[shard.number]

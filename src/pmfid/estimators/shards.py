@@ -91,8 +91,8 @@ class Handles:
 
 
 class ShardGroup:
-    """A configuration. runner: that it came with; identity: distinguishes its states from others; older: the same of the
-    version before; start: (bytes,) the state in which axes begin where nothing else is said."""
+    """A configuration. runner: that it came with; identity: distinguishes its states from others; older: in the version
+    before; start: (bytes,) the state in which axes begin where nothing else is said."""
 
     def __init__(self, runner: Runner[RecursiveEstimator]) -> None:
         self.runner = runner
@@ -333,14 +333,14 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
     if (len(found.body) - len(head)) % max(listed.rows, 1):
         raise DamagedError("it has states of another number of axes")
     states = np.frombuffer(found.body, np.uint8, offset=len(head)).reshape(listed.rows, -1)
-    states = _in_version(shard, states, older=listed.identity == shard.group.older)
+    states = _convert_states(shard, states, older=listed.identity == shard.group.older)
     if not _plausible(shard.group, states):
         raise DamagedError("these numbers are no states of its configuration, whatever their checksum says")
     shard.states[: listed.rows] = states
     shard.rows, shard.side, shard.sequence = listed.rows, listed.side, listed.sequence
 
 
-def _in_version(shard: Shard, states: NDArray[np.uint8], *, older: bool) -> NDArray[np.uint8]:
+def _convert_states(shard: Shard, states: NDArray[np.uint8], *, older: bool) -> NDArray[np.uint8]:
     """Raises DamagedError if a state has another number of bytes."""
     if older:
         kernel, shard.changed = shard.group.borrow(), True

@@ -113,7 +113,7 @@ def split_signals(turns: bool) -> list[int]:
 
 
 def tight_state(kernel: Kernel, precision: str, shape: KernelSizes, *, kept: bool = False) -> Structured:
-    """The kernel's state as firmware with its configuration has it; shape: of the configuration; kept: as it saves it."""
+    """The kernel's state as firmware with its configuration has it; shape: of the configuration; kept: as saved."""
     own = np.frombuffer(kernel.raw_state(kept), structures(None, precision)["pmf_state_t"])[0]
     state = resize_structure(own, structures(shape, precision)["pmf_state_t"])
     if not shape.with_split:
