@@ -138,3 +138,17 @@ def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: floa
     stamps = np.sort(time + late * np.abs(rng.standard_normal(3000)))
     found = resample_uneven(stamps, np.ones(3000), counts)
     assert (found is not None and found.own is not None) == (late == 0)
+
+
+def test_many_small_gaps_of_an_uneven_clock_are_long_steps(tmp_path: Path) -> None:
+    """The filters would never settle between them."""
+    rng = np.random.default_rng(8)
+    steps = rng.integers(16, 25, SAMPLES)
+    at = np.r_[0, np.cumsum(steps)[:-1]]
+    u = 2.5 * np.sin(0.07 * np.arange(SAMPLES)) + 1.5 * np.sin(0.19 * np.arange(SAMPLES))
+    x = simulate_drive(CART, np.repeat(u, steps), CART_DT / PARTS).x[at]
+    kept = np.ones(SAMPLES, bool)
+    for first in range(20, SAMPLES - 20, 30):
+        kept[first : first + int(rng.integers(2, 5))] = False
+    result = identified(tmp_path, (at * CART_DT / PARTS)[kept], u[kept], quantize(x, 8 * CART_RESOLUTION)[kept])
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=0.02)

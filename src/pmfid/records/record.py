@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
 from pmfid.errors import UsageError
@@ -17,7 +18,7 @@ from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
-from pmfid.records.gaps import describe_missing, fill_gaps
+from pmfid.records.gaps import describe_missing, fill_gaps, is_held
 from pmfid.records.repeats import drop_stale_rows
 from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
 from pmfid.records.topics import join_topics
@@ -315,10 +316,28 @@ def _own_record(
     if quantize is not None:
         y = counts.astype(np.float64) * resolution if kind == "counts" else y
         counts, resolution = floor_counts(y, quantize, 1e-9), quantize
-    there = None if np.all(np.isfinite(own.u)) else np.isfinite(own.u)
-    return Record(
-        _scale_column(own.u, u_scale), counts, float(steps.before[0]), resolution, (), "", False, there, steps=steps
-    )
+    u, kept, steps = _span_gaps(_scale_column(own.u, u_scale), counts, steps)
+    there = None if np.all(np.isfinite(u)) else np.isfinite(u)
+    return Record(u, counts[kept], float(steps.before[0]), resolution, (), "", False, there, steps=steps)
+
+
+def _span_gaps(u: Floats, counts: Counts, steps: SampleSteps) -> tuple[Floats, NDArray[np.intp], SampleSteps]:
+    """Input (m,), rows (m,) that stay, and steps (m,), of samples (n,) with NaN in gaps: a gap that the input can be
+    filled in is one long step, with the mean of what fills it."""
+    there = np.isfinite(u)
+    if np.all(there):
+        return u, np.arange(u.size), steps
+    places = np.flatnonzero(there)
+    filled = np.full(u.size, np.nan)
+    filled[: places[-1] + 1] = fill_gaps(u[places], counts[places], places)[0]
+    if is_held(u, there):  # when it jumped nobody knows
+        filled[~np.isin(filled, u[there])] = np.nan
+    kept = np.flatnonzero(there | np.isnan(filled))
+    time = np.cumsum(steps.before)
+    impulse = np.append(0.0, np.cumsum(np.nan_to_num(filled[:-1]) * np.diff(time)))
+    mean = np.append(np.diff(impulse[kept]) / np.diff(time[kept]), u[kept[-1]])
+    spans = np.append(np.diff(kept) > 1, False)
+    return np.where(spans, mean, u[kept]), kept, SampleSteps(np.diff(time[kept], prepend=0.0))
 
 
 def _resample(

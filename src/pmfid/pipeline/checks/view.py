@@ -237,6 +237,11 @@ class CheckedLog:
         return plant_of(equation).rests and equation.order == 2
 
     @cached_property
+    def place_matters(self) -> bool:
+        """Does a force depend on the position, as gravity that holds a joint at rest?"""
+        return set_any_gain(self.axis).model.make().equation.place_matters
+
+    @cached_property
     def known(self) -> Record:
         """The record without samples that no motion explains."""
         return repair_as_configured(self.record, set_any_gain(self.axis)).record
@@ -285,7 +290,7 @@ class CheckedLog:
         counts = self.record.counts
         stops = long_stops(counts)
         found = sudden(counts, stops) if stops else set()
-        if stops and not found and self.view is not None and self.is_machine:
+        if stops and not found and self.view is not None and self.is_machine and not self.place_matters:
             offset = self.part.stop - self.view.z.size
             inside = [stop for stop in stops if stop[1] < self.part.stop]
             found = held_back(self.force, inside, self.view, offset, self.record.dt, self.record.resolution)
