@@ -29,7 +29,8 @@ def test_bits_are_those_of_the_general_step(cls, precision, forgetting, drive):
         kernel = estimator.runner.kernel
         kernel.straight = straight
         assert kernel.straight == straight
-        found.append((*kernel.run(u, counts), np.frombuffer(kernel.raw_state(), np.uint32)))
+        tracks, last = kernel.run(u, counts), kernel.step(1.0, int(counts[-1]))
+        found.append((*tracks, np.frombuffer(kernel.raw_state(), np.uint32), last.theta_cov, last.theta_std))
     for one, other in zip(*found, strict=True):
         assert np.array_equal(one, other)
 

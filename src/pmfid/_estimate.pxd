@@ -4,9 +4,16 @@ cdef extern from "pmf_sizes.h":
     enum:
         PMF_MAX_PARAMETERS
 
+# What `_factor` holds: P, or the factor L of its inverse with 1 / D on the diagonal, in double or single precision.
+cdef enum Form:
+    FORMED = 0
+    OF_DOUBLE
+    OF_SINGLE
+
 cdef class Estimate:
     cdef double _theta[PMF_MAX_PARAMETERS]
-    cdef double _factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
+    cdef double _factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS] # P, or what it is formed of when it is read
+    cdef Form _form
     cdef double _diagonal[PMF_MAX_PARAMETERS]
     cdef double _inflation[PMF_MAX_PARAMETERS]
     cdef Py_ssize_t _n
@@ -14,4 +21,5 @@ cdef class Estimate:
     cdef readonly double innovation
     cdef readonly double innovation_variance
     cdef readonly unsigned int status
+    cdef void _form_factor(self) noexcept
     cdef double _scale(self, Py_ssize_t i) noexcept

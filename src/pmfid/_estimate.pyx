@@ -1,6 +1,7 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
 """The estimate after a sample: one class, whatever the precision of the kernel that made it."""
 
+cimport cython
 cimport numpy as cnp
 from libc.math cimport INFINITY, sqrt
 
@@ -26,6 +27,34 @@ cdef _fill(double *target, source):
         target[i] = value
 
 
+ctypedef fused real:
+    float
+    double
+
+
+cdef void _form_covariance(real one, double *factor, Py_ssize_t n) noexcept:
+    """P = (L D L^T)^-1 in place, with the operations of `pmf_recursion_covariance`; `one` gives the precision."""
+    cdef real lower[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
+    cdef real x[PMF_MAX_PARAMETERS]
+    cdef Py_ssize_t i, j, k, column
+    for i in range(n * n):
+        lower[i] = <real> factor[i]
+    for column in range(n):
+        for i in range(n):
+            x[i] = one if i == column else one - one
+            for k in range(i):
+                x[i] -= lower[i * n + k] * x[k]
+        for i in range(n):
+            x[i] *= lower[i * n + i]
+        for j in range(n - 1, -1, -1):
+            for k in range(j + 1, n):
+                x[j] -= lower[k * n + j] * x[k]
+        for i in range(n):
+            factor[i * n + column] = x[i] if i >= column else factor[column * n + i]
+
+
+@cython.no_gc  # a tuple of names makes no cycle
+@cython.freelist(8)
 cdef class Estimate:
     """What one sample left: a snapshot that later steps do not change; it can be copied and pickled.
 
@@ -66,6 +95,7 @@ cdef class Estimate:
         cdef object array = cnp.PyArray_SimpleNew(2, shape, cnp.NPY_DOUBLE)
         cdef double *target = <double *> cnp.PyArray_DATA(<cnp.ndarray> array)
         cdef Py_ssize_t n = self._n, i, j
+        self._form_factor()
         for i in range(n):
             for j in range(n):
                 if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
@@ -74,6 +104,13 @@ cdef class Estimate:
                     target[i * n + j] = self.innovation_variance * self._factor[i * n + j] * \
                         (sqrt(self._scale(i)) * sqrt(self._scale(j)))
         return array
+
+    cdef void _form_factor(self) noexcept:
+        if self._form == OF_DOUBLE:
+            _form_covariance(<double> 1.0, self._factor, self._n)
+        elif self._form == OF_SINGLE:
+            _form_covariance(<float> 1.0, self._factor, self._n)
+        self._form = FORMED
 
     cdef inline double _scale(self, Py_ssize_t i) noexcept:
         return self._inflation[i] if self._inflation[i] > 0.0 else 1.0
@@ -134,6 +171,7 @@ cdef class Estimate:
         return figure_of(self, **options)
 
     def __reduce__(self):
+        self._form_factor()
         vectors = self.theta, _vector(self._factor, self._n * self._n), _vector(self._diagonal, self._n)
         return _restored, (self._names, *vectors, _vector(self._inflation, self._n), self.innovation,
                            self.innovation_variance, self.status)

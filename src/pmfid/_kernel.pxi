@@ -8,7 +8,7 @@ from libc.string cimport memcpy
 cimport numpy as cnp
 import numpy as np
 
-from pmfid._estimate cimport Estimate
+from pmfid._estimate cimport OF_DOUBLE, OF_SINGLE, Estimate
 
 IMPLAUSIBLE = "these numbers are no state of this configuration, whatever their checksum says"
 
@@ -42,7 +42,7 @@ cdef extern from "pmf_internal.h":
         pmf_shape_t shape[PMF_MAX_SHAPES]
     ctypedef struct pmf_auxiliary_config_t:
         real_t dt, input_gain
-        uint32_t steps
+        uint32_t steps, enabled
         pmf_shapes_config_t shapes
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
@@ -56,14 +56,20 @@ cdef extern from "pmf_internal.h":
     ctypedef struct pmf_config_t:
         pmf_encoder_config_t encoder
         pmf_network_config_t network
-    ctypedef struct pmf_state_t:
-        uint32_t status
-        pmf_network_state_t network
+        pmf_auxiliary_config_t auxiliary
     ctypedef struct pmf_estimate_t:
         real_t theta[PMF_MAX_PARAMETERS]
         real_t variance_factor[PMF_MAX_PARAMETERS]
         real_t inflation[PMF_MAX_PARAMETERS]
         real_t innovation, innovation_variance
+    ctypedef struct pmf_recursion_state_t:
+        real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]
+        real_t inverse_pivot[PMF_MAX_PARAMETERS]
+        pmf_estimate_t estimate
+    ctypedef struct pmf_state_t:
+        uint32_t status
+        pmf_network_state_t network
+        pmf_recursion_state_t direct, instrument
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     void pmf_set_step(const pmf_config_t *, pmf_state_t *, real_t) nogil
@@ -228,16 +234,26 @@ cdef class Kernel:
 
     cdef Estimate _snapshot(self):
         cdef Estimate estimate = Estimate.__new__(Estimate)
-        cdef Py_ssize_t n = pmf_parameters(&self.config), i
+        cdef Py_ssize_t n = pmf_parameters(&self.config), i, j
         cdef const pmf_estimate_t *last = pmf_estimate(&self.config, &self.state)
         cdef real_t factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
-        pmf_covariance_factor(&self.config, &self.state, factor)
+        cdef const pmf_recursion_state_t *recursion = &self.state.direct
+        if self.config.auxiliary.enabled:
+            recursion = &self.state.instrument
         estimate._n, estimate._names = n, self.names
         for i in range(n):
             estimate._theta[i], estimate._diagonal[i] = last.theta[i], last.variance_factor[i]
             estimate._inflation[i] = last.inflation[i]
-        for i in range(n * n):
-            estimate._factor[i] = factor[i]
+        if self._step != pmf_step and last == &recursion.estimate:  # P is that of the recursion: formed when it is read
+            estimate._form = OF_DOUBLE if sizeof(real_t) == sizeof(double) else OF_SINGLE
+            for i in range(n):
+                for j in range(i):
+                    estimate._factor[i * n + j] = recursion.factor[i][j]
+                estimate._factor[i * n + i] = recursion.inverse_pivot[i]
+        else:
+            pmf_covariance_factor(&self.config, &self.state, factor)
+            for i in range(n * n):
+                estimate._factor[i] = factor[i]
         estimate.innovation = last.innovation
         estimate.innovation_variance = last.innovation_variance
         estimate.status = self.state.status
