@@ -259,15 +259,25 @@ def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Diffe
         found = _explain_in_windows(coarse, theta, cutoff, count)
         if found is not None:
             break
-    while found is not None and len(found[0].pieces) > 1:
+    shortest = found
+    while found is not None and shortest is not None and len(found[0].pieces) > 1:
         longer = _explain_in_windows(coarse, found[1][:p], cutoff, len(found[0].pieces) // 2)
-        if longer is None or rms(longer[0](longer[1])) > TUNING.restarts_as_well * rms(found[0](found[1])):
+        if longer is None or _leaves_more(longer, shortest):
             break
         found = longer
     if found is not None and len(found[0].pieces) == 1:
         fine = difference.fine_at(found[1][:p] * difference.scale[:p])
         return fine, least(fine, found[1])
     return found
+
+
+def _leaves_more(longer: tuple[Windows, Floats], shorter: tuple[Windows, Floats]) -> bool:
+    """Whether longer windows leave more than chance makes of the starts that they lack: a sensitive motion has local
+    minima, which all but explain the counts."""
+    (few, q), (many, other) = longer, shorter
+    squares = few.y.size * ((rms(few(q)) / rms(many(other))) ** 2 - 1)
+    freedom = 2 * (len(many.pieces) - len(few.pieces))
+    return squares > freedom + TUNING.restarts_worse * math.sqrt(2 * freedom)
 
 
 def _explain_in_windows(

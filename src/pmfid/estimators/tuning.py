@@ -354,10 +354,10 @@ class EstimatorTuning:
     search_shortest: float = 20.0
     search_fewest: int = 40
     #: Part of the motion that is left where a motion from a single start is lost. Numbers of windows that are tried
-    #: there; and fewer of them, as long as what they leave grows by no more than this factor.
+    #: there; and fewer of them, as long as the sum of squares grows by no more standard deviations than these.
     restarts_lost: float = 0.3
     restarts_tried: tuple[int, ...] = (32, 64, 128)
-    restarts_as_well: float = 1.05
+    restarts_worse: float = 4.0
     #: A longer window is taken where it predicts as well but for this part: it knows more.
     as_well: float = 0.05
 
