@@ -212,8 +212,8 @@ def velocity(counts: Counts) -> Floats:
 
 
 def settled_std(tracks: Tracks) -> Floats:
-    """(n, p) standard deviations at the end, with what the estimate still moved by beyond chance: a start from a biased
-    estimate, or a change within the segment, is forgotten no faster than the samples are."""
+    """(n, p) standard deviations at the end. If the estimates still moved by more than chance explains, they are larger:
+    a biased start, or a change within the segment, is forgotten no faster than the samples."""
     std = tracks.theta_std[:, -1]
     moved = np.ptp(tracks.theta[:, _first_after(tracks, 4) :], axis=1)
     return np.asarray(np.hypot(std, np.maximum(moved - TUNING.segments_usual * std, 0.0)))

@@ -75,7 +75,7 @@ class FleetTuning:
     segments_most: int = 2**15
     #: Estimates of a segment that are kept.
     segments_marks: int = 16
-    #: Standard deviations by which those after the first quarter differ in any case.
+    #: Range of the estimates after the first quarter that chance explains [standard deviations].
     segments_usual: float = 3.0
     #: Part of the second half in which the equation is off, from which on the segment is.
     segments_off: float = 0.25

@@ -150,7 +150,7 @@ def _plain(packed: bytes, how: str, size: int) -> bytes:
 
 
 def _decoder(encoding: str, schema: Schema | None) -> Decode:
-    """The decoder from bytes to a message. Raises UsageError for an unknown encoding."""
+    """A function that decodes bytes into a message. Raises UsageError for an unknown encoding."""
     if encoding == "json":
         return json.loads
     if encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":

@@ -29,7 +29,7 @@ def finds_gain(axis: Axis) -> bool:
 
 
 def set_gain(axis: Axis, gain: float) -> Axis:
-    """The same axis with another input gain."""
+    """A copy of the axis with another input gain."""
     return axis.model_copy(update={"model": axis.model.model_copy(update={INPUT_GAIN: gain})})
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def is_here(host: str) -> bool:
-    """Whether what is sent to a host stays on this machine."""
+    """Whether data to this host stay on this machine."""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -28,8 +28,8 @@ def is_here(host: str) -> bool:
 
 
 def secret(env: str | None, file: str | None, folder: Path) -> str | None:
-    """A password or token from the environment or from a file in `folder`; None if neither is given. Raises
-    UsageError where there is none, and for a file that everybody can read."""
+    """A password or token from the environment or from a file in `folder`; None if neither is given. Raises UsageError
+    for a missing secret, and for a file that everybody can read."""
     if env is not None:
         if env not in os.environ:
             raise UsageError(f"the environment variable {env} is not set; set it to the secret, or give a file")
@@ -49,7 +49,7 @@ def read_secret(path: Path) -> str:
         raise UsageError(f"the secret in {path} cannot be read: {reason}; correct the name or its rights") from None
 
 
-#: Of a broker, and of one with TLS.
+#: Ports of a broker, without and with TLS.
 PORT, TLS_PORT = 1883, 8883
 #: Seconds until an attempt to connect is given up.
 _CONNECTING = 10.0

@@ -13,7 +13,7 @@ from pmfid.errors import PmfidError
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
 
-#: Bytes that are read at once.
+#: Bytes that one call reads.
 CHUNK = 65_536
 
 #: Hands a delivery to the engine and waits while the inbox is full; False once the service ends: then the source

@@ -52,7 +52,7 @@ class Checkpoints:
         self._thread.start()
 
     def call_when_kept(self, done: Done) -> None:
-        """Has `done` called after the next durable checkpoint."""
+        """Registers `done`, which is called after the next durable checkpoint."""
         self._undone.append(done)
         if not self._failing and len(self._undone) <= TUNING.keeping_most:
             return

@@ -52,7 +52,7 @@ HELP: dict[str, str] = {
     "pmfid_unusable_total": "What came and was no sample, by reason.",
 }
 
-#: When this module was first needed: the start of the process where the system does not say.
+#: Time of the import of this module, in place of the start of the process on a system that does not report it.
 _LOADED = time.time()
 
 

@@ -1,4 +1,4 @@
-"""PLANT.toml, and what its keys mean."""
+"""PLANT.toml, and the meaning of its keys."""
 
 from __future__ import annotations
 
@@ -170,13 +170,13 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     if not piped:
         raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
     sources = {"input" if piped else "record": _read_kind("sources", "input" if piped else "record", raw, SOURCES)}
-    own = {"name": name, "window": 0.0, "every": 0.1} | ({} if piped else {"silence": 0.0})  # a record has an end
+    own = {"name": name, "window": 0.0, "every": 0.1} | ({} if piped else {"silence": 0.0})  # a record ends
     service = _section("service", ServiceSection, own | dict(given or {}))
     return Plant(config.parent, service, {name: config}, sources)
 
 
 def page_config(plant: Plant) -> PageConfig:
-    """[page], with its defaults. Raises UsageError for what it may not be."""
+    """[page], with its defaults. Raises UsageError for an invalid value."""
     whole = create_model("Whole", __base__=FileSection, page=(PageConfig, ...))
     return validate_sections(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
 

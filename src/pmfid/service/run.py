@@ -141,7 +141,7 @@ class Service:
         with catch_signals(self._handle_signal):
             try:
                 self._start(plant)
-                gc.freeze()  # what is there stays: not to be looked through again and again
+                gc.freeze()  # existing objects stay: the collector need not examine them again and again
                 gc.set_threshold(TUNING.run_collected)
                 notify("READY=1")
                 self._watch()
@@ -222,7 +222,7 @@ class Service:
         self._tell_now({**restored, "made": saved.wall, **more})
 
     def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
-        """A checkpoint and its groups that are still configured so. Raises ValueError for what is none."""
+        """A checkpoint and its groups that are still configured so. Raises ValueError for an invalid checkpoint."""
         saved = read_snapshot(body)
         present = {prepared.digest: prepared for prepared in self._axes.values()}
         groups = [one.restore_group(present[one.digest], self._pace) for one in saved.groups if one.digest in present]

@@ -94,8 +94,7 @@ class ServiceTuning:
     #: Notices that are remembered as delivered, while others of the same time are tried again.
     webhook_remembered: int = 2048
 
-    # sources.execd
-    #: A look whether the service ends, while nothing comes [s].
+    # sources.execd Interval of the checks for the end of the service while no data arrive [s].
     execd_look: float = 0.2
 
     # sources.file
@@ -104,7 +103,7 @@ class ServiceTuning:
     #: Duration of the blocks of a played record [s], and most samples of a block.
     block_time: float = 0.05
     file_block: int = 1000
-    #: Of a record that is played.
+    #: Limits of the speed at which a record is played.
     file_slowest: float = 0.001
     file_fastest: float = 1e6
 
@@ -154,10 +153,10 @@ class ServiceTuning:
     # web.server
     #: Connections in addition to the streams: files, histories, metrics.
     server_further: int = 64
-    #: Until the page answers, and until it has ended [s].
+    #: Times until the page answers, and until it has ended [s].
     server_started: float = 10.0
     server_ended: float = 3.0
-    #: Connections that the system may keep until they are let in.
+    #: Connections that the system may queue until they are accepted.
     server_backlog: int = 1024
     #: Send buffer of the system for each browser [bytes]; its default would be some megabytes.
     server_waiting: int = 262_144

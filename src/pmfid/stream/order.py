@@ -106,7 +106,7 @@ def period_fits(period: Real, dt: float) -> Answer:
 
 
 def clock_runs(off: Real) -> Answer:
-    """Whether a clock with this deviation [s] was not set; False for an unknown deviation."""
+    """Whether a clock with this deviation [s] was never set; False for an unknown deviation."""
     return (off <= TUNING.order_set) & (-off <= TUNING.order_set)
 
 

@@ -142,7 +142,7 @@ class MqttSinkSection(SinkSection, BrokerSection):
         """The sink, not yet open. Raises UsageError without paho-mqtt, and for secrets that are not there."""
         base = f"{self.prefix}/{quote(context.name, safe='')}"
         new = partial(new_client, self, context.folder, self.client_id or f"pmfid-{context.name}-{name}")
-        new()  # what is wrong with it is said at the start
+        new()  # errors are reported at the start
         link = BrokerLink(new, self.address, self.keepalive, (f"{base}/status", OFFLINE))
         return MqttSink(name, base, link, self)
 
@@ -186,7 +186,7 @@ class MqttSink:
         self._link.flush()
 
     def _topic(self, what: str, of: str) -> str:
-        """One level for a name, whatever is in it."""
+        """A name as one level of a topic, with any characters."""
         return f"{self._base}/{what}/{quote(of, safe='')}"
 
     def _notice(self, notice: Notice) -> None:

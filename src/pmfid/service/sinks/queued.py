@@ -56,7 +56,7 @@ Line = deque[Entry]
 
 
 def is_urgent(notice: Notice) -> bool:
-    """Whether a person waits for it."""
+    """Whether a person waits for the outcome."""
     return notice.what.get("event") in URGENT
 
 
@@ -68,7 +68,7 @@ def size_of(rows: EstimateRows) -> int:
 class OutcomeQueue:
     """Rows, urgent notices and other ones, each in a line of its own, and taken in the order in which they came.
 
-    What is newest always stays: a single block of rows beyond the limits is kept until the next one comes.
+    The newest block always stays: a block of rows that exceeds the limits is kept until the next one arrives.
     """
 
     limits: QueueLimits
@@ -103,7 +103,7 @@ class OutcomeQueue:
         return self._drop_excess()
 
     def take(self, most: int = MOST_ENTRIES) -> list[Entry]:
-        """The oldest, in order, as many as the limits let a sink have at once, and no more than `most`."""
+        """The oldest outcomes, in order, at most `most` and within the limits of a sink."""
         taken: list[Entry] = []
         rows = 0
         lines = (self._rows, self._urgent, self._other)
@@ -190,7 +190,7 @@ class Queued:
         self._lost = Lost()  # dropped rows and notices without a report
         self._reported_at = -TUNING.tell_every
         self._refusals: set[str] = set()
-        self._trying: float | None = None  # since when it has not taken what it was given
+        self._trying: float | None = None  # time since which the sink has taken nothing
         self._proved = False  # it has taken something
         self._unwritten: dict[int, Notice] = {}  # urgent ones that the sink does not have yet, by number
         self._thread = Thread(target=self._run, name=f"sink {sink.name}", daemon=True)

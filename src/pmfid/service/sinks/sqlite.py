@@ -101,7 +101,7 @@ def _raise_os_errors(path: Path) -> Iterator[None]:
 
 
 class SqliteSink:
-    """Writes all notices that it is given at once, or none of them; those are on the disk when `put` returns.
+    """Writes all given notices in one transaction, or none of them. When `put` returns, they are on the disk.
 
     A notice that is there already, with its number, its axis and all that it says, is not written again. Number alone
     would not do: a service that lost its state counts from 1 again, and its alarms must not look like old ones.
@@ -189,7 +189,7 @@ def _insert(cursor: sqlite3.Cursor, notice: Notice) -> None:
         values = (row, alarm_of(notice), notice.axis, notice.axis, notice.wall, str(what.get("note", "")))
         cursor.execute(f"INSERT INTO acknowledgements VALUES (?, {alarm}, ?, ?, ?)", values)
     elif event == "configuration" and what.get("digest") is not None:
-        # the service tells what it has at every start; history is what differs from the time before
+        # the service reports its configuration at every start; only differences belong to the history
         config, digest = _cell(what.get("config")), _cell(what["digest"])
         values = (row, notice.axis, notice.wall, config, digest, as_json(what), config, notice.axis, digest)
         cursor.execute(INSERT_CONFIGURATION, values)

@@ -162,7 +162,7 @@ class Piped:
     _stop: Event = field(default_factory=Event, init=False)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Hands over the lines as they come; what was read is read, so a mark is of no use. Raises UsageError for a
+        """Hands over the lines as they arrive. Lines cannot be read twice, so there is no mark. Raises UsageError for a
         stream without a header."""
         text = _Text(self.name, self.axis, self.config)
         while not self._stop.is_set():

@@ -119,7 +119,7 @@ class Hub:
         return not self.ended
 
     def _changes(self, since: int, groups: bool) -> tuple[int, bytes]:
-        """(version, line) of what changed; the same for all browsers that ask for it in the same tick."""
+        """(version, line) with the changes, shared by all browsers that request it in the same tick."""
         key = since, self._ticks, groups
         if key not in self._written:
             while len(self._written) >= TUNING.hub_written:
@@ -269,7 +269,7 @@ class Api:
         axis = self._find_axis(request.path_params["axis"])
         try:
             record = await run_in_threadpool(self.reference, axis)
-        except (UsageError, OSError):  # the sentence names files of the machine
+        except (UsageError, OSError):  # the sentence contains names of files on the machine
             raise HTTPException(404, "the reference record cannot be read; the log of the service says why") from None
         if record is None:
             raise HTTPException(

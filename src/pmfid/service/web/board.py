@@ -74,7 +74,7 @@ class Panel:
 
     @property
     def leading(self) -> int:
-        """The first parameter that deviations can be measured of."""
+        """The first parameter whose deviations can be measured."""
         usable = np.flatnonzero(self.group.nominal)
         return int(usable[0]) if usable.size else 0
 
@@ -123,12 +123,12 @@ class Panel:
         return np.asarray(np.where(known, ratio - 1.0, np.nan), float)
 
     def _turn(self, now: float) -> None:
-        """Goes on to the next point of the trend when its time has come; a full trend is made half as fine, and once
-        it is a day long, it forgets its first points."""
+        """Advances to the next point of the trend when it is due. A full trend keeps every second point; a trend of a
+        day drops its first points."""
         if self._bin_end == -np.inf:
             self._bin_end = now + self.interval
         steps = int(max(0.0, np.floor((now - self._bin_end) / self.interval) + 1))
-        if steps > 2 * TUNING.panel_points:  # nothing came for longer than the trend is
+        if steps > 2 * TUNING.panel_points:  # no data for longer than the whole trend
             self._bin_end += (steps - TUNING.panel_points) * self.interval
             steps = TUNING.panel_points
         for _ in range(steps):
@@ -161,7 +161,7 @@ class Panel:
         return np.concatenate([self._kept[axis, start:], self._kept[axis, :start]])
 
     def overview(self, since: int) -> Overview:
-        """The overview of the axes that changed after version `since`; 0: of all that have ever had data."""
+        """The overview of the axes that changed after version `since`; 0 gives all axes that have had data."""
         axis = np.flatnonzero(self._changed > since)
         rows = self.last[axis]
         lead = self.leading
@@ -176,8 +176,7 @@ class Panel:
         )
 
     def adopt(self, other: Panel, version: int) -> None:
-        """Takes over what is known of axes of the same names and parameters, and their trends where they have the same
-        points in time."""
+        """Adopts the rows of axes with equal names and parameters, and their trends if the points in time are equal."""
         if other.group.names != self.group.names:
             return
         common = [name for name in self.group.axes if name in other.place]
@@ -250,7 +249,7 @@ class Board:
             self._by_axis = {name: panel for panel in panels for name in panel.place}
 
     def keep(self, budget: float) -> None:
-        """Bytes for the history from now on. To be called before the engine's thread starts."""
+        """Sets the number of bytes for the history. To be called before the engine's thread starts."""
         self._budget = budget
         self.arrange(self.groups)
 
@@ -339,7 +338,7 @@ class Board:
             return panel.interval, panel.trend(axes)
 
     def follow(self, axis: str) -> Subscription:
-        """Every row of an axis from now on, until it is closed."""
+        """A queue of every further row of an axis, until it is closed."""
         subscription = Subscription(axis, TUNING.board_waiting, self._leave)
         with self._lock:
             self._subscriptions[axis] = [*self._subscriptions.get(axis, ()), subscription]
@@ -390,7 +389,7 @@ class Subscription:
         if not pieces:
             return None, dropped
         kinds = {piece.dtype for piece in pieces}
-        last = pieces[-1].dtype  # a changed configuration may have other parameters: what was before is history
+        last = pieces[-1].dtype  # a changed configuration may have other parameters, so earlier rows are dropped
         same = [piece for piece in pieces if piece.dtype == last] if len(kinds) > 1 else list(pieces)
         return np.concatenate(same), dropped
 

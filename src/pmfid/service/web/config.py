@@ -11,7 +11,7 @@ from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
 from pmfid.service.broker import is_here
 
-#: Where the page is without [page].
+#: Address of the page without [page].
 HERE, PORT = "127.0.0.1", 8127
 
 

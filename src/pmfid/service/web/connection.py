@@ -34,7 +34,7 @@ class Guarded(H11Protocol):
 
     @property
     def proved(self) -> bool:
-        """Whether a request on it had a token that opens something."""
+        """Whether a request on this connection had a valid token."""
         return self._proved or (self.scope is not None and self.scope.get("may") is not None)
 
     @property
@@ -57,7 +57,7 @@ class Guarded(H11Protocol):
             self._expect()
 
     def _expect(self) -> None:
-        """The whole request, not its next byte: a byte every few seconds is what holds connections open."""
+        """The limit holds for the whole request, because a byte every few seconds would keep a connection open."""
         self._deadline = self.loop.call_later(TUNING.connection_request, self._end)
 
     def _forget_deadline(self) -> None:
@@ -78,7 +78,7 @@ class Guarded(H11Protocol):
         self._stuck = self.loop.call_later(TUNING.connection_stuck, self._look, size)
 
     def _look(self, before: int) -> None:
-        """A slow line is no stuck one: what waits must have become less."""
+        """A slow line is not stuck as long as the amount of waiting data falls."""
         if self.transport.get_write_buffer_size() < before:
             self._watch()
         else:
@@ -106,7 +106,7 @@ class Guarded(H11Protocol):
 
 
 def most_connections(wanted: int) -> int:
-    """The number of connections: as many as wanted, but at most half of the files that the process may open. Sources,
+    """The number of connections: the wanted number, but at most half of the files that the process may open. Sources,
     sinks and checkpoints need theirs."""
     try:
         import resource
@@ -140,7 +140,7 @@ class Entrance:
                     await asyncio.sleep(TUNING.no_file)
                     continue
                 self._admit(line, tls, make)
-                await asyncio.sleep(0)  # what came before is read before the next one is let in
+                await asyncio.sleep(0)  # pending data are read before the next connection is accepted
         finally:
             self._listener.close()
 
@@ -164,7 +164,7 @@ class Entrance:
             self._guests.pop(line, None)
 
     def _make_room(self) -> bool:
-        """Whether a connection had to go."""
+        """Whether a connection was closed for a new one."""
         unproved = (line for line, (guest, _) in self._guests.items() if not guest.proved)
         idle = (line for line, (guest, _) in self._guests.items() if guest.idle)
         line = next(unproved, None) or next(idle, None)
@@ -175,6 +175,6 @@ class Entrance:
         if guest.transport is not None:
             guest.transport.abort()
         else:
-            with contextlib.suppress(OSError):  # the other side was faster
+            with contextlib.suppress(OSError):  # the client has closed the connection first
                 line.shutdown(socket.SHUT_RDWR)
         return True

@@ -53,7 +53,7 @@ class Tokens:
 
 
 def load_tokens(config: PageConfig, folder: Path) -> Tokens:
-    """Those that [page] names, or a new one; folder: that names of files count from. Raises UsageError."""
+    """The tokens that [page] names, or a new token. folder: to which names of files are relative. Raises UsageError."""
     write = _read_token("token", config.token_env, config.token_file, folder)
     read = _read_token("read_token", config.read_token_env, config.read_token_file, folder)
     if read and read == write:
@@ -123,14 +123,14 @@ class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
 class Brake:
     """A brake on guesses: wrong tokens are counted by the address that they come from, in bounded memory.
 
-    clock: monotonic [s]. It is asked about wrong tokens alone, so a good one always opens, whoever else guesses from
-    the same address."""
+    clock: monotonic [s]. Only wrong tokens are counted, so a valid token works even if someone guesses from the same
+    address."""
 
     clock: Callable[[], float] = time.monotonic
     _wrong: dict[str, tuple[int, float]] = field(default_factory=dict, init=False)  # number, since when; oldest first
 
     def wrong(self, address: str) -> float:
-        """Counts a wrong token. Time until the address is answered as before [s]; 0 while it is."""
+        """Counts a wrong token. Time until the address is answered again [s]; 0 if it is not blocked."""
         now, key = self.clock(), _network(address)
         number, since = self._wrong.pop(key, (0, now))
         if now - since >= TUNING.security_window:
@@ -164,7 +164,7 @@ def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
 
 @dataclass
 class Guard:
-    """Answers what may not be asked, and hands on the rest with `scope["may"]` READ, WRITE or None.
+    """Refuses forbidden requests and passes on the others with `scope["may"]` READ, WRITE or None.
 
     open_paths: prefixes of what needs a token; everything else is files that say nothing of the plant.
     """
@@ -242,7 +242,7 @@ def _with_headers(send: Send, private: bool) -> Send:
 
 
 async def json_body(request: Request) -> dict[str, Any]:
-    """The object in a body. Raises HTTPException for what is none, too large or too slow."""
+    """The object in a body. Raises HTTPException for a body that is no object, too large or too slow."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise HTTPException(415, "write JSON, with content-type: application/json")
     try:

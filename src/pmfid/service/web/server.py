@@ -56,7 +56,7 @@ def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
 
 
 async def _answer_error(request: Request, error: Exception) -> Response:
-    """A sentence; nothing of the request is in it."""
+    """A sentence without any text of the request."""
     if isinstance(error, HTTPException):
         return JSONResponse({"problem": error.detail}, error.status_code, error.headers)
     return JSONResponse({"problem": "the service could not answer; its log says why"}, 500)

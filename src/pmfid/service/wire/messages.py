@@ -43,7 +43,7 @@ class LineSplitter:
         return [line for line in lines if len(line) <= PIPELINE_TUNING.longest_line]
 
 
-#: Of one message; what is beyond is not looked at.
+#: Most items of one message; further items are ignored.
 MOST_POINTS = 20_000
 
 
@@ -196,7 +196,7 @@ class Messages:
             return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
         try:
             return self._items(data, axis)
-        except Exception as error:  # not acknowledged, the message would come again and again
+        except Exception as error:  # without an acknowledgement the broker would send the message again and again
             return [Unusable("error", f"{type(error).__name__}: {str(error)[:200]}; it is left out", axis[:64])]
 
     def _items(self, data: bytes, axis: str) -> Sequence[Item]:
