@@ -212,7 +212,7 @@ def velocity(counts: Counts) -> Floats:
 
 
 def settled_std(tracks: Tracks) -> Floats:
-    """(n, p) standard deviations at the end. If the estimates still moved by more than chance explains, they are larger:
+    """(n, p) standard deviations at the end. They are larger if the estimates still moved by more than chance explains:
     a biased start, or a change within the segment, is forgotten no faster than the samples."""
     std = tracks.theta_std[:, -1]
     moved = np.ptp(tracks.theta[:, _first_after(tracks, 4) :], axis=1)
