@@ -42,11 +42,13 @@ def run(clock: str, delay: float = 0.0) -> tuple[Floats, Floats, Counts]:
     return late, u, quantize(x, 8 * CART_RESOLUTION)
 
 
-def identified(folder: Path, time: Floats, u: Floats, counts: Counts, model: str = "") -> DriveResult:
+def identified(
+    folder: Path, time: Floats, u: Floats, counts: Counts, model: str = "", encoder: str = ""
+) -> DriveResult:
     pl.DataFrame({"t": time, "u": u, "n": counts}).write_csv(folder / "run.csv")
     (folder / "axis.toml").write_text(
         '[record]\ninput = "u"\noutput = "n"\noutput_kind = "counts"\ntime = "t"\ntime_unit = "s"\n'
-        f"[encoder]\nresolution = {8 * CART_RESOLUTION}\n[model]\ninput_gain = {CART.input_gain}\n{model}"
+        f"[encoder]\nresolution = {8 * CART_RESOLUTION}\n{encoder}[model]\ninput_gain = {CART.input_gain}\n{model}"
     )
     axis = load_axis(folder / "axis.toml")
     found = identify(kind_of(axis).read([folder / "run.csv"], axis), axis)
@@ -152,3 +154,10 @@ def test_many_small_gaps_of_an_uneven_clock_are_long_steps(tmp_path: Path) -> No
         kept[first : first + int(rng.integers(2, 5))] = False
     result = identified(tmp_path, (at * CART_DT / PARTS)[kept], u[kept], quantize(x, 8 * CART_RESOLUTION)[kept])
     np.testing.assert_allclose(result.theta, TRUTH, rtol=0.02)
+
+
+def test_a_counter_wraps_on_an_uneven_clock(tmp_path: Path) -> None:
+    time, u, counts = run("host")
+    result = identified(tmp_path, time, u, counts % 2**12, encoder="bits = 12\n")
+    np.testing.assert_array_equal(result.theta, identified(tmp_path, time, u, counts).theta)
+    assert any("counter wrapped" in finding.sentence for finding in result.findings)

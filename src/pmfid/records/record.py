@@ -345,17 +345,22 @@ def _resample(
 ) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
     """The columns of an uneven clock on an even grid, what they are made of, None for an even clock, and notes.
 
-    y_scale: of the output. A record with a counter that wraps, a velocity or rows that are left out keeps its clock."""
-    config, encoder = axis.record, axis.encoder
+    y_scale: of the output. A record of a velocity, with a range or rows that are left out keeps its clock."""
+    given, config, encoder = columns, axis.record, axis.encoder
     keeps = config.output_kind == "velocity" or config.mask or config.exclude
-    if "time" not in columns or keeps or encoder.bits is not None or encoder.range is not None:
+    if "time" not in columns or keeps or encoder.range is not None:
         return columns, None, ()
     if config.output_kind == "position":
         _check_position(columns["output"], axis)  # while it is what the file has
+    wraps = 0
+    if config.output_kind == "counts" and encoder.bits is not None:
+        columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}
+        apart = columns["output"] - np.where(np.isfinite(columns["output"]), given["output"], 0.0)
+        wraps = int(np.count_nonzero(np.diff(apart[np.isfinite(apart)])))
     columns, stale = drop_stale_rows(columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale)
     found = resample_uneven(columns["time"], columns["input"], columns["output"], thinned=stale > 0)
     if found is None:
-        return columns, None, ()
+        return given, None, ()
     period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid, as stamps of arrival do: the grid is taken"
     if found.jitter:
@@ -365,7 +370,7 @@ def _resample(
         note = f"{part:.0%} of the rows repeat the output of the row before, and are left out: log what is new"
     y = np.rint(found.y) if config.output_kind == "counts" else found.y
     new = columns | {"time": found.time, "input": found.u, "output": y}
-    return new, found, (note,)
+    return new, found, (note, *([f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []))
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
