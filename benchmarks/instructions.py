@@ -40,7 +40,7 @@ def count(folder: Path) -> list[dict[str, float]]:
     """Runs the workload under callgrind; instructions per step of each part of the kernel, per estimator."""
     output = folder / "callgrind.out"
     command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={output}", "--dump-before=pmf_init"]
-    command += ["--toggle-collect=pmf_step", sys.executable, "-m", "benchmarks.instructions", "--workload"]
+    command += ["--toggle-collect=pmf_step*", sys.executable, "-m", "benchmarks.instructions", "--workload"]
     subprocess.run(command, check=True, capture_output=True)
     dumps = sorted(folder.glob("callgrind.out.*"), key=lambda path: int(path.suffix[1:]))
     counted = [inclusive(path) for path in [*dumps, output] if path.exists()]  # the last one has no number
@@ -52,7 +52,9 @@ def inclusive(path: Path) -> dict[str, float]:
     command = ["callgrind_annotate", "--inclusive=yes", "--threshold=100", str(path)]
     text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     found = re.findall(r"^\s*([\d,]+)\s.*?:(pmf_\w+)", text, re.MULTILINE)
-    return {name: int(number.replace(",", "")) / STEPS for number, name in found if name in PARTS}
+    straight = re.compile(r"^pmf_step_(rls|bcrls|riv)$")  # all parts of it are one function
+    parts = [(straight.sub("pmf_step", name), int(number.replace(",", "")) / STEPS) for number, name in found]
+    return {name: number for name, number in parts if name in PARTS}
 
 
 def instruction_rows(counted: Counted) -> list[str]:
