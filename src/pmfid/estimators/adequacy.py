@@ -361,9 +361,7 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     sensitivity = -difference.jacobian(q)
     own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:])
     candidates = list_candidate_forces(difference, q, places)
-    effects = np.column_stack(
-        [_effect(difference, q, candidate) for candidate in candidates] or [np.zeros((slope.size, 0))]
-    )
+    effects = _effects(difference, q, candidates)
     effects = np.where(np.all(np.isfinite(effects), axis=0), effects, 0.0)  # of next to nothing, beyond numbers
     cleaned = difference.remove_nuisance(effects, sensitivity[:, p:])
     scale = np.maximum(np.linalg.norm(own, axis=0), TUNING.tiny)
@@ -405,15 +403,30 @@ def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
     return np.asarray(np.sum(2 * size * score - size**2 * information, axis=0))
 
 
-def _effect(difference: Difference, q: Floats, candidate: CandidateForce) -> Floats:
-    """(n,) by how much the simulated position moves [counts] for a unit of the force."""
-    usual = rms(candidate.force)
-    size = (
-        TUNING.adequacy_step * candidate.plausible
-        or TUNING.step_of_force * abs(difference.equation.input_gain) * rms(difference.u) / usual
-    )
-    more, less = difference.motions(np.array([q, q]), np.outer([-size, size], candidate.force))[0]
-    return difference.filter_signal(more - less) / (2 * size * difference.resolution)
+def _effects(difference: Difference, q: Floats, candidates: Sequence[CandidateForce]) -> Floats:
+    """(n, k) by how much the simulated position moves [counts] for a unit of each of k forces."""
+    effects = np.zeros((difference.y.size, len(candidates)))
+    fineness = [candidate.force.size for candidate in candidates]
+    for size in dict.fromkeys(fineness):
+        alike = [k for k, own in enumerate(fineness) if own == size]
+        for some in (alike[k : k + _PAIRS] for k in range(0, len(alike), _PAIRS)):
+            effects[:, some] = _effects_alike(difference, q, [candidates[k] for k in some])
+    return effects
+
+
+#: Forces that are simulated at once, each with both signs.
+_PAIRS = TUNING.trials_together // 2
+
+
+def _effects_alike(difference: Difference, q: Floats, candidates: Sequence[CandidateForce]) -> Floats:
+    """The same of forces over the same parts of a sample."""
+    usual = TUNING.step_of_force * abs(difference.equation.input_gain) * rms(difference.u)
+    sizes = np.array([TUNING.adequacy_step * one.plausible or usual / rms(one.force) for one in candidates])
+    forces = sizes[:, None] * np.array([candidate.force for candidate in candidates])
+    found = difference.motions(np.tile(q, (2 * sizes.size, 1)), np.concatenate([-forces, forces]))[0]
+    more, less = np.split(found, 2)
+    signals = [difference.filter_signal(row) for row in more - less]
+    return np.asarray(np.array(signals).T / (2 * sizes * difference.resolution))
 
 
 def is_contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import accumulate
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
@@ -439,6 +441,11 @@ class Difference:
         return values
 
     @property
+    def side_by_side(self) -> int:
+        """How many differences cost hardly more than one."""
+        return 1 if self.breaks else TUNING.trials_together
+
+    @property
     def size_of_motion(self) -> float:
         """Root mean square [counts] of the position about its mean, as the difference sees it."""
         return rms(self.filter_signal(self.y - np.mean(self.y)) / self.resolution)
@@ -549,30 +556,44 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
                 "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
                 "Python give `initial`"
             )
-        for _ in range(TUNING.max_evaluations):
-            size = np.maximum(np.linalg.norm(jacobian, axis=0), TUNING.tiny)
-            scaled = jacobian / size
-            step = bounded_step(scaled.T @ scaled + damping * np.eye(q.size), scaled.T @ error, q > difference.lower)
-            trial = np.maximum(q - step / size, difference.lower)
-            found, cost = try_step(difference, q, trial), float(error @ error)
-            gain = cost - float(found @ found)
-            if gain > 0:
-                q, error, damping = trial, found, damping / 10
-                if gain <= tolerance * cost:
+        tried, together = 0, 1
+        while tried < TUNING.max_evaluations:
+            cost, several = float(error @ error), min(together, TUNING.max_evaluations - tried)
+            dampings = list(accumulate(several * [10.0], mul, initial=damping))[:-1]
+            trials = _damped_steps(difference, q, error, jacobian, dampings)
+            for trial, found, damping in zip(trials, try_steps(difference, q, trials), dampings, strict=True):
+                gain, tried = cost - float(found @ found), tried + 1
+                if gain > 0:
+                    q, error, damping, together = trial, found, damping / 10, 1
+                    if gain <= tolerance * cost:
+                        return q, True
+                    jacobian = difference.forward_jacobian(q, error)
+                    break
+                if damping > TUNING.max_damping or gain == 0:
                     return q, True
-                jacobian = difference.forward_jacobian(q, error)
-            elif damping > TUNING.max_damping or gain == 0:
-                return q, True
             else:
-                damping *= 10
+                damping, together = 10 * damping, difference.side_by_side
     return q, False
 
 
-def try_step(difference: Difference, q: Floats, trial: Floats) -> Floats:
-    """The difference (n,) at trial (q,), infinite if the step from q is too long: what hardly acts runs away."""
-    if np.max(np.abs(trial - q)) > TUNING.longest_step:
-        return np.full(difference.y.size, np.inf)
-    return difference(trial)
+def _damped_steps(
+    difference: Difference, q: Floats, error: Floats, jacobian: Floats, dampings: Sequence[float]
+) -> Floats:
+    """(k, q) where the steps of Gauss and Newton with each of k dampings lead to."""
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), TUNING.tiny)
+    scaled = jacobian / size
+    hessian, slope, above = scaled.T @ scaled, scaled.T @ error, q > difference.lower
+    steps = [bounded_step(hessian + damping * np.eye(q.size), slope, above) / size for damping in dampings]
+    return np.maximum(q - np.array(steps), difference.lower)
+
+
+def try_steps(difference: Difference, q: Floats, trials: Floats) -> Floats:
+    """The differences (k, n) at trials (k, q), infinite if the step from q is too long: what hardly acts runs away."""
+    near = np.max(np.abs(trials - q), axis=1) <= TUNING.longest_step
+    found = np.full((len(trials), difference.y.size), np.inf)
+    if np.any(near):
+        found[near] = difference.differences(trials[near])
+    return found
 
 
 def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:

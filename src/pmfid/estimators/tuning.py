@@ -236,6 +236,8 @@ class EstimatorTuning:
     #: the simulated position, far below what makes the position bend.
     quotient_step: float = 1e-4
     max_evaluations: int = 200
+    #: Motions that vector lanes compute at about the price of one.
+    trials_together: int = 8
     #: A step by less than this part of a standard error ends an iteration.
     settled_step: float = 0.01
     #: Damping of the first step, and the largest one: a step that is damped more moves nothing.
