@@ -442,8 +442,8 @@ class Difference:
 
     @property
     def side_by_side(self) -> int:
-        """How many differences cost hardly more than one."""
-        return 1 if self.breaks else TUNING.trials_together
+        """How many differences cost hardly more than one. Those of different shapes follow one another."""
+        return 1 if self.breaks or self.equation.further else TUNING.trials_together
 
     @property
     def size_of_motion(self) -> float:
