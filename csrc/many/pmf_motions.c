@@ -101,6 +101,9 @@ static void take_inputs(const pmf_motions_t *motions, uint64_t first, int64_t ro
     }
     late->newer = run->acting;
     late->part = run->part;
+    if (motions->config->shapes.n != 0U && motions->decay == 0) { /* two phases under one input would be twice the work */
+        late->part = PMF_IF(late->older == late->newer, PMF_R(0.0), late->part);
+    }
     if (motions->decay != 0) {
         lag_input(run->decay, late);
     }
@@ -157,7 +160,11 @@ static uint64_t run_motions(const pmf_motions_t *motions, uint64_t first)
                 continue;
             }
             signal[PMF_LATE_INPUT] = run.late.newer + run.late.part * (run.late.older - run.late.newer);
-            pmf_auxiliary_late_step(&config, &run.state, &run.late, signal);
+            if (config.shapes.n != 0U && PMF_ALL(run.late.part == PMF_R(0.0))) {
+                pmf_auxiliary_step(&config, &run.state, signal);
+            } else {
+                pmf_auxiliary_late_step(&config, &run.state, &run.late, signal);
+            }
         }
         run.sum[0] += signal[PMF_AUXILIARY + PMF_VELOCITY];
         run.sum[1] += signal[PMF_AUXILIARY + PMF_DIRECTION];

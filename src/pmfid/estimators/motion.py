@@ -564,16 +564,26 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
             for trial, found, damping in zip(trials, try_steps(difference, q, trials), dampings, strict=True):
                 gain, tried = cost - float(found @ found), tried + 1
                 if gain > 0:
-                    q, error, damping, together = trial, found, damping / 10, 1
+                    step, q, error, damping, together = trial - q, trial, found, damping / 10, 1
                     if gain <= tolerance * cost:
                         return q, True
-                    jacobian = difference.forward_jacobian(q, error)
+                    widths = _widths_near(difference, error, step)
+                    jacobian = difference.forward_jacobian(q, error, widths)
                     break
                 if damping > TUNING.max_damping or gain == 0:
                     return q, True
             else:
                 damping, together = 10 * damping, difference.side_by_side
     return q, False
+
+
+def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats | float:
+    """Of the difference quotients where a step (q,) has led to error (n,). Where the motion nearly explains the counts,
+    they are as long as the step: a longer one misses the minimum. Where it does not, stops that come and go would give
+    short ones slopes of their own."""
+    if rms(error) > TUNING.output_error_far * difference.explained:
+        return TUNING.quotient_step
+    return np.asarray(np.clip(np.abs(step), TUNING.least_quotient, TUNING.quotient_step))
 
 
 def _damped_steps(
