@@ -101,7 +101,7 @@ static void take_inputs(const pmf_motions_t *motions, uint64_t first, int64_t ro
     }
     late->newer = run->acting;
     late->part = run->part;
-    if (motions->config->shapes.n != 0U && motions->decay == 0) { /* two phases under one input would be twice the work */
+    if (motions->config->shapes.n != 0U && motions->decay == 0) { /* two phases are twice the work */
         late->part = PMF_IF(late->older == late->newer, PMF_R(0.0), late->part);
     }
     if (motions->decay != 0) {

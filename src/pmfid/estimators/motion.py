@@ -581,9 +581,9 @@ def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats 
     """Of the difference quotients where a step (q,) has led to error (n,). Where the motion nearly explains the counts,
     they are as long as the step: a longer one misses the minimum. Where it does not, stops that come and go would give
     short ones slopes of their own."""
-    if rms(error) > TUNING.output_error_far * difference.explained:
+    if rms(error) > TUNING.output_error_hopeless * difference.explained:
         return TUNING.quotient_step
-    return np.asarray(np.clip(np.abs(step), TUNING.least_quotient, TUNING.quotient_step))
+    return np.asarray(np.clip(np.abs(step), TUNING.likelihood_quotient, TUNING.quotient_step))
 
 
 def _damped_steps(
