@@ -594,7 +594,7 @@ def _damped_steps(
     scaled = jacobian / size
     hessian, slope, above = scaled.T @ scaled, scaled.T @ error, q > difference.lower
     steps = [bounded_step(hessian + damping * np.eye(q.size), slope, above) / size for damping in dampings]
-    return np.maximum(q - np.array(steps), difference.lower)
+    return np.asarray(np.maximum(q - np.array(steps), difference.lower))
 
 
 def try_steps(difference: Difference, q: Floats, trials: Floats) -> Floats:
