@@ -107,6 +107,8 @@ def test_units_of_inputs(name: str, unit: str | None) -> None:
 
 def test_numbers_with_units() -> None:
     assert quantity("0.001 mm") == pytest.approx(1e-6)
+    assert quantity("2000 counts/rev") == pytest.approx(2 * math.pi / 2000)
+    assert quantity("50 counts per mm") == pytest.approx(2e-5)
     assert quantity("3000 rpm") == pytest.approx(100 * math.pi)
     assert quantity("estimate") == "estimate"
     assert gain("0.35 N m/A") == pytest.approx(0.35)
@@ -114,6 +116,9 @@ def test_numbers_with_units() -> None:
     assert gain("0.12 N m/%") == pytest.approx(12.0)
     with pytest.raises(ValueError, match="'parsec' is no unit here; known are m, "):
         quantity("1 parsec")
+    with pytest.raises(ValueError, match=r'known are m, .* these per s or min, and "counts/rev"') as refused:
+        quantity("0 counts/rev")
+    assert len(str(refused.value)) < 200
     with pytest.raises(ValueError, match="'A/N' is no force or torque per unit of input"):
         gain("2 A/N")
 

@@ -94,7 +94,8 @@ class EncoderConfig(FileSection):
     """[encoder]: resolution in unit of y per count, and facts about the counter and the motion."""
 
     resolution: Travel = Field(
-        description='the unit of y per count, for example 22.75e-6 (m, of a rotary axis rad), or "0.01 deg"'
+        description="the unit of y per count, for example 22.75e-6 (m, of a rotary axis rad), "
+        '"0.01 deg" or "4096 counts/rev"'
     )
     range: Travel | None = Field(
         None, description='the travel after which the output wraps, for example "360 deg", or leave it out'

@@ -79,7 +79,9 @@ def _read_toml(path: Path, kind: str) -> dict[str, object]:
     except UnicodeDecodeError:
         raise UsageError(f"{path}: the configuration is not UTF-8 text; give {kind}") from None
     except (ValueError, RecursionError) as error:  # also a number of thousands of digits
-        raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
+        raise UsageError(
+            f"{path}: not valid TOML: {error}; correct that line, a number with a unit in quotes"
+        ) from None
 
 
 def _sections(whole: type[FileSection]) -> dict[str, type[BaseModel]]:

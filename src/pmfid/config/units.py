@@ -120,6 +120,8 @@ def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
+_COUNTS_PER = re.compile(r"(?:counts?|increments?)\s*(?:/|per)\s*(.+)$")
+
 
 def keep_unit(value: object, check: Callable[[object], object], read: Callable[[object], object]) -> object:
     """The value that `read` makes, with its unit, if a field's `check` accepts it as a number."""
@@ -129,14 +131,19 @@ def keep_unit(value: object, check: Callable[[object], object], read: Callable[[
 
 
 def quantity(value: object) -> object:
-    """A text with a number and a unit of travel or speed as a `Quantity`; any other value unchanged. Raises ValueError
-    for an unknown unit."""
+    """A text with a number and a unit of travel or speed as a `Quantity`, also "2000 counts/rev" for the 2000th part of
+    a revolution; any other value unchanged. Raises ValueError for an unknown unit."""
     if not isinstance(value, str) or (found := _NUMBER.match(value)) is None:
         return value
-    unit = unit_named(found.group(2), OUTPUTS)
-    if unit is None:
-        raise ValueError(f"{found.group(2) or 'nothing'!r} is no unit here; known are {', '.join(OUTPUTS)}")
-    return Quantity(float(found.group(1)), unit)
+    number, name = float(found.group(1)), found.group(2)
+    each = _COUNTS_PER.match(name)
+    unit = unit_named(each.group(1) if each else name, OUTPUTS)
+    if unit is None or (each and not number > 0):
+        known = ", ".join(name for name in OUTPUTS if "/" not in name)
+        raise ValueError(
+            f'{name or "nothing"!r} is no unit here; known are {known}, these per s or min, and "counts/rev"'
+        )
+    return Quantity(1 / number if each else number, unit)
 
 
 def gain(value: object) -> object:

@@ -87,7 +87,7 @@ __all__ = ["TWICE", "NotedTable", "Table", "column", "from_array", "lookup", "no
 Table = Mapping[str, object]
 
 #: Remedies for a cell that is no number.
-NUMBERS = "write numbers like 0.25, and remove lines that are no data"
+NUMBERS = "write numbers like 0.25, remove lines that are no data, or name another column"
 DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
 #: Seconds.
 DAY = 86_400.0
