@@ -204,6 +204,12 @@ class Windows(Difference):
             ]
         )
 
+    def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
+        """Window by window: the columns of all starts would take much memory."""
+        roots = [None] * len(self.pieces) if root is None else self._split_rows(root)
+        rows = zip(self.split_windows(q), roots, strict=True)
+        return np.concatenate([part.own_sensitivity(own, weights, width) for (part, own), weights in rows])
+
     def replace_equation(self, equation: Equation, scale: Floats) -> Windows:
         pieces = tuple(part.replace_equation(equation, scale) for part in self.pieces)
         return replace(self, equation=equation, scale=np.r_[scale, self.scale[self.parameters :]], pieces=pieces)
@@ -253,27 +259,25 @@ def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Diffe
     A controller holds an arm where gravity or a magnet pulls it away, and then errors of the simulation grow without
     bound. Windows that are short enough follow the motion (multiple shooting: Bock 1981).
     """
-    theta, p, found = q[:-2], difference.parameters, None
+    theta, p = q[:-2], difference.parameters
     coarse = replace(difference, parts=1)
-    for count in TUNING.restarts_tried:
-        found = _explain_in_windows(coarse, theta, cutoff, count)
-        if found is not None:
-            break
-    shortest = found
-    while found is not None and shortest is not None and len(found[0].pieces) > 1:
+    tried = (_explain_in_windows(coarse, theta, cutoff, count) for count in TUNING.restarts_tried)
+    shortest = next((one for one in tried if one is not None), None)
+    if shortest is None:
+        return None
+    found = shortest
+    while len(found[0].pieces) > 1:
         longer = _explain_in_windows(coarse, found[1][:p], cutoff, len(found[0].pieces) // 2)
         if longer is None or _leaves_more(longer, shortest):
-            break
+            return found
         found = longer
-    if found is not None and len(found[0].pieces) == 1:
-        fine = difference.fine_at(found[1][:p] * difference.scale[:p])
-        return fine, least(fine, found[1])
-    return found
+    fine = difference.fine_at(found[1][:p] * difference.scale[:p])
+    return fine, least(fine, found[1])
 
 
 def _leaves_more(longer: tuple[Windows, Floats], shorter: tuple[Windows, Floats]) -> bool:
-    """Whether longer windows leave more than chance makes of the starts that they lack: a sensitive motion has local
-    minima, which all but explain the counts."""
+    """Whether longer windows leave more than chance explains, given that they have fewer starts. The sum of squares of
+    a sensitive motion has local minima that nearly explain the counts."""
     (few, q), (many, other) = longer, shorter
     squares = few.y.size * ((rms(few(q)) / rms(many(other))) ** 2 - 1)
     freedom = 2 * (len(many.pieces) - len(few.pieces))
@@ -283,8 +287,8 @@ def _leaves_more(longer: tuple[Windows, Floats], shorter: tuple[Windows, Floats]
 def _explain_in_windows(
     difference: Difference, theta: Floats, cutoff: float, count: int
 ) -> tuple[Windows, Floats] | None:
-    """Windows, `count` in the record, and their q (q,) from scaled parameters (p,) on; None where they do not explain
-    the counts."""
+    """`count` windows of a record, and their least squares (q,) from scaled parameters theta (p,) on. None if these
+    windows do not explain the counts."""
     n = difference.y.size
     if n < count * TUNING.search_fewest:
         return None
