@@ -150,7 +150,8 @@ def test_which_of_the_two_it_is_is_said_and_the_remedy_helps(axis: str, kind: st
     found = examine(made(IV, axis), run.u, run.counts)
     (finding,) = late(found)
     assert finding.code == "dead_time"
-    assert finding.text.startswith(f"{said} of about 0.8 samples explains the counts better, a ")
+    assert finding.text.startswith(f"{said} of about 0.8 samples explains the counts better: ")
+    assert "samples explains them less" in finding.detail
     assert f'set {kind} = "estimate" in [model]' in finding.text
     assert examine(made(IV, axis, **{kind: "estimate"}), run.u, run.counts).adequate
 

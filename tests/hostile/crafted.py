@@ -96,7 +96,14 @@ def program(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
         files += [
             str(sources / "many" / name) for name in ("pmf_layout.c", "pmf_many.c", "pmf_scores.c", "pmf_lanes.c")
         ]
-        options += ["-DFLEET", "-DPMF_LANE_BYTES=16", "-DPMF_HAVE_LANES_16", "-msse4.2"]
+        lanes = ["-DPMF_LANE_BYTES=16", "-DPMF_HAVE_LANES_16", "-msse4.2"]
+        for method in ("rls", "bcrls", "riv"):
+            for name, own in (("pmf_straight", []), ("pmf_lanes", lanes)):
+                files.append(f"{name}_{method}.o")
+                source = str(sources / "many" / f"{name}.c")
+                flags = [*REQUIRED, *options, *own, *SANITIZE, f"-DPMF_STRAIGHT={method}", f"-I{sources}"]
+                subprocess.run(["gcc", *flags, "-c", source, "-o", files[-1]], cwd=folder, check=True)
+        options += ["-DFLEET", *lanes]
     command = ["gcc", *REQUIRED, *options, *SANITIZE, f"-I{sources}", *files, "-o", "crafted"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if done.returncode != 0:
