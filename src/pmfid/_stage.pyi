@@ -23,6 +23,13 @@ POWER: int
 def first_order(
     signal: ArrayLike, a: float, b0: float, b1: float = 0.0, memory: float = 0.0
 ) -> tuple[NDArray[np.float64], float]: ...
+def follow_states(
+    phis: NDArray[np.float64],
+    nows: NDArray[np.float64],
+    changes: NDArray[np.float64],
+    w: NDArray[np.float64],
+    start: NDArray[np.float64],
+) -> NDArray[np.float64]: ...
 
 class Inputs:
     counts: int

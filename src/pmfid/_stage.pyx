@@ -30,6 +30,35 @@ def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
     return found, memory
 
 
+def follow_states(phis, nows, changes, const double[:, :] w, const double[:, :] start):
+    """States (n, channels, N) from start (n, channels): x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]).
+
+    phis (steps, n, n), nows and changes (steps, n) are of one step each, or of all (steps = 1); w: (channels, N).
+    """
+    cdef const double[:, :, ::1] phi = np.ascontiguousarray(phis)
+    cdef const double[:, ::1] now = np.ascontiguousarray(nows), change = np.ascontiguousarray(changes)
+    cdef Py_ssize_t n = phi.shape[1], channels = w.shape[0], k, c, i, j, apart = phi.shape[0] > 1
+    found = np.empty((n, channels, w.shape[1]))
+    cdef double[:, :, ::1] states = found
+    cdef double[:, ::1] x = np.array(start.T, order="C")
+    cdef double[::1] moved = np.empty(n)
+    cdef double total, slope
+    cdef const double *row
+    states[:, :, 0] = start
+    for k in range(w.shape[1] - 1):
+        for c in range(channels):
+            slope = w[c, k + 1] - w[c, k]
+            for i in range(n):
+                row = &phi[k * apart, i, 0]
+                total = now[k * apart, i] * w[c, k] + change[k * apart, i] * slope
+                for j in range(n):
+                    total += row[j] * x[c, j]
+                moved[i] = total
+                states[i, c, k + 1] = total
+            x[c, :] = moved
+    return found
+
+
 #: Places in the whole numbers of an axis: the last counts, what is added to what its counter shows, the change of the
 #: counts in the last sample, samples so far, whether the last one was lost, whether any was not, whether the input
 #: changed in the last one that was not, how many of the counts that are kept follow one another up to the last, and

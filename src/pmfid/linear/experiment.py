@@ -9,8 +9,9 @@ from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, schur
+from scipy.linalg import expm
 
+from pmfid._stage import follow_states
 from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError
 from pmfid.linear.tuning import TUNING
@@ -77,39 +78,8 @@ def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held:
     step = transition(F, g, grid)
     if not np.all(np.isfinite(step.phi)):
         return np.full((*start.shape, w.shape[1]), np.nan)
-    if not grid.uniform:
-        forced = step.now.T[:, None, :] * w[:, :-1]
-        if not held:
-            forced = forced + step.change.T[:, None, :] * np.diff(w)
-        return _recur_varying(step.phi, forced, start)
-    T, Q = schur(step.phi, output="complex")
-    back = Q.conj().T
-    now, change = back @ step.now, np.zeros(F.shape[0]) if held else back @ step.change
-    modes = _recur(
-        T, [a * w[:, :-1] + (0.0 if held else b * np.diff(w)) for a, b in zip(now, change, strict=True)], back @ start
-    )
-    return _combine_modes(Q, modes).reshape(*start.shape, -1)
-
-
-def _recur(T: Floats, forced: list[Floats], start: Floats) -> list[Floats]:
-    """x[k+1] = T x[k] + forced[k], T upper triangular (a Schur form keeps close poles exact): a first-order recursion
-    for each state, the last one first."""
-    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
-
-    states: list[Floats] = []
-    for i in range(T.shape[0] - 1, -1, -1):
-        drive = np.empty((start.shape[1], forced[i].shape[1] + 1), complex)
-        drive[:, 0], drive[:, 1:] = start[i], forced[i]
-        for value, state in zip(T[i, i + 1 :], states, strict=True):
-            drive[:, 1:] += value * state[:, :-1]
-        states.insert(0, lfilter([1.0], [1.0, -T[i, i]], drive))
-    return states
-
-
-def _combine_modes(Q: Floats, modes: list[Floats]) -> Floats:
-    """Real part of Q modes."""
-    real, imag = np.array([mode.real.ravel() for mode in modes]), np.array([mode.imag.ravel() for mode in modes])
-    return product(Q.real, real) - product(Q.imag, imag)
+    n, change = F.shape[0], np.zeros(step.now.shape) if held else step.change
+    return follow_states(step.phi.reshape(-1, n, n), step.now.reshape(-1, n), change.reshape(-1, n), w, start)
 
 
 def product(matrix: Floats, rows: Floats) -> Floats:
@@ -119,16 +89,6 @@ def product(matrix: Floats, rows: Floats) -> Floats:
         part = slice(first, first + TUNING.experiment_block)
         result[:, part] = matrix @ rows[:, part]
     return result
-
-
-def _recur_varying(phi: Floats, forced: Floats, start: Floats) -> Floats:
-    drive = np.ascontiguousarray(np.moveaxis(forced, -1, 0))
-    states = np.empty((drive.shape[0] + 1, *start.shape))
-    states[0] = x = start
-    for k in range(drive.shape[0]):
-        x = phi[k] @ x + drive[k]
-        states[k + 1] = x
-    return np.asarray(np.moveaxis(states, 0, -1))
 
 
 def _exponential(matrices: Floats) -> Floats:
