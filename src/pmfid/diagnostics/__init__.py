@@ -1,1 +1,1 @@
-"""What to think of an estimate: flags, sentences, residual tests, terms that are missing."""
+"""Judgements on an estimate: flags, sentences, residual tests and missing terms."""

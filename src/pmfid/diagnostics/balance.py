@@ -1,4 +1,4 @@
-"""The force balance along the motion, and what residual forces correlate with."""
+"""The force balance along the motion, and the correlations of the residual force."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ FRICTION = (VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD
 
 @dataclass(frozen=True)
 class Binned:
-    """Means of a force over bins of equal numbers of samples: x, mean [N], its standard error, each (bins,)."""
+    """Means of a force over bins with equal numbers of samples.
+
+    The bin centres x, the means [N] and their standard errors [N] have shape (bins,).
+    """
 
     x: Floats
     mean: Floats
@@ -44,25 +47,27 @@ class Binned:
 
     @property
     def _ends(self) -> tuple[int, int]:
-        """The lowest and the highest mean, of those that are known well."""
+        """The bins with the lowest and the highest mean. A mean with a large error hardly counts."""
         return int(np.argmin(self.mean + 2 * self.error)), int(np.argmax(self.mean - 2 * self.error))
 
     @property
     def change(self) -> float:
-        """From the lowest to the highest mean [N]."""
+        """The difference between the highest and the lowest mean [N]."""
         low, high = self._ends
         return abs(float(self.mean[high] - self.mean[low]))
 
     @property
     def score(self) -> float:
-        """That change in its standard errors."""
+        """The difference between the highest and the lowest mean in standard errors."""
         low, high = self._ends
         return self.change / max(float(np.hypot(self.error[low], self.error[high])), 1e-300)
 
 
 @dataclass(frozen=True)
 class Friction:
-    """Filtered friction [N] over velocity [m/s], each (n,), and the means of what the model leaves of it."""
+    """The filtered friction [N] over the velocity [m/s], each (n,), and the means of the friction that the model
+    leaves.
+    """
 
     velocity: Floats
     force: Floats
@@ -71,9 +76,12 @@ class Friction:
 
 @dataclass(frozen=True)
 class Balance:
-    """The record at theta, all filtered and (n,): time t [s], measured and simulated velocity [m/s], position [m],
-    measured less simulated position, drift [m], not filtered; target [N] and regressors phi (n, p) of the force
-    balance, and residual = target - phi theta [N]. estimator: `IV` on the same filters; theta: (p,)."""
+    """The filtered signals of a record at theta (p,), each (n,).
+
+    The signals are time t [s], measured and simulated velocity [m/s], position [m] and measured minus simulated
+    position [m]. The drift [m] is not filtered. The force balance has a target [N] and regressors phi (n, p), with
+    residual = target - phi theta [N]. `estimator` is an `IV` with the same filters.
+    """
 
     estimator: IV
     theta: Floats
@@ -91,28 +99,31 @@ class Balance:
 
     @property
     def fit(self) -> float:
-        """Fit of the simulated velocity, 100 (1 - |e| / |v - mean|) [%]."""
+        """The fit of the simulated velocity, 100 (1 - |e| / |v - mean|) [%]."""
         spread = max(rms(self.measured - self.measured.mean()), 1e-300)
         return 100 * (1 - rms(self.measured - self.simulated) / spread)
 
     @cached_property
     def velocity(self) -> Floats:
-        """The velocity that sorts the samples. The simulated velocity replaces the measured one only if the residual
-        shares the encoder noise of the latter: under control it follows the residual."""
+        """The velocity that sorts the samples into bins.
+
+        The measured velocity is the usual choice, because under control the simulated velocity follows the residual.
+        The simulated velocity is used only if the encoder noise in the measured velocity also appears in the residual.
+        """
         return self.simulated if self.noisy and self.fit > 50.0 else self.measured
 
     @property
     def noisy(self) -> bool:
-        """Would the encoder's error move samples to another bin?"""
+        """Whether the encoder's error moves samples to another bin."""
         return self.encoder_noise > TUNING.quiet_encoder * float(np.std(self.measured))
 
     @property
     def encoder_noise(self) -> float:
-        """Standard deviation of the filtered velocity [m/s] from white errors of the counts."""
+        """The standard deviation of the filtered velocity [m/s] for white errors of the counts."""
         return self.estimator.encoder.resolution * float(np.linalg.norm(encoder_response(self)[0])) / math.sqrt(12)
 
     def part(self, *roles: int) -> Floats:
-        """Force (n,) [N] of the parameters with these roles."""
+        """Return the force (n,) [N] of the parameters with these roles."""
         chosen = self._parameters(*roles)
         return np.asarray(self.phi[:, chosen] @ self.theta[chosen])
 
@@ -122,16 +133,16 @@ class Balance:
 
     @property
     def direction(self) -> Floats:
-        """Filtered direction of the model, -1 to 1."""
+        """The filtered direction of motion in the model, from -1 to 1."""
         return np.asarray(self.phi[:, self._parameters(COULOMB_FORWARD, COULOMB_BACKWARD)].sum(axis=1))
 
     @property
     def friction_size(self) -> float:
-        """Root mean square of the model's friction [N], at least a hundredth of the input force."""
+        """The root mean square of the model's friction [N], at least a hundredth of the input force."""
         return max(rms(self.part(*FRICTION)), 0.01 * rms(self.target))
 
     def model_friction(self, velocity: Floats) -> Floats:
-        """Friction [N] that the model has at a velocity (n,) [m/s]."""
+        """Return the friction [N] of the model at a velocity (n,) [m/s]."""
         _, *friction = self.estimator.equation.role_values(self.theta)
         forward = friction[0] * velocity + friction[2]
         body = np.where(velocity > 0, forward, friction[1] * velocity - friction[3])
@@ -141,8 +152,10 @@ class Balance:
         return np.asarray(body + np.where(velocity > 0, 1.0, -1.0) * of_speed)
 
     def resistance(self, place: Floats, velocity: Floats) -> Floats:
-        """Friction, load and forces along the travel [N] that the model has at places, counted from the first sample,
-        and velocities, both (n,)."""
+        """Return friction, load and forces along the travel [N] of the model at places and velocities, each (n,).
+
+        Places are relative to the first sample.
+        """
         values = self.estimator.equation.role_values(self.theta)
         total = self.model_friction(velocity) + values[OFFSET] + values[STIFFNESS] * place
         sizes = dict(zip(self.estimator.names, self.theta, strict=False))
@@ -162,7 +175,9 @@ class Balance:
 
     @cached_property
     def beside_velocity(self) -> Floats:
-        """Residual less its mean at that velocity [N]: positions are not visited at all velocities alike."""
+        """The residual minus its mean at the same velocity [N]. This removes the effect of places that are visited
+        at different velocities.
+        """
         return np.asarray(self.residual - np.interp(self.velocity, self.by_velocity.x, self.by_velocity.mean))
 
     @cached_property
@@ -171,13 +186,13 @@ class Balance:
 
     @property
     def lags(self) -> int:
-        """Samples over which the filter correlates."""
+        """The number of samples over which the filter causes correlation."""
         return min(self.estimator.settle_samples, self.t.size // 4)
 
 
 def one_way_friction(balance: Balance) -> Friction | None:
-    """Friction of the samples with one direction of motion; None if these are too few."""
-    # the filtered velocity may still have the sign from before a reversal
+    """Return the friction of the samples with one direction of motion, or None if too few samples have one."""
+    # After a reversal, the filtered velocity may still have the old sign.
     one_way = np.sign(balance.velocity) * balance.direction >= TUNING.one_way
     if np.count_nonzero(one_way) < 2 * TUNING.fewest_bins:
         return None
@@ -187,7 +202,9 @@ def one_way_friction(balance: Balance) -> Friction | None:
 
 
 def low_pass(estimator: IV, signal: Floats) -> list[Floats]:
-    """A signal (n,) after 1, 2, ... `order` stages of the Poisson chain, as the kernel has them for velocities."""
+    """Return a signal (n,) after 1, 2, ... `order` stages of the Poisson chain, in the kernel's arithmetic for
+    velocities.
+    """
     slope, cutoff = 2 / estimator.dt, estimator.cutoff
     gain, pole = cutoff / (slope + cutoff), (slope - cutoff) / (slope + cutoff)
     nodes = [first_order(signal, pole, 2 * gain)[0]]
@@ -197,7 +214,7 @@ def low_pass(estimator: IV, signal: Floats) -> list[Floats]:
 
 
 def encoder_response(balance: Balance) -> tuple[Floats, Floats]:
-    """Answers to one wrong position of 1 m: filtered velocity [m/s] and residual [N], each (lags,)."""
+    """Return the filtered velocity [m/s] and the residual [N], each (lags,), after a single wrong position of 1 m."""
     estimator = balance.estimator
     change = np.zeros(2 * estimator.settle_samples)
     change[:2] = 1 / estimator.dt, -1 / estimator.dt
@@ -209,7 +226,10 @@ def encoder_response(balance: Balance) -> tuple[Floats, Floats]:
 
 
 def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
-    """Means of a force (n,) over x (n,); standard errors for samples correlated over `lags` (Newey and West 1987)."""
+    """Return the means of a force (n,) over x (n,), with standard errors for correlated samples (Newey and West 1987).
+
+    The samples are correlated over `lags` samples.
+    """
     bins = int(np.clip(x.size // (2 * lags + 1), TUNING.fewest_bins, TUNING.most_bins))
     edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))[1:-1]
     index, rows = np.searchsorted(edges, x, side="right"), []
@@ -217,16 +237,19 @@ def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
         inside = index == k
         size, mean = int(np.count_nonzero(inside)), float(force[inside].mean())
         within = np.where(inside, force - mean, 0.0)[:, None]
-        # steps of a coarse encoder cancel over long lags, and chance decides how well
+        # The steps of a coarse encoder cancel over long lags, and chance decides how well they cancel.
         spread = max(long_run_covariance(within, window)[0, 0] for window in (lags, lags // 4))
         rows.append((float(x[inside].mean()), mean, float(np.sqrt(max(spread, 0.0))) / size))
     return Binned(*np.array(rows).T)
 
 
 def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: ArrayLike) -> Balance | None:
-    """The record u, counts (n,) at theta (p,), with a memory its last three; None if it cannot be simulated.
+    """Return the force balance of the record u (n,), counts (n,) at theta (p,).
 
-    Raises PmfidError as `IV` does."""
+    With forgetting, the balance covers the last three memories. The result is None if the model cannot be simulated.
+
+    Raises PmfidError as `IV` does.
+    """
     if estimator.equation.without_simulation:
         return None
     equation, p = estimator.equation, len(estimator.equation.names)
@@ -235,7 +258,7 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     at = np.asarray(theta, float)[: len(twin.names)]
     if not (np.all(np.isfinite(at)) and at[twin.equation.leading] > 0):
         return None
-    # a body pushed by its friction has no motion to compare with
+    # A plant that is pushed by its friction has no motion for a comparison.
     plausible = np.where(twin.equation.positive, np.maximum(at, 0.0), at)
     u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.intervals
     y = like(OE, twin).position(counts)
@@ -249,22 +272,26 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     time = sum_travel(np.ones(y.size), dt)
     drift = (y - x)[chosen]
     rows = slice(columns.z.size - chosen.size, None)
-    late = chosen - 2  # a sample ends the interval before it, and the columns of the kernel are one sample late
+    late = chosen - 2  # A sample ends the preceding interval, and the columns of the kernel are one sample late.
     slow, modelled, way = (low_pass(twin, signal)[-1][late] for signal in (measured, speed, y - y[0]))
     t, target, phi = time[chosen], columns.z[rows], columns.phi[rows]
     return Balance(twin, at, t, slow, modelled, y[0] + way, drift - drift[0], target, phi)
 
 
 def simulated_velocity(estimator: IV, theta: Floats, u: Floats) -> Floats:
-    """Mean velocity (n,) [m/s] of every interval, from rest, under the input u (n,) alone."""
+    """Return the mean velocity (n,) [m/s] of each interval, simulated from rest under the input u (n,) alone."""
     return mean_velocity(estimator.equation, theta, estimator.intervals, u)
 
 
 @dataclass(frozen=True)
 class Correlations:
-    """Of the residual with itself, own (lags + 1,), and of the input force with the residual `lag` samples later,
-    cross (2 lags + 1,); encoder (lags + 1,): of the residual if only the encoder's error were in it; own_error,
-    cross_error: standard deviations of either for nothing but the encoder's error (Bartlett 1935)."""
+    """Correlations of the residual, and their values for the encoder's error alone.
+
+    `own` (lags + 1,) correlates the residual with itself. `cross` (2 lags + 1,) correlates the input force with the
+    residual `lag` samples later. `encoder` (lags + 1,) is the autocorrelation of a residual that contains only the
+    encoder's error. `own_error` and `cross_error` are standard deviations of the correlations for this error alone
+    (Bartlett 1935).
+    """
 
     own: Floats
     cross: Floats
@@ -274,7 +301,7 @@ class Correlations:
 
 
 def correlations(balance: Balance) -> Correlations:
-    """Over 10 filter time constants, or a quarter of a short record."""
+    """Return the correlations of the residual over 10 filter time constants, or over a quarter of a short record."""
     n = balance.t.size
     lags = max(2, min(round(TUNING.shown_lags / (balance.estimator.cutoff * balance.estimator.dt)), n // 4))
     response = encoder_response(balance)[1]
@@ -292,7 +319,7 @@ def correlations(balance: Balance) -> Correlations:
 
 
 def _correlation(a: Floats, b: Floats, lags: int) -> Floats:
-    """Correlation (2 lags + 1,) of a(k) with b(k + lag), lag = -lags ... lags; a, b: (n,)."""
+    """Return the correlation (2 lags + 1,) of a(k) with b(k + lag) for lag = -lags ... lags, with a, b (n,)."""
     a, b = a - a.mean(), b - b.mean()
     size = 2 ** int(np.ceil(np.log2(a.size + lags + 1)))
     cross = np.fft.irfft(np.fft.rfft(a, size).conj() * np.fft.rfft(b, size), size)
@@ -301,7 +328,7 @@ def _correlation(a: Floats, b: Floats, lags: int) -> Floats:
 
 
 def simulation_sentence(balance: Balance) -> str:
-    """How well the simulated velocity follows, and how far the position drifts."""
+    """Describe how well the simulated velocity follows the motion, and how far the position drifts."""
     error = rms(balance.measured - balance.simulated)
     text = f"Fit of the simulated velocity: {balance.fit:.1f} %. "
     if balance.fit < TUNING.good_fit and error > TUNING.above_encoder * balance.encoder_noise:
@@ -318,7 +345,7 @@ def simulation_sentence(balance: Balance) -> str:
 
 
 def residual_sentence(balance: Balance) -> str:
-    """Does the residual depend on velocity, or on position; is a constant force left?"""
+    """Describe whether the residual depends on velocity or position, and whether it contains a constant force."""
     causes = {
         "velocity": "friction is not Coulomb plus viscous, or its parameters are off",
         "position": "a cogging force, a spring, a slope or friction that varies along the travel is not in the model",
@@ -351,7 +378,7 @@ def _constant(balance: Balance) -> list[str]:
 
 
 def friction_sentence(balance: Balance) -> str:
-    """Where the measured friction leaves the model's line."""
+    """Describe where the measured friction deviates from the model's line."""
     text = "Friction is the input force less mass times acceleration and offset, where the axis moves one way. "
     if balance.friction is None:
         return text + "The axis reverses too often here: too few samples to show it."
@@ -374,12 +401,13 @@ def _describe_deviation(left: Binned, k: int, own: Units) -> str:
 
 
 def correlation_sentence(balance: Balance) -> str:
-    """Does the residual last longer than the filter makes it, and does it follow the input?"""
+    """Describe whether the residual correlates longer than the filter explains, and whether it follows the input."""
     found, dt = correlations(balance), balance.estimator.dt
     part = rms(balance.residual) / max(rms(balance.target), 1e-300)
     text = "The filter alone correlates neighbouring samples: the dashed line is what it makes of the encoder's error. "
     first = min(found.own.size - 1, round(TUNING.filter_lags / (balance.estimator.cutoff * dt)))
-    lasting = float(found.own[first:].mean())  # the mean: steps of a coarse encoder come back at an even speed
+    # The mean is robust, because at an even speed the steps of a coarse encoder are periodic.
+    lasting = float(found.own[first:].mean())
     size = f"a mean correlation of {lasting:.2g} from {first * dt:.2g} s to {(found.own.size - 1) * dt:.2g} s"
     if (
         lasting > max(TUNING.balance_correlated, TUNING.significant * found.own_error)

@@ -1,13 +1,14 @@
-"""Does the residual know of the input? Does the input know of the noise? Two tests against chance, one regression.
+"""Two tests against chance: does the input explain the residual, and does the noise drive the input?
 
-The first regression is on present and past inputs: what they explain, beyond what the fit itself took, is an unmodelled
-effect. The second adds future inputs: what only these explain comes back through the input, as under control (Sims
-1972). Both tests whiten the noise first and take the input as given. A sweep, a sum of sines or a periodic input, in
-which nothing is ever new, therefore makes no false alarm.
+The first regression uses present and past inputs. If these explain more of the residual than the fit, an unmodelled
+effect exists. The second regression adds future inputs. If only future inputs explain the residual, the noise returns
+through the input, as under control (Sims 1972). Both tests whiten the noise first and take the input as given.
+Therefore a predictable input, such as a sweep, a sum of sines or a periodic signal, causes no false alarm.
 
-A controller answers to noise of any size, but the jumps of its reference hide the answer to a small one. So the inputs
-to come enter by what a robust linear prediction leaves of them, without the jumps. Of a given input that is as good as
-any other function of it."""
+A controller responds to noise of any size, but the jumps of its reference hide a small response. Therefore a robust
+linear prediction removes the predictable part and the jumps from the future inputs. For a given input, this remainder
+is as valid as any other function of the input.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +26,11 @@ from pmfid.types import Flags, Floats, Places
 
 @dataclass(frozen=True, eq=False)
 class ResidualStretch:
-    """One uninterrupted stretch: inputs (c, M) on its grid, the first the one that acts; residual (N,) at its rows."""
+    """One uninterrupted stretch of a record.
+
+    The inputs (c, M) lie on the grid of the stretch, and the first input acts on the plant. The residual (N,) belongs
+    to the rows (N,) of this grid.
+    """
 
     inputs: Floats
     residual: Floats
@@ -34,7 +39,11 @@ class ResidualStretch:
 
 @dataclass(frozen=True)
 class Evidence:
-    """chance: probability that noise alone explains as much; share: explained part of the whitened residual's power."""
+    """The result of one test.
+
+    `chance` is the probability that noise alone explains as much. `share` is the explained part of the whitened
+    residual's power.
+    """
 
     chance: float
     share: float
@@ -44,15 +53,19 @@ NONE = Evidence(1.0, 0.0)
 
 
 def find_unmodelled_response(parts: Sequence[ResidualStretch], known: Floats, source: int = -1) -> Evidence:
-    """What the input `source` of now and before explains of the residual beyond the columns known (N, k), the
-    sensitivities of the fit."""
+    """Return how much the present and past input `source` explains of the residual.
+
+    The test ignores all that the known columns (N, k), the sensitivities of the fit, explain.
+    """
     past, kept, place = _columns(parts, source)
     return evidence(_residual(parts)[kept], known[kept], past[kept], place[kept])
 
 
 def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> Noise | None:
-    """The noise in the residual that the columns known (N, k) and present and past inputs leave; None: there is
-    none."""
+    """Return the noise in the residual that the known columns (N, k) and the present and past inputs leave.
+
+    The result is None if the residual contains no noise.
+    """
     past, kept, place = _columns(parts, 0)
     columns = _basis(np.hstack([known, past])[kept])
     return _estimate_noise(np.column_stack([_residual(parts)[kept], columns]), place[kept])
@@ -61,11 +74,12 @@ def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> 
 def find_feedback(
     parts: Sequence[ResidualStretch], known: Floats, direct: tuple[float, float] = (0.0, 0.0)
 ) -> Evidence:
-    """What future inputs explain of the residual beyond present and past inputs; known (N, k) as in
-    `find_unmodelled_response`.
+    """Return how much future inputs explain of the residual in addition to present and past inputs.
 
-    A response of the input within the same sample shows in the present input, and so does a wrong hold. direct: least
-    and greatest part of the present input that a wrong hold puts into the residual."""
+    The known columns (N, k) are the sensitivities of the fit. A response of the input within the same sample appears in
+    the present input, as does a wrong hold. `direct` is the least and the greatest part of the present input that a
+    wrong hold puts into the residual.
+    """
     past, kept, place = _columns(parts, 0)
     ahead = np.vstack([_ahead(part) for part in parts])
     kept &= np.all(np.isfinite(ahead), axis=1)
@@ -78,8 +92,10 @@ def find_feedback(
 def evidence(
     error: Floats, known: Floats, tested: Floats, place: Places, allowed: tuple[float, float] = (0.0, 0.0)
 ) -> Evidence:
-    """An F test of columns tested (N, b), given the known ones (N, a), on an error (N,) with noise of any colour;
-    allowed: coefficients of a single column that are no evidence."""
+    """Test with an F test whether the tested columns (N, b) explain an error (N,) with noise of any colour.
+
+    The known columns (N, a) are given. A coefficient of a single column within `allowed` is no evidence.
+    """
     if error.size < 2 * (known.shape[1] + tested.shape[1]) + 20 or not _rms(error) > 0:
         return NONE
     columns = np.column_stack([error / _rms(error), _basis(known), tested])
@@ -105,7 +121,10 @@ def evidence(
 
 
 def _estimate_noise(columns: Floats, place: Places) -> Noise | None:
-    """The noise that the other columns leave in the first, by regression and noise fit in turn; None: there is none."""
+    """Return the noise that the other columns leave in the first column, or None if no noise remains.
+
+    The function alternates a regression and a noise fit.
+    """
     error, known = columns[:, 0], columns[:, 1:]
     left = error - known @ (known.T @ error)
     if not _rms(left) > TUNING.causality_apart:
@@ -119,8 +138,11 @@ def _estimate_noise(columns: Floats, place: Places) -> Noise | None:
 
 
 def _mark_settled(place: Places, order: int) -> Flags:
-    """(N,) samples whose past the whitening filter has; all samples, if samples are missing everywhere."""
-    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
+    """Mark the samples (N,) whose whole past the whitening filter has.
+
+    If too few samples have a whole past, the function marks all samples.
+    """
+    from scipy.signal import lfilter  # SciPy is slow to import, and only transfer functions need this module.
 
     line = np.zeros(int(place[-1] - place[0]) + 1)
     line[place - place[0]] = 1.0
@@ -130,7 +152,7 @@ def _mark_settled(place: Places, order: int) -> Flags:
 
 
 def _columns(parts: Sequence[ResidualStretch], source: int) -> tuple[Floats, Flags, Places]:
-    """Past inputs (N, l), rows with a past of their own (N,), places (N,) on one line."""
+    """Return the past inputs (N, l), a mark (N,) for each row with a whole past, and the places (N,) on one line."""
     samples = sum(part.rows.size for part in parts)
     lags = int(np.clip(samples // TUNING.samples_per_lag, TUNING.causality_least, TUNING.causality_most))
     columns, kept, place, start = [], [], [], 0
@@ -143,7 +165,11 @@ def _columns(parts: Sequence[ResidualStretch], source: int) -> tuple[Floats, Fla
 
 
 def _past(u: Floats, lags: int, samples: int) -> Floats:
-    """(M, l): u now and before, beyond that its slow means, with what an unknown past leaves of them; a constant."""
+    """Return regressors (M, l) from an input u (M,).
+
+    The columns are the present and past input, slow means of the older input, decaying exponentials for the unknown
+    past, and a constant.
+    """
     u = u - np.mean(u)
     lagged = [np.r_[np.full(min(k, u.size), u[0]), u][: u.size] for k in range(lags + 1)]
     slow, time = [], lags / 2
@@ -155,15 +181,21 @@ def _past(u: Floats, lags: int, samples: int) -> Floats:
 
 
 def _ahead(part: ResidualStretch) -> Floats:
-    """(N, causality_ahead) what is new in the input at the rows and later, NaN where it has not been recorded."""
+    """Return the unpredictable part (N, causality_ahead) of the present and future inputs at each row.
+
+    An input that was not recorded is NaN.
+    """
     news = calm(part.inputs[0])
     late = part.rows[:, None] + np.arange(TUNING.causality_ahead)
     return np.where(late < news.size, news[np.minimum(late, news.size - 1)], np.nan)
 
 
 def calm(u: Floats) -> Floats:
-    """(M,) what a linear prediction from its own past leaves of u, jumps left out, of the prediction and of the result;
-    all of it where most of u is predicted exactly. Block by block: a sweep needs a prediction for each frequency."""
+    """Return the part (M,) of an input u (M,) that a robust linear prediction from its own past leaves, without jumps.
+
+    If most of u is exactly predictable, the function keeps the whole remainder. It works block by block, because a
+    sweep needs a separate prediction for each frequency.
+    """
     past = min(TUNING.own_past, u.size // 10)
     if past < 1 or not np.std(u) > 0:
         return u - np.mean(u)
@@ -180,8 +212,11 @@ def _calm_block(windows: Floats) -> Floats:
 
 
 def _robust(columns: Floats, target: Floats) -> Floats:
-    """Coefficients that jumps do not move, not even many: from the few samples, of many choices, that predict the most
-    with a short past (least median of squares, Rousseeuw 1984) to least squares without the jumps."""
+    """Return prediction coefficients that even many jumps do not change.
+
+    The function first chooses the best of several small subsets with a short past (least median of squares, Rousseeuw
+    1984). Least squares without the jumps then refine the coefficients.
+    """
     short = columns[:, -min(TUNING.short_past + 1, columns.shape[1]) :]
     chosen = [_fit_subset(short, target, trial) for trial in range(TUNING.causality_trials)]
     left: Floats = min(chosen, key=lambda errors: float(np.median(np.abs(errors))))
@@ -195,7 +230,7 @@ def _robust(columns: Floats, target: Floats) -> Floats:
 
 
 def _fit_subset(columns: Floats, target: Floats, trial: int) -> Floats:
-    """(N,) errors of a prediction from as many samples as it has coefficients, spread by the golden ratio."""
+    """Return the errors (N,) of a prediction from a minimal subset of samples, which the golden ratio spreads."""
     count = columns.shape[1]
     rows = (np.arange(trial * count, (trial + 1) * count) * 0.6180339887498949 % 1.0 * target.size).astype(int)
     return np.asarray(target - columns @ np.linalg.lstsq(columns[rows], target[rows], rcond=1e-9)[0])
@@ -210,7 +245,10 @@ def _rms(x: Floats) -> float:
 
 
 def _remove_projection(columns: Floats, Q: Floats) -> Floats:
-    """Columns (N, k) less their projection on orthonormal columns; columns that this leaves empty are dropped."""
+    """Return the columns (N, k) without their projection on the orthonormal columns Q.
+
+    Columns that lie in the span of Q are dropped.
+    """
     size = np.linalg.norm(columns, axis=0)
     left = columns - Q @ (Q.T @ columns)
     left = left - Q @ (Q.T @ left)
@@ -218,7 +256,7 @@ def _remove_projection(columns: Floats, Q: Floats) -> Floats:
 
 
 def _basis(columns: Floats) -> Floats:
-    """Orthonormal columns that span those given (N, k), but for what is only rounding."""
+    """Return orthonormal columns that span the given columns (N, k), up to rounding."""
     size = np.linalg.norm(columns, axis=0)
     Q, R = np.linalg.qr(columns[:, size > 0] / size[size > 0])
     U, values, _ = np.linalg.svd(R)

@@ -27,12 +27,13 @@ from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, Equation
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
 
-#: What was found when a model was examined: its adequacy, or that no motion of it follows; None: not examined.
+#: Result of the examination of a model: its adequacy, the error if no motion of the model follows, or None before the
+#: examination.
 Examined = Adequacy | NotIdentifiableError | None
 
 
 def counts_per_sample(counts: Counts) -> float:
-    """Mean over the samples that lie between the first and the last change of the counts; 0 without motion."""
+    """Return the mean change per sample between the first and the last change of the counts, or 0 without motion."""
     change = np.abs(np.diff(counts))
     moving = np.flatnonzero(change)
     if moving.size == 0:
@@ -41,8 +42,10 @@ def counts_per_sample(counts: Counts) -> float:
 
 
 def count_jump(counts: Counts) -> str:
-    """What to say of one change of the counts (n,) far beyond all others: a wrap that nobody has undone, or a lost
-    position; empty if there is none."""
+    """Describe one change of the counts (n,) that is far larger than all others, or return an empty text.
+
+    The cause is a counter that wraps or a lost position.
+    """
     change = np.abs(np.diff(counts))
     worst = int(np.argmax(change))
     usual = float(np.quantile(_motion(counts, change), 0.99))
@@ -51,31 +54,34 @@ def count_jump(counts: Counts) -> str:
     return f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most"
 
 
-#: What to do about it.
+#: Remedy for a jump of the counts.
 JUMP_REMEDY = "give [encoder] bits for a counter that wraps, max_speed for lost counts"
 
 
 def _motion(counts: Counts, change: Counts) -> Counts:
-    """Sizes (n - 1,) of the changes (n - 1,) of the counts (n,), without wrong readings, which come back at once: a few
-    of a hundred would else be what is usual."""
+    """Return the sizes (n - 1,) of the changes of the counts (n,) without wrong readings.
+
+    A wrong reading returns at once to the old position. A few of these among a hundred samples would distort the usual
+    change.
+    """
     if change.size < 2:
         return change
     across = np.abs(counts[2:] - counts[:-2])
     return np.asarray(np.r_[np.minimum(np.minimum(change[:-1], change[1:]), across), change[-1:]])
 
 
-#: Doubled log-likelihoods that differ by less are alike.
+#: Difference between two doubled log-likelihoods below which they are alike.
 ALIKE = ESTIMATOR_TUNING.adequacy_missed**2
-#: Options of a model that make an input late.
+#: Options of a model that delay the input.
 OPTIONS = (DEAD_TIME, LAG)
 
 
 @dataclass(frozen=True)
 class Lateness:
-    """A way of being late that explains the counts better than a model.
+    """A delay of the input that explains the counts better than the model does.
 
-    times: [s] by the names of the model's options; gain: by how much the doubled log-likelihood is larger; follows:
-    does the motion then explain the counts?
+    `times` [s] have the names of the model's options. `gain` is the gain of the doubled log-likelihood. `follows` says
+    whether the motion with this delay explains the counts.
     """
 
     times: Mapping[str, float]
@@ -84,8 +90,10 @@ class Lateness:
 
 
 def lateness(found: Adequacy) -> list[Lateness]:
-    """Ways of being late under which the motion explains the counts clearly better than under the model, the best one
-    first; a second one is there only where it is as likely, or has fewer unknowns."""
+    """Return the delays under which the motion explains the counts clearly better than the model, best first.
+
+    A second delay follows only if it is equally likely or has fewer unknowns.
+    """
     ways: list[Lateness] = []
     for equation in _others(found.difference.equation):
         way = _fit_equation(found, equation)
@@ -113,7 +121,10 @@ def _others(equation: Equation) -> Iterator[Equation]:
 
 
 def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
-    """The best fit of another equation, from the model's fit; None: there is none, or none that is late."""
+    """Fit another equation from the model's fit.
+
+    The result is None if the equation has no fit or its fit has no delay.
+    """
     difference, start = _prepare_fit(found, equation)
     try:
         q = least(difference, start)
@@ -121,7 +132,7 @@ def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
         return None
     cost_there = None
     if found.noise is not None and rms(difference(q)) <= difference.explained:
-        cost_there, q, _ = climb(difference, q, None)  # a local maximum would do: it is better, or it is not
+        cost_there, q, _ = climb(difference, q, None)  # a local maximum suffices if it is better than the model
     values = dict(zip(_names(equation), q * difference.scale, strict=False))
     times = {name: float(values[name]) for name in OPTIONS if name in values}
     late = all(time > 0 for time in times.values())
@@ -131,12 +142,15 @@ def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
 
 
 def _names(equation: Equation) -> tuple[str, ...]:
-    """The names of theta."""
+    """Return the names of all entries of theta."""
     return (*equation.names, *dict(equation.further))
 
 
 def _prepare_fit(found: Adequacy, equation: Equation) -> tuple[Difference, Floats]:
-    """The difference of another equation, and q (q,) to start from: the same but for how late the input acts."""
+    """Return the difference of another equation and its start values q (q,).
+
+    The start values are those of the model, except for the delay of the input.
+    """
     own, q = found.difference, found.q
     values, sizes = (dict(zip(_names(own.equation), numbers, strict=False)) for numbers in (q * own.scale, own.scale))
     asked = [name for name in _names(equation) if name in OPTIONS]
@@ -148,7 +162,7 @@ def _prepare_fit(found: Adequacy, equation: Equation) -> tuple[Difference, Float
 
 
 def _late_by(found: Adequacy) -> float:
-    """Mean time [s] by which the input acts late, to begin with."""
+    """Return the mean delay [s] of the input as a start value."""
     own = found.difference
     theta = found.q * own.scale
     known = own.equation.known_at(theta[len(own.equation.names) : -2])
@@ -156,21 +170,23 @@ def _late_by(found: Adequacy) -> float:
 
 
 def _gain(found: Adequacy, size: float, cost_there: float | None) -> float:
-    """size: root mean square of the other fit's difference; cost_there: its negative log-likelihood, where both are
-    within the counts."""
+    """Return the gain of the doubled log-likelihood by another fit.
+
+    `size` is the root mean square difference of the other fit. `cost_there` is its negative log-likelihood if both fits
+    are within the counts.
+    """
     error = found.difference(found.q)
     if found.noise is None or cost_there is None:
         return 2 * error.size * math.log(rms(error) / size)
     return 2 * (cost(error, found.noise)[0] - cost_there)
 
 
-#: What each is called, for people.
+#: Words for the delays in messages.
 CALLED = {DEAD_TIME: "dead time", LAG: "first-order lag"}
 
 
 def late(found: Adequacy) -> Iterator[Finding]:
-    """What is said where the counts ask for an input that acts late, or late in another way; of a model that is
-    not adequate."""
+    """Yield findings on a model that is not adequate if the counts ask for a delayed input or another kind of delay."""
     equation, dt = found.difference.equation, found.difference.dt
     ways = _ways(found)
     if ways:
@@ -180,7 +196,11 @@ def late(found: Adequacy) -> Iterator[Finding]:
 
 
 def _ways(found: Adequacy) -> list[Lateness]:
-    """Where the scores do not name it, and the model has none, it must explain more than any force that they name."""
+    """Return the possible delays of the input.
+
+    If the scores do not name a delay and the model has none, the delay must explain more than any force that the scores
+    name.
+    """
     equation = found.difference.equation
     if found.dead_time is not None:
         return lateness(found) or [Lateness({DEAD_TIME: found.dead_time}, 0.0, False)]
@@ -202,26 +222,26 @@ def _compare_ways(ways: list[Lateness], dt: float) -> str:
 
 
 def _describe_delay(way: Lateness, dt: float) -> str:
-    """The delay in samples of dt [s], as words."""
+    """Describe the delay in samples of dt [s]."""
     return " and a ".join(f"{CALLED[name]} of about {time / dt:.2g} samples" for name, time in way.times.items())
 
 
 def _cure(way: Lateness, equation: Equation) -> str:
-    """What to write, and what to leave out of it."""
+    """Return the keys for [model] that add the delay and remove the present one."""
     given = {DEAD_TIME: equation.dead_time, LAG: equation.lag}
     dropped = [f"{name} = 0" for name, value in given.items() if value and name not in way.times]
     return " and ".join([f'{name} = "{ESTIMATE}"' for name in way.times] + dropped)
 
 
-#: What is said where the model is wrong.
+#: Message for a model that the counts contradict.
 UNMODELLED = "an unmodelled effect"
-#: What is said of least squares that nothing confirms.
+#: Message for a least-squares result that no other method confirms.
 NOISE_SEEN = "least squares may show the encoder's noise, for no other method confirms it"
 NOISE_REMEDY = "excite the axis more, or use a finer encoder"
 
 
 def _describe_misfit(found: Adequacy) -> Finding:
-    """The finding on a model that the counts contradict: the force that explains most, and what to do about it."""
+    """Return the finding on a model that the counts contradict, with the best single force and a remedy."""
     said = found.described
     sentence = f"{UNMODELLED}: {said[0]}" if said else f"{UNMODELLED}, which no single force explains"
     others = f" It may also be {' or '.join(said[1:])}." if said[1:] else ""
@@ -237,18 +257,25 @@ def judge(
     std: NDArray[np.float64],
     adequacy: Examined = None,
 ) -> tuple[Finding, ...]:
-    """Findings on an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,).
+    """Return the findings on an estimate theta (p,) with standard deviations std (p,) from u (n,) and counts (n,).
 
-    implausible: a negative mass or friction; uncertain: not known to half its value; biased: the method's own error
-    exceeds its standard error and 2 %; std_too_small: it exceeds its standard error; unmodelled: the counts show an
-    unmodelled effect; dead_time: that effect may be a late input; not_followed: the simulation does not follow the
-    counts; model_spread: the counts would not show an effect that moves a parameter beyond its standard error;
-    feedback: the residual comes back through the input; count_jump: one change of the counts is no motion;
-    coarse_motion: too few counts per sample for a method that takes the encoder's error for white noise.
-    With forgetting, the last three memories are judged. adequacy: what is known of the model on the whole record.
+    - implausible: a mass or friction is negative.
+    - uncertain: a parameter is not known to half of its value.
+    - biased: the method's own error exceeds its standard error and 2 %.
+    - std_too_small: the method's own error exceeds its standard error.
+    - unmodelled: the counts show an unmodelled effect.
+    - dead_time: the unmodelled effect may be a delayed input.
+    - not_followed: the simulation does not follow the counts.
+    - model_spread: an effect that the counts would not show moves a parameter beyond its standard error.
+    - feedback: the residual returns through the input.
+    - count_jump: no motion explains one change of the counts.
+    - coarse_motion: the method takes the encoder's error for white noise, and the counts per sample are too few.
+
+    With forgetting, the function judges the last three memories. `adequacy` is the adequacy of the model on the whole
+    record, if known.
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
-    # where the model is wrong, methods differ because they weigh its error differently: only large differences count
+    # If the model is wrong, methods differ because they weigh its error differently. Then only large differences count.
     limit = 10 * TUNING.drives_biased if "unmodelled" in codes(residual) else 2 * TUNING.drives_biased
     return sort_findings(
         [
@@ -284,8 +311,8 @@ def _bias(
     std: NDArray[np.float64],
     limit: float,
 ) -> Iterator[Finding]:
-    """Against instrumental variables on the same record, which know the direction of motion between the counts."""
-    plain = isinstance(estimator, LS | RLS)  # with the bias of a noisy output
+    """Compare the estimate with instrumental variables, which know the direction of motion between the counts."""
+    plain = isinstance(estimator, LS | RLS)  # these methods have the bias of a noisy output
     if isinstance(estimator, Simulating) or (plain and estimator.zeros):
         return
     try:
@@ -312,15 +339,17 @@ def _bias(
 
 
 def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str, tuple[float, float]]:
-    """Value and standard deviation of each parameter by instrumental variables with the same memory, or by
-    bias-compensated least squares where these do not settle."""
+    """Return the value and the standard deviation of each parameter by instrumental variables with the same memory.
+
+    If these do not converge, the values come from bias-compensated least squares.
+    """
     forgetting = getattr(estimator, "forgetting", 1.0)
     if estimator.equation.without_simulation:
         zeros = choose_prefilter_zeros(estimator, u, counts)
         fit = like(BCLS, estimator, prefilter_zeros=zeros).fit(u, counts)
         return _table(fit.names, fit.theta, fit.theta_std) if isinstance(estimator, LS | RLS) else {}
     if forgetting < 1:
-        # as it forgets by itself: not every scheme is for instrumental variables
+        # Instrumental variables do not support every forgetting scheme.
         scheme = {"forgetting_scheme": "exponential", "forgetting_of": None}
         track = like(RIV, estimator, prefilter_zeros=None, forgetting=forgetting, **scheme).run(u, counts)
         if track.status[-1] & (Status.FALLBACK | Status.STARTING | Status.POOR_EXCITATION):
@@ -341,7 +370,7 @@ def _table(
 
 
 def _positive(estimator: Estimator) -> set[str]:
-    """Names of the parameters that are never negative in a machine."""
+    """Return the names of the parameters that are never negative in a machine."""
     equation = estimator.equation
     return {name for name, positive in zip(equation.names, equation.positive, strict=True) if positive}
 
@@ -357,14 +386,14 @@ def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding
 
 
 def _jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
-    """A jump of the counts, where nothing keeps it out."""
+    """Yield a finding on a jump of the counts, unless a limit of the speed rejects jumps."""
     sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
     if sentence:
         yield Finding("count_jump", sentence, JUMP_REMEDY, "wrong")
 
 
 def recent(estimator: Estimator, samples: int) -> slice:
-    """The samples of a record that an estimate depends on: its last three memories."""
+    """Return the samples that determine an estimate: the last three memories of a record."""
     return slice(
         -round(min(samples, TUNING.drives_memories / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None
     )
@@ -377,8 +406,10 @@ def examine_estimate(
     theta: NDArray[np.float64],
     known: Examined = None,
 ) -> Adequacy | None:
-    """Adequacy of the model near an estimate theta (p,) from u, counts: (n,), on the samples that the estimate depends
-    on; None if nothing simulates the equation, or nothing moves. known: what is known of this model already.
+    """Return the adequacy of the model near an estimate theta (p,) from u (n,) and counts (n,).
+
+    The samples are those that determine the estimate. The result is None if the equation cannot be simulated or nothing
+    moves. `known` is the result of an earlier examination of the same model.
 
     Raises NotIdentifiableError if no motion of the model can be fitted.
     """
@@ -408,7 +439,7 @@ def _model(
     std: NDArray[np.float64],
     adequacy: Examined,
 ) -> Iterator[Finding]:
-    """Does the simulated motion explain the counts, and which unmodelled effects could the counts hide?"""
+    """Yield findings if the simulated motion does not explain the counts, and on effects that the counts may hide."""
     try:
         found = examine_estimate(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
@@ -425,7 +456,7 @@ def _model(
         )
     if not found.adequate:
         yield _describe_misfit(found)
-        if found.left <= ESTIMATOR_TUNING.worst_fit:  # no delay is looked for where nothing follows
+        if found.left <= ESTIMATOR_TUNING.worst_fit:  # a delay means nothing if no motion follows
             yield from late(found)
         return
     part, own = recent(estimator, u.size), slice(0, len(estimator.equation.names))
@@ -439,9 +470,9 @@ def _find_hidden_effects(
     theta: NDArray[np.float64],
     std: NDArray[np.float64],
 ) -> Iterator[Finding]:
-    """Does the estimate agree with an adequate model, and which effects could the record hide?"""
+    """Yield findings on an estimate that contradicts an adequate model, and on effects that the record may hide."""
     at = np.where(estimator.equation.positive, np.maximum(theta, 0.0), theta)
-    own_spread = found.spread()[: theta.size]  # without shape parameters, which are known here
+    own_spread = found.spread()[: theta.size]  # shape parameters are known here and have no spread
     if isinstance(estimator, Following):
         spread = own_spread
     else:
@@ -478,7 +509,7 @@ def _find_hidden_effects(
 def _feedback(
     estimator: Estimator, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]
 ) -> Iterator[Finding]:
-    """Does the input follow what the equation leaves at theta, with the simulated direction?"""
+    """Yield a finding if the input follows the residual of the equation at theta, with the simulated direction."""
     equation = estimator.equation
     theta = theta[: len(equation.names)].copy()
     if equation.without_simulation or not theta[equation.leading] > 0:
@@ -505,8 +536,11 @@ def _feedback(
 
 
 def correlation_score(error: NDArray[np.float64], change: NDArray[np.float64], lags: int = 5) -> float:
-    """Largest correlation of an error (n,) with the input's changes (n,) up to `lags` samples later, in its standard
-    deviations for independent coloured series (Bartlett 1935)."""
+    """Return the largest correlation of an error (n,) with later changes of the input (n,), in standard deviations.
+
+    The changes follow up to `lags` samples later. The standard deviation holds for independent coloured series
+    (Bartlett 1935).
+    """
     n = error.size
     error, change = error - error.mean(), change - change.mean()
     if n <= 4 * lags or not np.any(error) or not np.any(change):

@@ -24,8 +24,11 @@ from pmfid.types import Floats, Numbers
 
 @dataclass(frozen=True)
 class Horizon:
-    """Runs over `seconds` each, restarted every time; rmse: root mean square of their errors; standstill: error of a
-    model that stays at its start [unit of the output]."""
+    """Errors of free runs of one length.
+
+    Each run lasts `seconds` and starts from the measured motion. `rmse` is the root mean square of the errors [unit of
+    the output]. `standstill` is the error of a model that stays at its start [unit of the output].
+    """
 
     seconds: float
     runs: int
@@ -35,8 +38,12 @@ class Horizon:
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """Time t [s], measured and simulated output, each (n,). read: length from the first sample [s] that determines
-    the start; encoder: root mean square error of the encoder alone, None without an encoder; notes: for people."""
+    """A free run of a model in comparison with the record.
+
+    The time t [s], the measured and the simulated output have shape (n,). `read` is the length of the first stretch
+    [s], which determines the start. `encoder` is the root mean square error of the encoder alone, or None without an
+    encoder. `notes` are sentences for the user.
+    """
 
     name: str
     t: Floats
@@ -49,7 +56,7 @@ class FreeRun:
 
     @property
     def error(self) -> Floats:
-        """(n,) measured less simulated."""
+        """The measured output minus the simulated output (n,)."""
         return self.measured - self.simulated
 
     @property
@@ -62,31 +69,35 @@ class FreeRun:
 
     @property
     def mean(self) -> float:
-        """Root mean square error of a model that knows the mean of the record, and no more."""
+        """The root mean square error of a model whose output is the mean of the record."""
         return rms(self.measured - np.mean(self.measured))
 
     @property
     def standstill(self) -> float:
-        """Root mean square error of a model that stays where it begins."""
+        """The root mean square error of a model that stays at its first position."""
         return rms(self.measured - self.measured[0])
 
     @property
     def fit(self) -> float | None:
-        """100 (1 - |y - simulated| / |y - mean y|) [%], None if the output does not move (Ljung 1999, `compare`)."""
+        """The fit, 100 (1 - |y - simulated| / |y - mean y|) [%], or None if the output does not move (Ljung 1999,
+        `compare`).
+        """
         return 100 * (1 - self.rmse / self.mean) if self.mean > 0 else None
 
     @property
     def relative(self) -> float | None:
-        """100 |y - simulated| / |y| [%], the relative error of robot identification; it depends on where zero is."""
+        """The relative error of robot identification, 100 |y - simulated| / |y| [%]. It depends on the zero of the
+        output.
+        """
         size = rms(self.measured)
         return 100 * self.rmse / size if size > 0 else None
 
 
-@np.errstate(all="ignore")  # of parameters from a file; what comes of them is looked at
+@np.errstate(all="ignore")  # parameters from a file may overflow, and `finite` checks the result
 def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) -> FreeRun:
-    """The free run of a machine with parameters theta (p,), under u (n,) from where the counts (n,) begin.
+    """Return the free run of a drive with parameters theta (p,) and input u (n,), started at the first counts of (n,).
 
-    Raises UsageError for a mass that is not positive, and for parameters that nothing can be simulated with.
+    Raises UsageError if the mass is not positive or if the parameters allow no simulation.
     """
     u, counts = check_arrays(u, counts)
     check_size(u)
@@ -115,7 +126,7 @@ def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) 
 
 
 def _run(part: Difference, theta: Floats, cutoff: float) -> Floats:
-    """(n,) simulated positions at scaled parameters (p,)."""
+    """Return the simulated positions (n,) at scaled parameters (p,)."""
     read = part.part(0, min(start_samples(part.dt, cutoff), part.y.size))
     return part.motion(fit_start(read, choose_start(read, theta, cutoff)))[0]
 
@@ -128,7 +139,10 @@ def _restart_simulations(
 
 
 def firsts_of(n: int, samples: int) -> list[int]:
-    """First samples of runs over `samples` each within n, one after the other; of very many some, evenly spread."""
+    """Return the first samples of consecutive runs of `samples` samples within n samples.
+
+    If the record holds too many runs, the function returns an evenly spread selection.
+    """
     firsts = np.arange(0, n - samples + 1, samples)
     return firsts[:: -(-firsts.size // TUNING.most_runs)].tolist() if firsts.size else []
 
@@ -136,9 +150,12 @@ def firsts_of(n: int, samples: int) -> list[int]:
 def measure_horizons(
     duration: float, read: float, runs: Callable[[float], Sequence[tuple[Floats, Floats]]]
 ) -> tuple[Horizon, ...]:
-    """Errors of runs that restart after each of free_run_horizons. A horizon must fit into the `duration` [s] of the
-    record and
-    be longer than the reading of the start, `read` [s]. runs: measured and simulated outputs of runs over a time."""
+    """Return the errors of runs for each horizon.
+
+    A horizon must fit into the `duration` of the record [s]. It must also be several times longer than `read`, the
+    stretch [s] that determines the start. `runs` returns the measured and simulated outputs of all runs of a given
+    length [s].
+    """
     found = []
     for seconds in _seconds(duration, TUNING.free_run_worth * read):
         parts = runs(seconds)
@@ -156,7 +173,7 @@ def _seconds(duration: float, least: float) -> list[float]:
 
 
 def finite(run: FreeRun) -> FreeRun:
-    """The same. Raises UsageError if the simulation has left the range of numbers."""
+    """Return the run, or raise UsageError if the simulation exceeds the range of numbers."""
     if not np.max(np.abs(run.error)) < TUNING.beyond:
         raise UsageError(
             "the simulated output leaves the range of numbers: check the units of the parameters, of the input and of "
@@ -166,10 +183,12 @@ def finite(run: FreeRun) -> FreeRun:
 
 
 def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: float | None) -> FreeRun:
-    """The free run of a transfer function with parameters theta (p,); each stretch without a gap has a start of its
-    own. encoder: root mean square error that it would leave alone, None: none.
+    """Return the free run of a transfer function with parameters theta (p,).
 
-    Raises UsageError for an unstable one, and for a record of too few samples.
+    Each stretch without a gap has its own start. `encoder` is the root mean square error of the encoder alone, or None
+    without an encoder.
+
+    Raises UsageError if the transfer function is unstable or if the record has too few samples.
     """
     poles = process_of(method, theta, np.zeros((theta.size, theta.size))).poles
     unstable = poles[poles.real > 0]
@@ -196,13 +215,13 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
 def _simulate_stretches(
     method: OE, theta: Floats, experiments: Sequence[Experiment], read: float
 ) -> list[tuple[RecordStretch, Floats]]:
-    """Each stretch and its simulated output at the measured samples."""
+    """Return each stretch with its simulated output at the measured samples."""
     problem = make_problem(method, experiments)
     scaled = theta / problem.structure.scale(problem.rate)
     first = [_first(stretch, read * problem.rate, problem) for stretch in problem.stretches]
     start = np.zeros((len(first), problem.structure.n))
     starts = visit(replace(problem, stretches=tuple(first)), scaled, start).initial
-    with np.errstate(all="ignore"):  # what comes of it is looked at
+    with np.errstate(all="ignore"):  # `finite` checks the result
         return [
             (stretch, simulate(problem.structure, scaled, initial, stretch, source=0)[stretch.rows])
             for stretch, initial in zip(problem.stretches, starts, strict=True)
@@ -210,7 +229,7 @@ def _simulate_stretches(
 
 
 def _first(stretch: RecordStretch, read: float, problem: ProcessProblem) -> RecordStretch:
-    """The stretch with the samples alone that its start is read from."""
+    """Return the stretch with only the samples that determine its start."""
     early = stretch.rows[stretch.grid.instants[stretch.rows] <= read]
     least = min(stretch.rows.size, problem.structure.n + 1)
     return replace(stretch, rows=early if early.size >= least else stretch.rows[:least])

@@ -1,4 +1,4 @@
-"""Flags, and when a finding matters."""
+"""Flags of an estimate, and the rule that decides whether a finding matters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.findings import Finding, sort_findings
 from pmfid.types import Floats
 
-#: Name -> what it means, and what to do.
+#: The meaning and the remedy of each flag.
 FLAGS = {
     "model_spread": (
         "Stribeck friction or a dead time would not show in this record, and would move a parameter beyond its "
@@ -52,21 +52,24 @@ FLAGS = {
     "drift": "input and output are of two clocks: log both by one",
 }
 
-#: What says that the parameters may be further off than their standard deviations.
+#: Flags of a model whose parameters may be wrong by more than their standard deviations.
 OF_MODEL = frozenset({"unmodelled", "dead_time", "model_spread", "feedback", "biased", "std_too_small"})
-#: What costs nothing where the model explains the record.
+#: Flags of the log, which matter only if the model does not explain the record.
 OF_LOG = frozenset({"held_input", "saturated"})
 
 
 def is_small_doubt(finding: Finding) -> bool:
-    """Is it a doubt about the model that is too small for the status, and so for the terminal?"""
+    """Return whether a finding is a doubt about the model that is too small for the status and for the terminal."""
     return finding.severity == "note" and finding.code in OF_MODEL
 
 
 @dataclass(frozen=True)
 class Matter:
-    """How far the parameters may be off. name: of the one that is worst; part: half its interval, in parts of its size;
-    beyond: is any of them beyond the tolerance and the noise?"""
+    """The size of the possible error of the parameters.
+
+    `name` is the worst parameter, and `part` is half of its interval relative to its size. `beyond` says whether any
+    parameter exceeds both the tolerance and the noise.
+    """
 
     name: str
     part: float
@@ -74,15 +77,18 @@ class Matter:
 
     @property
     def says(self) -> str:
-        """How much it is, for people."""
+        """The size of the possible error as a sentence."""
         if not np.isfinite(self.part):
             return ""
         return f"{self.name} may be {f'{100 * self.part:.2g} %' if self.part < 1 else 'over 100 %'} off"
 
 
 def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, tolerance: float) -> Matter:
-    """Of an estimate theta (p,) with standard deviations std (p,); spread (p,): by how much unmodelled
-    effects that the record shows may move it. NaN: not known, and then the effects matter."""
+    """Return how much an estimate theta (p,) with standard deviations std (p,) may be wrong.
+
+    `spread` (p,) is the shift that the visible unmodelled effects may cause. A NaN in `spread` stands for an unknown
+    shift, and then the effects matter.
+    """
     p = len(estimator.equation.names)
     half, size = TUNING.normal_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
     beyond = ~(half <= np.maximum(tolerance * size, TUNING.noise_limit * std[:p]))
@@ -93,15 +99,21 @@ def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, 
 
 
 def sizes(estimator: Estimator, theta: Floats) -> Floats:
-    """(p,) what an error of each parameter theta (p,) is a part of: its own size, and of one that may have either sign,
-    as a load, which may be none, the largest size in its unit."""
+    """Return the size (p,) to which the error of each parameter in theta (p,) is relative.
+
+    A positive parameter is compared with its own size. A parameter of either sign, such as a load, may be zero. It is
+    compared with the largest parameter of the same unit.
+    """
     own, units = np.abs(theta), np.array(estimator.equation.units)
     largest = np.array([np.max(own[units == unit]) for unit in units])
     return np.where(estimator.equation.positive, own, largest)
 
 
 def weigh_findings(findings: Iterable[Finding], matter: Matter) -> tuple[Finding, ...]:
-    """The same findings, each that is about the model with the size of it, or as a note where that is of no matter."""
+    """Return the findings, with the size of the possible error in each finding on the model.
+
+    A finding on the model becomes a note if the error does not matter.
+    """
     return sort_findings(_weigh_finding(finding, matter) for finding in findings)
 
 

@@ -41,18 +41,24 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Hold:
-    """better: the record follows a model with the other hold of its input, at any parameters, better than chance
-    explains. hidden: the record does not tell the two holds apart, and a parameter differs between them by many
-    standard errors."""
+    """The findings on the hold of the input.
+
+    `better` says whether the record follows a model with the other hold significantly better, at any parameters.
+    `hidden` says whether the record cannot distinguish the holds although a parameter differs between them by many
+    standard errors.
+    """
 
     better: bool = False
     hidden: bool = False
 
 
 def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | None) -> Hold:
-    """Which hold does the input have, and does the hold matter? point: the estimate; noise: colour of the residual
-    without the input. No finding if the spacing lets no filter whiten the noise, or if a reference makes the sum of
-    squares no measure."""
+    """Return whether the input has the other hold, and whether the hold matters.
+
+    `point` is the estimate. `noise` is the colour of the residual without the input. The function reports nothing if
+    the spacing of the samples lets no filter whiten the noise. It also reports nothing if a reference makes the sum of
+    squares meaningless.
+    """
     if noise is None or problem.referenced:
         return Hold()
     white = prewhiten_problem(problem, noise)
@@ -71,7 +77,7 @@ def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | No
 
 
 def _far_apart(mine: ProcessPoint, other: ProcessPoint) -> bool:
-    """Does a parameter differ by more than its standard errors explain?"""
+    """Return whether a parameter differs by more than its standard errors explain."""
     size = np.maximum(np.linalg.norm(mine.zeta, axis=0), 1e-300)
     scaled = mine.zeta / size
     variances = np.diag(np.linalg.inv(scaled.T @ scaled)) / size**2 * mine.cost / mine.error.size
@@ -83,7 +89,7 @@ def _swap_hold(problem: ProcessProblem) -> ProcessProblem:
 
 
 def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> ProcessPoint:
-    """Where the sum of squares is least near theta (p,) of the problem before the filter."""
+    """Return the least sum of squares near theta (p,), where theta belongs to the problem before whitening."""
     theta = theta.copy()
     if problem.structure.offset:
         theta[problem.structure.linear - 1] *= float(np.sum(noise.whitener))
@@ -92,8 +98,10 @@ def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> 
 
 
 def depends_on_input(problem: ProcessProblem, point: ProcessPoint) -> bool:
-    """Does the answer to the input explain more of the output than chance? The start and a constant may do their part
-    without it."""
+    """Return whether the response to the input explains more of the output than chance.
+
+    The initial state and a constant explain their part first.
+    """
     first, last = problem.structure.free, problem.structure.free + problem.structure.m + 1
     without = np.r_[point.theta[:first], np.zeros(last - first), point.theta[last:]]
     rest = visit(problem, without, np.zeros_like(point.initial))
@@ -109,23 +117,27 @@ def depends_on_input(problem: ProcessProblem, point: ProcessPoint) -> bool:
 
 @dataclass(frozen=True)
 class Second:
-    """A second look at an estimate. surplus: one pole and one zero less do as well, so nothing determines them;
-    moved: whitening of the noise moves the estimate by more than its standard errors allow (Hausman 1978), so the
-    estimate has taken noise for dynamics."""
+    """The result of a second examination of an estimate.
+
+    `surplus` says whether one pole and one zero are superfluous, so that the record does not determine them. `moved`
+    says whether whitening of the noise shifts the estimate beyond its standard errors (Hausman 1978). A shifted
+    estimate has taken noise for dynamics.
+    """
 
     surplus: bool
     moved: bool
 
 
 def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
-    """A second look at the estimate of a point, for noise of any colour.
+    """Examine an estimate a second time, for noise of any colour.
 
-    A pole can settle on a resonance of the noise, and the residual no longer rings. The colour is therefore estimated
-    from the residual of a model with one pole less, without what recent inputs explain."""
+    A pole can settle on a resonance of the noise, and then the residual shows no resonance. Therefore the colour comes
+    from the residual of a model with one pole less, without the effect of recent inputs.
+    """
     structure = problem.structure
     smaller = Structure(max(structure.n - 1, 1), max(structure.m - 1, 0), structure.offset)
     plain = Structure(structure.n, structure.m, structure.offset)
-    if problem.referenced or structure != plain:  # what is known of the poles and the dead time is no matter of noise
+    if problem.referenced or structure != plain:  # known poles or a known dead time do not depend on the noise
         return Second(False, False)
     with np.errstate(all="ignore"):
         try:
@@ -147,7 +159,7 @@ def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
 
 
 def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
-    """Is a difference (p,) too large for its covariance (p, p)?"""
+    """Return whether a difference (p,) is too large for its covariance (p, p)."""
     size = np.sqrt(np.diagonal(cov))
     scaled = difference / size
     distance = scaled @ np.linalg.pinv(cov / np.outer(size, size), hermitian=True) @ scaled
@@ -160,33 +172,33 @@ def _settle_fit(problem: ProcessProblem) -> ProcessPoint:
 
 
 def pair_inputs(problem: ProcessProblem, error: Floats) -> list[ResidualStretch]:
-    """The residual (N,) of all stretches, split and paired with the inputs."""
+    """Split the residual (N,) into stretches and pair each of them with its inputs."""
     ends = np.cumsum([stretch.rows.size for stretch in problem.stretches])
     parts = zip(problem.stretches, np.split(error, ends[:-1]), strict=True)
     return [ResidualStretch(stretch.inputs, part, stretch.rows) for stretch, part in parts]
 
 
 def _reduces_residual(whole: float, left: float, samples: int, unknowns: int) -> bool:
-    """Is a sum of squares `left` less than `whole` by more than `unknowns` parameters gain by chance?"""
+    """Return whether a sum of squares falls from `whole` to `left` by more than chance allows for `unknowns`
+    parameters.
+    """
     ratio = samples * np.log(max(whole, 1e-300) / max(left, 1e-300))
     return bool(ratio > chdtri(unknowns, TUNING.noise_chance / samples))
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """A model on its records.
+    """The assessment of a model on its records.
 
-    fit: percent, 100 (1 - |y - simulated| / |y - mean y|), initial conditions fitted; simulated, residual: for each
-    stretch, on its measured samples; samples: their numbers within
-    the record; records: its number. autocorrelation: (residuals_lags + 1,) of the
-    residual, from lag 0; cross: (2 residuals_lags + 1,) of the residual with the input of `lags` samples before, or
-    with the reference where there is one; bounds of both: 99 % of an independent residual lie within.
-    unmodelled: does the input of now and before explain some of the residual? feedback: do inputs yet to come? Then the
-    input has the noise in it, as a controller feeds it back (`causality.py`). depends: does the output depend on the
-    input by more than chance? second: would a pole and a zero less do as well, and does the
-    colour of the noise move the estimate (`necessity.py`)? hold: would the input with the other hold explain
-    more, and does it matter (`hold.py`)? repeats: is some of the residual the same in every period of the input
-    (`periods.py`)?
+    `fit` is 100 (1 - |y - simulated| / |y - mean y|) [%] with fitted initial conditions. `simulated` and `residual`
+    hold one array for each stretch, at its measured samples. `samples` are the numbers of these samples in the record,
+    and `records` are the numbers of the records. `autocorrelation` (residuals_lags + 1,) belongs to the residual, from
+    lag 0. `cross` (2 residuals_lags + 1,) correlates the residual with the input, or with the reference if one exists.
+    Both have bounds that hold 99 % of the correlations of an independent residual.
+    `unmodelled` says whether the present and past input explains the residual. `feedback` says whether future inputs
+    explain it, because a controller feeds the noise back (`causality.py`). `depends` says whether the output depends on
+    the input by more than chance. `second` is the second examination, and `hold` is the test of the other hold.
+    `repeats` says whether a part of the residual repeats in every period of the input.
     """
 
     fit: float
@@ -207,29 +219,31 @@ class Assessment:
 
     @property
     def lags(self) -> NDArray[np.int64]:
-        """(2 residuals_lags + 1,) of `cross`; negative: inputs after the residual, where only feedback correlates
-        them."""
+        """The lags (2 residuals_lags + 1,) of `cross`. At negative lags the input follows the residual, and only
+        feedback correlates them.
+        """
         return np.arange(-LINEAR_TUNING.residuals_lags, LINEAR_TUNING.residuals_lags + 1)
 
     @property
     def white(self) -> bool:
-        """Is the residual white? The number of correlations beyond the bound is at most what chance explains, four of
-        25."""
+        """Whether the residual is white. Chance alone explains up to four of 25 correlations beyond the bound."""
         return few_beyond(self.autocorrelation[1:], self.autocorrelation_bound)
 
     @property
     def independent(self) -> bool:
-        """The model has taken all that is in present and earlier inputs."""
+        """Whether the model explains all effects of present and past inputs."""
         return not self.unmodelled
 
 
 def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment:
-    """theta (p,) in the problem's units; delay: samples by which its inputs are late. Raises NotIdentifiableError
-    if the simulated output leaves the range of numbers."""
+    """Assess theta (p,), given in the problem's units. `delay` is the delay of the inputs in samples.
+
+    Raises NotIdentifiableError if the simulated output exceeds the range of numbers.
+    """
     count = len(problem.stretches)
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
     pairs = zip(problem.stretches, point.initial, strict=True)
-    with np.errstate(all="ignore"):  # what comes of it is looked at
+    with np.errstate(all="ignore"):  # the finiteness of the result is checked below
         simulated = [
             simulate(problem.structure, theta, initial, stretch, source=0)[stretch.rows] for stretch, initial in pairs
         ]
@@ -261,8 +275,10 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
 def _doubts(
     problem: ProcessProblem, point: ProcessPoint, residual: list[Floats], delay: int
 ) -> tuple[bool, bool, bool, Second, Hold, bool]:
-    """unmodelled, feedback, depends, second, hold, repeats. The input is looked at when it comes, not `delay`
-    samples later."""
+    """Return the findings unmodelled, feedback, depends, second, hold and repeats, in this order.
+
+    The tests take each input at its true time, and not `delay` samples later.
+    """
     parts, kept = [], []
     for stretch, error in zip(problem.stretches, residual, strict=True):
         inside = stretch.rows < stretch.grid.size - delay
@@ -280,9 +296,9 @@ def _doubts(
 
 
 def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]:
-    """How much of the input of now a wrong hold leaves in the residual, at least and at most."""
+    """Return the least and the greatest part of the present input that a wrong hold leaves in the residual."""
     a, b, _ = problem.structure.split(point.theta)
-    if a.size == 0:  # integrators alone
+    if a.size == 0:  # all poles are integrators
         return (0.0, 0.0)
     stretch = problem.stretches[0]
     grid = Grid(float(np.median(stretch.grid.steps)), 2)
@@ -292,7 +308,9 @@ def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]
 
 
 def _lay_on_grid(residual: Floats, stretch: RecordStretch, source: int) -> tuple[Floats, Floats, Floats]:
-    """Residual with zeros where nothing is measured, input less its mean, and 1 where there is a residual."""
+    """Return the residual with zeros at missing samples, the input without its mean, and a mask of the measured
+    samples.
+    """
     filled, there = np.zeros(stretch.grid.size), np.zeros(stretch.grid.size)
     filled[stretch.rows], there[stretch.rows] = residual, 1.0
     u = stretch.inputs[source]
@@ -325,7 +343,7 @@ def _correlations(grids: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, F
         [sum(correlate_at_lag(u, u, lag) for _, u, _ in grids) for lag in range(LINEAR_TUNING.residuals_lags + 1)]
     )
     u_auto = u_auto / max(u_auto[0], 1e-300)
-    # Ljung (1999, eq. 16.66): the variance of the cross-correlation is the sum of the products of both autocorrelations
+    # The variance of the cross-correlation is the sum of the products of both autocorrelations (Ljung 1999, eq. 16.66).
     spread = max(1.0 + 2 * float(auto[1:] @ u_auto[1:]), 0.1)
     return (
         auto,
@@ -338,11 +356,14 @@ def _correlations(grids: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, F
 
 
 def flags_on(checks: Assessment, process: Process, referenced: bool = False, held: bool = False) -> tuple[str, ...]:
-    """Names for the status. feedback: the input has the noise in it, unless the method uses a reference; unmodelled:
-    the residual has the input in it, is less with the other hold, or repeats with the input; unstable: a pole in the
-    right half-plane that no controller is known to hold (held); uncertain: a pole is not known to half its size, not
-    needed, or elsewhere with the colour of the noise in mind; model_spread: the other hold explains the record as well,
-    and moves a parameter beyond a standard error that is none of these."""
+    """Return the names of the status bits.
+
+    - feedback: the input contains the noise, and the method uses no reference.
+    - unmodelled: the residual depends on the input, is smaller with the other hold, or repeats with the input.
+    - unstable: a pole lies in the right half-plane, and no controller holds it (`held`).
+    - uncertain: a pole is unknown, unnecessary, or elsewhere if the noise is whitened.
+    - model_spread: the other hold explains the record equally well and moves a parameter beyond its standard error.
+    """
     unknown = np.any(np.hypot(*process.poles_std.T) > TUNING.processes_unknown * np.abs(process.poles))
     uncertain = checks.second.surplus or checks.second.moved or bool(unknown)
     found = {
@@ -355,7 +376,7 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
     return tuple(name for name, holds in found.items() if holds)
 
 
-#: The input must not be correlated with the noise by more than chance for these to be consistent without reference.
+#: Without a reference, the estimate is consistent only if the input does not correlate with the noise.
 FEEDBACK = (
     "the residual is correlated with later inputs, as a controller feeds noise back: the estimate is biased",
     "give the reference of the controller ([record] reference) to srivc, iv or output-error",
@@ -390,7 +411,7 @@ UNSTABLE = ("the transfer function is unstable: its simulation, and so the fit, 
 
 
 def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
-    """Raises NotIdentifiableError if the output does not depend on the input, whatever the standard errors are."""
+    """Raise NotIdentifiableError if the covariance is not finite or if the output does not depend on the input."""
     variance = np.diagonal(cov)
     if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
         raise NotIdentifiableError(
@@ -407,7 +428,7 @@ def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks
 
 
 def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Assessment) -> list[Finding]:
-    """What there is to doubt in numbers that are there."""
+    """Return findings on doubtful values in an estimate."""
     residual = np.concatenate(checks.residual)
     spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
     far = int(np.sum(np.abs(residual - np.median(residual)) > TUNING.far_outlier * spread)) if spread > 0 else 0
@@ -427,8 +448,11 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
 def findings_on(
     experiments: Sequence[Experiment], checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
 ) -> list[Finding]:
-    """What the residual tests, the poles and the records give to mind. flags: what of it goes into the status, as
-    `flags_on` has it; expected: poles in the right half-plane were asked for."""
+    """Return the findings of the residual tests, the poles and the records.
+
+    `flags` are the names in the status, as `flags_on` returns them. `expected` says whether the user asked for poles in
+    the right half-plane.
+    """
     found = [
         Finding(code, *words, severity="doubt" if code in flags else "note")
         for code, holds, words in _list_doubts(checks, process, flags, expected)
@@ -441,7 +465,7 @@ def findings_on(
 def _list_doubts(
     checks: Assessment, process: Process, flags: tuple[str, ...], expected: bool
 ) -> tuple[tuple[str, bool, tuple[str, str]], ...]:
-    """Code, whether it is the case, and sentence and remedy."""
+    """Return code, truth, and sentence with remedy for each possible finding."""
     second, hold = checks.second, checks.hold
     unstable = bool(np.any(process.poles.real > 0)) and not expected
     return (
@@ -458,7 +482,7 @@ def _list_doubts(
 
 
 def search_notes(search: Search) -> list[str]:
-    """What to mind before the best structure is taken."""
+    """Return notes for the user on the best structure."""
     best, found = search.best, []
     if best.refused:
         found.append(f"identify has no estimate that it vouches for; the first one: {best.refused}")

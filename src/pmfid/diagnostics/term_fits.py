@@ -1,4 +1,4 @@
-"""Models of one drive on one record, each begun where another one has ended."""
+"""Fits of several models to one record, each started from the fit of another model."""
 
 from __future__ import annotations
 
@@ -29,8 +29,12 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Bench:
-    """What all models are fitted to: u, counts (n,), by a method whose model is that to begin with. other: u, counts of
-    another record of the same machine, to predict; None: the models predict parts of the first from the others."""
+    """The record and the method for all fits of a search.
+
+    All models are fitted to u (n,) and counts (n,). The model of `method` is the first model. `other` holds u and
+    counts of another record of the same machine, for validation. If `other` is None, the models predict parts of the
+    first record from the remaining parts.
+    """
 
     method: IntervalML
     u: Floats
@@ -38,7 +42,10 @@ class Bench:
     other: tuple[Floats, NDArray[np.int64]] | None = None
 
     def first(self, model: Drive) -> Trial:
-        """Begun with instrumental variables. Raises NotIdentifiableError."""
+        """Return the fit of a model that starts from instrumental variables.
+
+        Raises NotIdentifiableError if the record does not identify the model.
+        """
         if model.equation.searched:
             return self.further(self.first(change_arguments(model, {"stribeck": None})), {"stribeck": model.stribeck})
         method = like(IntervalML, self.method, model=model)
@@ -46,12 +53,14 @@ class Bench:
         return make_trial(method, model, difference, q, status)
 
     def further(self, trial: Trial, change: Change) -> Trial:
-        """The model with some of its fields changed, begun at the parameters of the one before."""
+        """Return the fit of the model with some changed fields, started at the parameters of the previous fit."""
         return self.fit_model(change_arguments(trial.model, change), trial)
 
     def pitches(self, trial: Trial) -> list[tuple[float, float]]:
-        """Doubled gain of the log-likelihood, about, and pitch [unit of y] of cogging forces, the best first, of those
-        that scans find; none where every count is explained."""
+        """Return the doubled gains of the log-likelihood and the pitches [unit of y] of cogging forces, best first.
+
+        The gains are approximate. The pitches come from scans. The list is empty if the model explains every count.
+        """
         if trial.best.clean:
             return []
         travel, found = float(np.ptp(trial.difference.y)), list[tuple[float, float]]()
@@ -61,7 +70,7 @@ class Bench:
                 with suppress(NotIdentifiableError, UsageError):
                     found.append(self._fit_pitch(change_arguments(trial.model, {"cogging": travel / number}), trial))
             tried += [*numbers, *(travel / pitch for _, pitch in found)]
-            # moves that are all alike hardly tell a pitch of the travel more or less
+            # Motions that are all similar hardly distinguish one pitch in the travel more or less.
             own = travel / max(found)[1] if found else TUNING.term_trials_fewest
             numbers = [
                 one
@@ -75,13 +84,15 @@ class Bench:
         ][: TUNING.most_pitches]
 
     def scan_pitches(self, trial: Trial) -> list[float]:
-        """Pitches [unit of y] of cogging forces at the peaks of the scans, not fitted."""
+        """Return the pitches [unit of y] of cogging forces at the peaks of the scans, without a fit."""
         travel = float(np.ptp(trial.difference.y))
         return [travel / number for number in candidates(self.method, self.u, self.counts, trial.best)]
 
     def _fit_pitch(self, model: Drive, trial: Trial) -> tuple[float, float]:
-        """Log-likelihood of a model at least squares, its pitch included, and that pitch [unit of y]. If motions are
-        alike after the high-pass, the edges of the counts decide between them."""
+        """Return the log-likelihood of a least-squares fit that includes the pitch, and the pitch [unit of y].
+
+        If two motions are alike after the high-pass, the edges of the counts distinguish them.
+        """
         method = like(IntervalML, self.method, model=model)
         theta = carry_parameters(trial.model.equation, trial.theta, model.equation)
         difference, q = _high_pass(method, self._estimate_by_positions(model, theta), trial.difference)
@@ -99,7 +110,7 @@ class Bench:
         return log_likelihood(best, method.cutoff), float(filtered.model_at(best.q).cogging or math.nan)
 
     def tune_pitch(self, trial: Trial) -> Trial:
-        """The trial with the likeliest pitch of its cogging force, near the present one."""
+        """Return the trial with the likeliest pitch of its cogging force near the present pitch."""
         free = free_pitch(trial.difference, trial.model)
         q = np.r_[trial.best.q, free.number / TUNING.term_trials_hundred]
         if trial.best.noise is None:
@@ -113,9 +124,11 @@ class Bench:
         return max(trial, found, key=lambda one: one.log_likelihood)
 
     def _estimate_by_positions(self, model: Drive, theta: Floats) -> Floats:
-        """Parameters (p,) by instrumental variables, which read the position from the counts: the simulated motion of a
-        model without a periodic force may be a period off. theta (p,): of the model, for parameters that instrumental
-        variables do not estimate."""
+        """Return parameters (p,) by instrumental variables, which take the position from the counts.
+
+        The simulated motion of a model without a periodic force may be wrong by a whole period. `theta` (p,) gives the
+        parameters that instrumental variables do not estimate.
+        """
         own, late = model.equation, dict.fromkeys((DEAD_TIME, LAG), 0.0) | _late_of(model.equation, theta)
         given = {key: late[key] for key in (DEAD_TIME, LAG) if getattr(model, key) == ESTIMATE}
         known = change_arguments(model, given | ({"stribeck": None} if model.stribeck == ESTIMATE else {}))
@@ -124,8 +137,11 @@ class Bench:
         return _late_by(own, start, late[DEAD_TIME], late[LAG])
 
     def fit_model(self, model: Drive, trial: Trial) -> Trial:
-        """A model fitted from the parameters of another; of several starts the likeliest, or the first that explains
-        every count. Raises NotIdentifiableError if no start settles."""
+        """Fit a model from the parameters of another trial.
+
+        Of several start values, the function returns the likeliest fit or the first fit that explains every count.
+        Raises NotIdentifiableError if no start value converges.
+        """
         found, refused = list[Trial](), NotIdentifiableError("the model settles nowhere")
         for theta, begun in self._starts(model, trial):
             try:
@@ -140,8 +156,11 @@ class Bench:
         return max(found, key=lambda one: one.log_likelihood)
 
     def _starts(self, model: Drive, trial: Trial) -> Iterator[tuple[Floats, Trial]]:
-        """Parameters (p,) to begin with, and a trial whose motion starts alike: those of another model, and where it
-        has no Stribeck speed, several."""
+        """Yield start values (p,), each with a trial whose motion starts alike.
+
+        The start values are the parameters of another model. If that model has no Stribeck speed, several speeds
+        follow.
+        """
         equation, before = model.equation, trial.model.equation
         theta = carry_parameters(before, trial.theta, equation)
         if late := _lates(model, trial):
@@ -160,8 +179,11 @@ class Bench:
         return lambda speed: self._from(change_arguments(model, {"stribeck": speed}), theta[:-1], trial, hasty=True)
 
     def _from(self, model: Drive, theta: Floats, trial: Trial, hasty: bool = False) -> Trial:
-        """A model from theta (p,), and from where the motion of another trial starts: from least squares on, and where
-        these go astray, up the likelihood. hasty: by least squares, where there are any."""
+        """Fit a model from theta (p,) and from the start of another trial's motion.
+
+        Least squares come first. If they diverge, the fit maximises the likelihood. If `hasty`, any least-squares fit
+        is enough.
+        """
         method, found = like(IntervalML, self.method, model=model), list[Trial]()
         refused = NotIdentifiableError("the model settles nowhere")
         try:
@@ -180,7 +202,9 @@ class Bench:
         return max(found, key=lambda one: one.log_likelihood)
 
     def _from_squares(self, model: Drive, theta: Floats, trial: Trial, hasty: bool) -> list[Trial]:
-        """From least squares on; where a force comes again along the travel, also from instrumental variables."""
+        """Return the fits from least squares. A force that is periodic along the travel also starts from
+        instrumental variables.
+        """
         method, starts = like(IntervalML, self.method, model=model), [theta]
         if any(not term.shape.of_speed for term in model.equation.shaped if term.shape):
             with suppress(NotIdentifiableError):
@@ -194,7 +218,10 @@ class Bench:
         return found
 
     def settle_fit(self, trial: Trial) -> Trial:
-        """The trial, if within the counts, simulated as finely as the counts ask for, and fitted to convergence."""
+        """Return the trial, fitted to convergence if its motion is within the counts.
+
+        The simulation is then as fine as the counts require.
+        """
         best = trial.best
         if best.noise is None:
             return trial
@@ -204,8 +231,11 @@ class Bench:
         return replace(trial, best=found, log_likelihood=log_likelihood(found, trial.method.cutoff))
 
     def elsewhere(self, trial: Trial) -> float:
-        """Error of free runs over what a model was not fitted to [unit of y]: another record, or thirds of this one
-        with what the others say of the model. Infinite where there is no run."""
+        """Return the error of free runs over data outside the fit [unit of y].
+
+        The data are another record, or thirds of the same record that are predicted from the other thirds. The error is
+        infinite if no run is possible.
+        """
         if self.other is None:
             return self._predict_parts(trial)
         equation = trial.model.equation
@@ -230,7 +260,10 @@ class Bench:
 
 
 def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
-    """Dead times and lags [s] to start from, where the model has another choice of the two than the trial before."""
+    """Return start values for dead time and lag [s].
+
+    The list is empty if the model and the previous trial estimate the same ones of the two.
+    """
     own, before = ([one.dead_time == ESTIMATE, one.lag == ESTIMATE] for one in (model, trial.model))
     if own == before or not any(own) or (own == [True, False] and not any(before)):
         return []
@@ -241,18 +274,18 @@ def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
 
 
 def _acts_in_time(trial: Trial) -> bool:
-    """Is the input no later than that of a drive may be?"""
+    """Return whether the input delay is within the limit of a drive."""
     return max(_late_of(trial.model.equation, trial.theta).values(), default=0.0) <= MOST_LATE * trial.method.dt
 
 
 def _late_of(equation: Equation, theta: Floats) -> dict[str, float]:
-    """Dead time and lag [s] by name, those that are parameters, of theta (p,)."""
+    """Return the dead time and the lag [s] in theta (p,) by name, as far as they are parameters."""
     values = dict(zip((*equation.names, *dict(equation.further)), theta.tolist(), strict=True))
     return {key: values[key] for key in (DEAD_TIME, LAG) if key in values}
 
 
 def _late_by(equation: Equation, theta: Floats, dead: float, lag: float) -> Floats:
-    """theta (p,) with another dead time and lag [s], where the equation has them."""
+    """Return theta (p,) with the given dead time and lag [s], as far as the equation has them."""
     found, linear = theta.copy(), len(equation.names)
     index = equation.roles[LATE]
     if index is not None:
@@ -263,13 +296,16 @@ def _late_by(equation: Equation, theta: Floats, dead: float, lag: float) -> Floa
 
 
 def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tuple[float, float]]:
-    """Those whose pitch is not nearly that of one before; travel [unit of y]."""
+    """Return the pairs of gain and pitch without pitches close to an earlier one. The travel has the unit of y."""
     kept = drop_neighbours([travel / pitch for _, pitch in found])
     return [one for one in found if travel / one[1] in kept]
 
 
 def shortest_part(method: IntervalML) -> int:
-    """Samples of a part of a record that can be predicted: in less there is little but its start."""
+    """Return the least number of samples in a predictable part of a record.
+
+    A shorter part contains little more than its start.
+    """
     return max(
         ESTIMATOR_TUNING.search_fewest,
         math.ceil(ESTIMATOR_TUNING.search_shortest / (method.cutoff * method.dt) - TUNING.term_fits_rounding),
@@ -277,15 +313,20 @@ def shortest_part(method: IntervalML) -> int:
 
 
 def choose_cutoff(samples: int, dt: float) -> float | None:
-    """Least cutoff [rad/s] at which a part of `samples` samples, every dt [s], can be predicted; None: there is
-    none."""
+    """Return the lowest cutoff [rad/s] at which a part with a sample period dt [s] can be predicted.
+
+    The result is None if `samples` is too small for a prediction.
+    """
     return ESTIMATOR_TUNING.search_shortest / (samples * dt) if samples >= ESTIMATOR_TUNING.search_fewest else None
 
 
 def make_trial(
     method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
 ) -> Trial:
-    """At the largest likelihood from the least squares q (q,), where that is within the counts."""
+    """Return the trial at the maximum of the likelihood, started from the least-squares unknowns q (q,).
+
+    If the motion is not within the counts, the trial is the least-squares fit itself.
+    """
     if difference.pole > 0 or rms(difference(q)) > difference.explained:
         best = Best(difference, q, q, None, status)
         return Trial(model, method, best, log_likelihood(best, method.cutoff))
@@ -293,8 +334,11 @@ def make_trial(
 
 
 def _follow_record(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
-    """The difference of a record, with the high-pass if the simulation drifts away, and its rough least squares from
-    theta (p,): of many models all but one are to be thrown away."""
+    """Return the difference of a record and its rough least-squares unknowns, started from theta (p,).
+
+    If the simulation drifts away, the difference contains a high-pass. A rough fit is enough, because the search
+    discards all models but one.
+    """
     filtered, q = _high_pass(method, theta, record)
     placed = any(not term.shape.of_speed for term in filtered.equation.shaped if term.shape)
     q = (
@@ -310,23 +354,26 @@ def _follow_record(method: IntervalML, theta: Floats, record: Difference) -> tup
 
 
 def _quick(difference: Difference) -> Difference:
-    """The same with no more parts of a sample than tell models from each other."""
+    """Return the difference with no more parts of a sample than the comparison of models needs."""
     return replace(difference, parts=min(difference.parts, TUNING.most_parts))
 
 
 def _high_pass(method: IntervalML, theta: Floats, record: Difference) -> tuple[Difference, Floats]:
-    """The difference of a record after the high-pass, and q (q,) of theta (p,) at the first count."""
+    """Return the difference of a record after the high-pass, and the unknowns q (q,) for theta (p,)."""
     filtered = replace(_quick(method.make_difference(theta, record.u, record.y)), pole=method.cutoff)
     begin = np.r_[theta, record.y[0], first_speed(record.y, record.dt, method.cutoff, record.resolution)]
     return filtered, np.maximum(begin / filtered.scale, filtered.lower)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # far from the counts their probability is beyond numbers
+@np.errstate(over="ignore", invalid="ignore")  # far from the counts, their probability exceeds the range of numbers
 def _climb_to_top(
     method: IntervalML, model: Drive, difference: Difference, q: Floats, status: int, hasty: bool = False
 ) -> Trial:
-    """A trial at a maximum of the likelihood near q (q,). If the maximum may be a local one, a noise that shrinks leads
-    to it; hasty: never."""
+    """Return a trial at a maximum of the likelihood near the unknowns q (q,).
+
+    If the maximum may be local, a shrinking noise leads to the global maximum. If `hasty`, the search stops at the
+    first maximum.
+    """
     found = climb(difference, q, None, TUNING.term_fits_settled)
     if (
         not hasty

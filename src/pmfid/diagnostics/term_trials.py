@@ -1,4 +1,4 @@
-"""Trials of one more term, and of forces with a period."""
+"""Trials of one further term, including periodic forces."""
 
 from __future__ import annotations
 
@@ -32,8 +32,10 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Trial:
-    """A model at its best fit to a record. log_likelihood: of the counts, in natural units; places: what may come again
-    along the travel, to look for."""
+    """A model at its best fit to a record.
+
+    `log_likelihood` is the log-likelihood of the counts in natural units.
+    """
 
     model: Drive
     method: IntervalML
@@ -46,7 +48,7 @@ class Trial:
 
     @property
     def theta(self) -> Floats:
-        """(p,) parameters of the equation, followed by those that it is not linear in."""
+        """The parameters (p,) of the equation, followed by the parameters of its shapes."""
         return np.asarray((self.best.q * self.difference.scale)[: self.difference.parameters])
 
     @property
@@ -58,14 +60,17 @@ class Trial:
 
     @property
     def usual_speed(self) -> float:
-        """Root mean square velocity of the simulated motion."""
+        """The root mean square velocity of the simulated motion."""
         velocity = self.difference.motion(self.best.q)[1]
         return rms(velocity[velocity != 0])
 
 
 def inflation(before: Trial, after: Trial) -> float:
-    """Ratio of the scatter of the scores of a model's new terms, at its fit, to the scatter of independent errors.
-    Chance inflates likelihood ratios by this factor. The largest over all new directions."""
+    """Return the inflation of the likelihood ratio by errors that are not independent.
+
+    The inflation is the scatter of the scores of the new terms, divided by the scatter for independent errors. The
+    function returns the largest ratio over all new directions.
+    """
     best, old, new = after.best, before.model.equation, after.model.equation
     difference, p = best.difference, best.difference.parameters
     sensitivity = -difference.jacobian(best.q)
@@ -85,7 +90,7 @@ def inflation(before: Trial, after: Trial) -> float:
 
 
 def known_shapes(best: Best) -> Best:
-    """The same motion, from an equation whose shape parameters are known."""
+    """Return the same motion from an equation whose shape parameters are known."""
     difference, q = best.difference, best.q
     p = len(difference.equation.names)
     equation = difference.equation.known_at((q * difference.scale)[p : difference.parameters])
@@ -95,7 +100,10 @@ def known_shapes(best: Best) -> Best:
 
 
 def carry_parameters(before: Equation, theta: Floats, after: Equation) -> Floats:
-    """Parameters (p,) of one equation as start values of another; parameters that only the latter has are zero."""
+    """Return the parameters (p,) of one equation as start values of another equation.
+
+    Parameters that only the new equation has are zero.
+    """
     own = before.role_values(theta)
     body, further = (
         own[: len(ROLES)],
@@ -122,12 +130,15 @@ def carry_parameters(before: Equation, theta: Floats, after: Equation) -> Floats
     return np.asarray(np.r_[found, [further.get(name, 0.0) for name, _ in after.further]])
 
 
-#: Around a peak they are tried this much apart.
+#: Distances from a peak, in pitches, at which the scan is refined.
 CLOSER = np.arange(-0.4, 0.5, 0.1)
 
 
 def pitches(best: Best) -> Floats:
-    """(k,) how many pitches of a cogging force the travel may have; none where it is too short for any."""
+    """Return the possible numbers of pitches of a cogging force in the travel (k,).
+
+    The array is empty if the travel is too short for any pitch.
+    """
     difference = replace(best.difference, parts=1)
     travel, v = float(np.ptp(difference.y)), difference.motion(best.q)[1]
     usual = rms(v[v != 0]) if np.any(v) else 0.0
@@ -142,8 +153,10 @@ def pitches(best: Best) -> Floats:
 
 
 def candidates(method: IntervalML, u: Floats, counts: NDArray[np.int64], best: Best) -> list[float]:
-    """How many pitches of a cogging force the travel may have by the peaks of the scans, at a model's best fit to u,
-    counts (n,)."""
+    """Return the numbers of pitches of a cogging force in the travel at the peaks of all scans.
+
+    The scans start at a model's best fit to u (n,) and counts (n,).
+    """
     numbers = pitches(best)
     if not numbers.size:
         return []
@@ -155,7 +168,7 @@ def candidates(method: IntervalML, u: Floats, counts: NDArray[np.int64], best: B
 
 
 def _peaks(numbers: Floats, gain_of: Callable[[Floats], Floats]) -> Iterator[float]:
-    """The largest, each looked at more closely."""
+    """Yield the largest peaks of the gain, each refined on a finer grid."""
     gain = gain_of(numbers)
     for _ in range(TUNING.term_trials_peaks):
         k = int(np.argmax(gain))
@@ -167,7 +180,7 @@ def _peaks(numbers: Floats, gain_of: Callable[[Floats], Floats]) -> Iterator[flo
 
 
 def drop_neighbours(numbers: Sequence[float]) -> list[float]:
-    """The numbers without those close to an earlier one."""
+    """Return the numbers without those close to an earlier number."""
     kept = list[float]()
     for number in numbers:
         if all(abs(number - other) > TUNING.term_trials_apart for other in kept):
@@ -176,8 +189,10 @@ def drop_neighbours(numbers: Sequence[float]) -> list[float]:
 
 
 def _predict_gains(best: Best, numbers: Floats) -> Floats:
-    """(k,) doubled gain of the log-likelihood that the scores of sin and cos together promise, about, for each number
-    of pitches in the travel."""
+    """Return the doubled gain of the log-likelihood (k,) that scores predict for each number of pitches in the travel.
+
+    The gain is approximate and comes from the scores of sine and cosine together.
+    """
     coarse = replace(best, difference=replace(best.difference, parts=1))
     travel, gains = float(np.ptp(best.difference.y)), dict.fromkeys(numbers.tolist(), 0.0)
     for part in _parts(numbers):
@@ -194,8 +209,11 @@ def _parts(numbers: Floats) -> list[Floats]:
 
 
 def scan_balance(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floats) -> Floats:
-    """(k,) part of the residual of a filtered balance of forces that a periodic force at the measured position
-    explains, for each number of pitches in the travel. u, counts: (n,). The model's own terms are taken out first."""
+    """Return the part (k,) of the residual that a periodic force explains, for each number of pitches in the travel.
+
+    The residual is that of a filtered force balance, from u (n,) and counts (n,). The periodic force acts at the
+    measured position. The model's own terms are removed first.
+    """
     columns, y = method.columns(u, counts), method.encoder.resolution * (counts - counts[0])
     middle = y + np.diff(y, append=y[-1]) / 2
     own = np.linalg.qr(columns.phi)[0]
@@ -214,32 +232,35 @@ def scan_balance(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floa
 
 
 def _moving(counts: NDArray[np.int64], near: int) -> NDArray[np.bool_]:
-    """(n,) does the axis move within `near` samples? At rest friction takes up any force."""
+    """Mark the samples (n,) where the axis moves within `near` samples. At rest, friction balances any force."""
     moves = np.diff(counts, append=counts[-1]) != 0
     return np.asarray(np.convolve(moves, np.ones(2 * near + 1), "same") > 0)
 
 
 @dataclass(frozen=True)
 class Pitched(Difference):
-    """A `Difference` as a function of q = (theta, x0, v0, number / term_trials_hundred) as well: how many pitches of
-    the cogging force the travel has. model: of the equation, at any pitch."""
+    """A `Difference` whose unknowns q include the pitch of the cogging force.
+
+    The unknowns are q = (theta, x0, v0, number / term_trials_hundred), with the number of pitches in the travel.
+    `model` has the equation at any pitch.
+    """
 
     model: Drive | None = None
 
     def fix_pitch(self, q: Floats) -> Difference:
-        """The difference with the pitch fixed at that of q (q + 1,)."""
+        """Return the difference with the pitch fixed at its value in q (q + 1,)."""
         own = {field.name: getattr(self, field.name) for field in fields(Difference)}
         return Difference(**(own | {"equation": self.model_at(q).equation}))
 
     def model_at(self, q: Floats) -> Drive:
-        """The model at the pitch of q (q + 1,)."""
+        """Return the model with the pitch in q (q + 1,)."""
         if self.model is None:
             raise TypeError("a difference with a pitch needs the model that has it")
         return change_arguments(self.model, {"cogging": float(np.ptp(self.y) / (TUNING.term_trials_hundred * q[-1]))})
 
     @property
     def number(self) -> float:
-        """How many pitches of the model's own cogging force the travel has."""
+        """The number of pitches of the model's cogging force in the travel."""
         return float(np.ptp(self.y)) / float((self.model and self.model.cogging) or np.nan)
 
     def differences(self, qs: Floats) -> Floats:
@@ -255,6 +276,6 @@ class Pitched(Difference):
 
 
 def free_pitch(difference: Difference, model: Drive) -> Pitched:
-    """The difference of a model with a cogging force, with the pitch as a further unknown."""
+    """Return the difference of a model with a cogging force, with the pitch as a further unknown."""
     own = {field.name: getattr(difference, field.name) for field in fields(Difference)}
     return Pitched(**own, model=model)

@@ -1,9 +1,10 @@
-"""Which terms does a drive have? A search from a model upwards, one term at a time.
+"""Search for the terms of a drive, one term at a time.
 
-Each step is proposed by the score tests of the counts at the best fit of the model so far (`estimators/adequacy.py`),
-which cost nothing, and then fitted. A term is kept where the likelihood ratio is beyond chance, as the number of terms
-that were tried and the scatter of the scores allow it (Rao 1948; Bonferroni), and where it explains parts of the record
-that it was not fitted to. In the end a term goes that the others have made superfluous."""
+In each step, the score tests of the counts at the best fit propose candidates (`estimators/adequacy.py`). These tests
+cost nothing. Then the search fits the candidates. The search keeps a term if its likelihood ratio is beyond chance and
+if it explains parts of the record outside the fit. The limit of chance depends on the number of tried terms and on the
+scatter of the scores (Rao 1948; Bonferroni). Finally, the search removes a term if the other terms make it superfluous.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +26,19 @@ from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG
 
-#: What the score of a force cannot tell from it: a lag is a dead time to first order.
+#: Changes that a score does not distinguish from another change. To first order, a lag equals a dead time.
 OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"lag": ESTIMATE},)})
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A change of the model, its description and its origin. z: score in standard deviations; inflation: scatter of the
-    score relative to independent errors, at first without the term, and after the fit with it; explains: doubled gain
-    of the log-likelihood that the score promises; elsewhere: promised gain over parts that the coefficient is not taken
-    from; scanned: the pitch comes from a scan."""
+    """A change of the model with its description and origin.
+
+    `z` is the score in standard deviations. `inflation` is the scatter of the score relative to independent errors.
+    Before the fit it is computed without the term, and afterwards with the term. `explains` is the doubled gain of the
+    log-likelihood that the score predicts. `elsewhere` is the predicted gain over parts of the record that do not
+    determine the coefficient. `scanned` says whether the pitch comes from a scan.
+    """
 
     change: Change
     says: str
@@ -46,15 +50,18 @@ class Candidate:
 
     @property
     def key(self) -> str:
-        """The key of [model] that it sets."""
+        """The key of [model] that the candidate sets."""
         return next(iter(self.change))
 
 
 @dataclass(frozen=True)
 class FittedCandidate:
-    """One candidate, fitted on top of a model. gain: doubled gain of the log-likelihood, scaled so that a useless
-    parameter brings 1; needed: the gain from which on it counts; error, without: errors of free runs over other parts
-    of the record with it and without it [unit of y]; verdict: "kept", "either" or the reason why not."""
+    """One candidate, fitted in addition to the terms of a model.
+
+    `gain` is the doubled gain of the log-likelihood, scaled so that a useless parameter brings 1. `needed` is the least
+    gain that counts. `error` and `without` are errors of free runs over other parts of the record [unit of y], with and
+    without the candidate. `verdict` is "kept", "either" or the reason for a refusal.
+    """
 
     candidate: Candidate
     trial: Trial | None
@@ -70,21 +77,23 @@ class FittedCandidate:
 
     @property
     def explains_all(self) -> bool:
-        """Does the model explain every count with it? Then no score at the model before it is to be asked."""
+        """Whether the model with this candidate explains every count. Then scores of the model without the
+        candidate mean nothing.
+        """
         return self.trial is not None and self.trial.best.clean
 
     @property
     def refused(self) -> bool:
-        """Is it beyond chance, and yet not kept for a reason other than a better one?"""
+        """Whether the candidate is beyond chance but refused, for a reason other than a better candidate."""
         return self.gain >= self.needed and self.verdict not in (KEPT, EITHER, DROPPED, LESS)
 
     @property
     def size(self) -> float:
-        """Doubled gain of the log-likelihood as it stands."""
+        """The doubled gain of the log-likelihood without any scale."""
         return self.gain * self.candidate.inflation
 
 
-#: The special case of directional friction.
+#: A load is a special case of directional friction.
 LOAD: Change = MappingProxyType({"offset": True})
 KEPT, EITHER, DROPPED, LESS = "kept", "either", "superfluous", "explains less"
 WORSE = "predicts other parts worse"
@@ -93,9 +102,12 @@ UNCLEAR = "its pitch is unclear: give it"
 
 @dataclass(frozen=True)
 class Terms:
-    """The search: trials, from the initial model to the chosen one; their errors of free runs over other parts of the
-    record [unit of y]; all candidates that were fitted in each step; the chosen model without each of the added terms;
-    and its adequacy."""
+    """The result of a search.
+
+    `trials` lead from the first model to the chosen model. `errors` are their errors of free runs over other parts of
+    the record [unit of y]. `steps` holds all candidates that each step has fitted. `without` holds the chosen model
+    without each of the added terms. `adequacy` belongs to the chosen model.
+    """
 
     trials: tuple[Trial, ...]
     errors: tuple[float, ...]
@@ -109,12 +121,12 @@ class Terms:
 
     @property
     def added(self) -> dict[str, object]:
-        """Keys of [model] that the search sets."""
+        """The keys of [model] that the search sets."""
         return changed_fields(self.trials[0].model, self.chosen.model)
 
     @property
     def refused(self) -> tuple[FittedCandidate, ...]:
-        """Terms beyond chance that were not kept, and that nothing else has taken the place of."""
+        """Refused terms that are beyond chance and that no other term replaces."""
         last = self.steps[-1:] if self.steps and not any(step.kept for step in self.steps[-1]) else ()
         return tuple(
             step
@@ -125,7 +137,7 @@ class Terms:
 
     @cached_property
     def either(self) -> tuple[tuple[FittedCandidate, FittedCandidate], ...]:
-        """Terms that were kept, with others that explain as much and were not."""
+        """Pairs of a kept term and a refused term that explains equally much."""
         pairs = []
         for tried in self.steps:
             kept = [step for step in tried if step.kept and step.candidate.key in self.added]
@@ -135,7 +147,7 @@ class Terms:
 
 
 def changed_fields(first: Drive, last: Drive) -> dict[str, object]:
-    """Fields in which the last model differs from the first."""
+    """Return the fields in which the last model differs from the first, with the values of the last model."""
     pairs = ((field.name, getattr(first, field.name), getattr(last, field.name)) for field in fields(Drive))
     return {name: after for name, before, after in pairs if before != after}
 
@@ -147,8 +159,12 @@ def search(
     scan: bool = True,
     done: Callable[[float], None] | None = None,
 ) -> Terms:
-    """From the model upwards. places: what may come again along the travel, too; scan: look for the pitch of a cogging
-    force. Raises NotIdentifiableError if not even the model to begin with has a fit."""
+    """Search the terms of a drive, starting from a model.
+
+    `places` are periodic forces along the travel that are candidates, too. If `scan`, the search also looks for the
+    pitch of a cogging force.
+    Raises NotIdentifiableError if the first model has no fit.
+    """
     looking = scan and model.cogging is None and all(place.key != "cogging" for place in places)
     first = bench.first(model)
     return _Search(bench, tuple(places), looking, [first], [bench.elsewhere(first)], done or (lambda part: None)).run()
@@ -156,7 +172,10 @@ def search(
 
 @dataclass
 class _Search:
-    """A search under way: trials and their errors as in `Terms`; done: called with the part of the work."""
+    """A search in progress.
+
+    `trials` and `errors` are those of `Terms`. `done` is called with the completed part of the work.
+    """
 
     bench: Bench
     places: tuple[PeriodicForce, ...]
@@ -167,7 +186,7 @@ class _Search:
     steps: list[tuple[FittedCandidate, ...]] = field(default_factory=list)
 
     def run(self) -> Terms:
-        """Adds a term in each step, and removes terms that others have made superfluous."""
+        """Add a term in each step, and finally remove superfluous terms."""
         seen, without = list[Drive](), tuple[FittedCandidate, ...]()
         while len(self.steps) < TUNING.most_steps and self.trials[-1].model not in seen:
             seen.append(self.trials[-1].model)
@@ -186,8 +205,10 @@ class _Search:
         )
 
     def _resolve_alternatives(self, found: Terms) -> Terms:
-        """Rules out alternatives that explained as much as a kept term while others were missing, and that explain less
-        in its place now."""
+        """Reject alternatives that explain less than the kept term in the final model.
+
+        Such an alternative explained equally much while other terms were missing.
+        """
         less = [other for kept, other in found.either if self._is_less(found.chosen, kept.candidate, other.candidate)]
         steps = (
             tuple(replace(step, verdict=LESS) if any(step is one for one in less) else step for step in tried)
@@ -209,7 +230,7 @@ class _Search:
         self.errors.append(error)
 
     def _try_candidates(self) -> tuple[FittedCandidate, ...]:
-        """The candidates of a model, fitted, with a verdict on each; the best first."""
+        """Return the fitted candidates of the last model, each with a verdict, best first."""
         trial = self.trials[-1]
         number = TUNING.terms_usual + len(self.places)
         candidates = propose_candidates(trial, trial.weigh_forces(self.places))
@@ -228,8 +249,10 @@ class _Search:
     def _fit_candidates(
         self, trial: Trial, candidates: Sequence[Candidate], again: Sequence[Candidate], number: int
     ) -> list[FittedCandidate]:
-        """Fits candidates, the best first, and others whose score says nothing. Candidates that promise much less than
-        the first are fitted only if nothing explains every count."""
+        """Fit the candidates, best first, and then the candidates in `again`, whose scores say nothing.
+
+        Weak candidates are fitted only if no candidate explains every count.
+        """
         fitted = list[FittedCandidate]()
         for candidate in (*candidates, *again):
             known = any(step.explains_all and step.gain > step.needed for step in fitted)
@@ -244,9 +267,12 @@ class _Search:
         return fitted
 
     def _pairs(self, trial: Trial, tried: Sequence[FittedCandidate], number: int) -> list[FittedCandidate]:
-        """Two terms at once, where no single one suffices: the two that explain most alone, and the first of them with
-        a force along the travel, whose quick fit may go astray while the other is missing. That force alone, fitted as
-        others are, where another term was kept before, which may be in its place."""
+        """Fit two terms together if no single term suffices.
+
+        The first pair consists of the two best single terms. Further pairs combine the best term with a force along the
+        travel. A quick fit of that force may diverge while the best term is missing. In later steps, the search fits
+        the force along the travel alone. It may replace a term that was kept before.
+        """
         best = [step.candidate for step in tried if step.trial is not None][:2]
         looking = self.looking and trial.model.cogging is None
         pairs = [tuple(best)] if len(best) == 2 else []
@@ -264,12 +290,12 @@ class _Search:
         return fitted
 
     def _propose_peaks(self, trial: Trial) -> list[Candidate]:
-        """Cogging forces at the peaks of the scans."""
+        """Return cogging forces at the peaks of the scans."""
         places = [PeriodicForce("cogging", pitch) for pitch in self.bench.scan_pitches(trial)[: TUNING.most_paired]]
         return [Candidate({one.key: one.period}, one.says, 0.0, 1.0, 0.0, math.inf, True) for one in places]
 
     def _propose_pitches(self, trial: Trial) -> list[Candidate]:
-        """Cogging forces of the pitches that scans end at."""
+        """Return cogging forces of the pitches that the scans find."""
         found = []
         for gain, pitch in self.bench.pitches(trial):
             place = PeriodicForce("cogging", pitch)
@@ -280,7 +306,7 @@ class _Search:
         return found
 
     def _judge_steps(self, found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
-        """Keeps the first candidate that is beyond chance and predicts other parts no worse."""
+        """Keep the first candidate that is beyond chance and predicts other parts of the record no worse."""
         judged, kept, error = list[FittedCandidate](), None, self.errors[-1]
         for step in _simplest_first(found):
             if step.trial is None or (reason := find_objection(step, found)):
@@ -293,8 +319,11 @@ class _Search:
         return judged
 
     def _drop_superfluous(self) -> tuple[FittedCandidate, ...]:
-        """The chosen model without each of the added terms. The search goes on to one of these models if the loss is
-        within chance, or the term worsens the prediction of other parts."""
+        """Return the chosen model without each of the added terms.
+
+        The search continues with one of these models if the loss is within chance, or if the term worsens the
+        prediction of other parts.
+        """
         first = self.trials[0].model
         while True:
             last = self.trials[-1].model
@@ -309,14 +338,14 @@ class _Search:
                 self._take(least.trial, least.without)
 
     def _remove_term(self, change: Change, instead: Change = MappingProxyType({})) -> FittedCandidate:
-        """The model fitted without a term. instead: a simpler term that takes its place."""
+        """Fit the model without a term. `instead` is a simpler term in its place."""
         whole, first = self.trials[-1], self.trials[0].model
         own = {key: getattr(whole.model, key) for key in change}
         candidate = Candidate(own, " and ".join(setting(*pair) for pair in own.items()), 0.0, 1.0, 0.0, math.inf)
         try:
             back = {key: getattr(first, key) for key in change} | dict(instead)
             found = self.bench.fit_model(change_arguments(whole.model, back), whole)
-        except (NotIdentifiableError, UsageError):  # nothing follows the record without it
+        except (NotIdentifiableError, UsageError):  # no motion follows the record without the term
             return FittedCandidate(candidate, None, math.inf, 0.0, self.errors[-1], KEPT)
         candidate = replace(candidate, inflation=inflation(found, whole))
         needed, loss = (
@@ -329,31 +358,34 @@ class _Search:
 
 
 def is_worse(error: float, before: float) -> bool:
-    """Is an error of free runs larger than the error of the model without a term?"""
+    """Return whether an error of free runs exceeds the error `before` of the model without a term."""
     return error > (1 + TUNING.no_worse) * before
 
 
 def removable(first: Drive, last: Drive) -> list[Change]:
-    """Each single change among those that lead from one model to another."""
+    """Return each single change among the changes from one model to another."""
     found = changed_fields(first, last)
     together = {"friction": DIRECTIONAL}
     return [dict(together.get(key, {key: value})) for key, value in found.items() if key != "offset" or last.offset]
 
 
 def _next_to(step: FittedCandidate, kept: FittedCandidate) -> str:
-    """The verdict on a term in comparison with the kept one."""
+    """Return the verdict on a term in comparison with the kept term."""
     return EITHER if _measure_deficit(step, kept) < TUNING.terms_alike and not _is_special_case(kept, step) else LESS
 
 
 def _measure_deficit(step: FittedCandidate, best: FittedCandidate) -> float:
-    """The amount by which a term explains less than the best one, in units of chance."""
+    """Return how much less a term explains than the best term, in units of chance."""
     if step.trial is None or best.trial is None:
         return math.inf
     return 2 * (best.trial.log_likelihood - step.trial.log_likelihood) / best.candidate.inflation
 
 
 def _simplest_first(found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
-    """The best first, but for one that has fewer parameters, is a part of it, and explains as much but for chance."""
+    """Return the terms in the order of their size.
+
+    The first place goes to a special case of the best term if it explains equally much within chance.
+    """
     ordered = sorted(found, key=lambda step: step.size, reverse=True)
     for step in ordered[1:]:
         if (
@@ -365,12 +397,15 @@ def _simplest_first(found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
 
 
 def _is_special_case(step: FittedCandidate, other: FittedCandidate) -> bool:
-    """Is a term the special case of another? A load is a special case of directional friction."""
+    """Return whether a term is a special case of another term, as a load is of directional friction."""
     return step.candidate.key == "offset" and other.candidate.key == "friction"
 
 
 def _otherwise_late(trial: Trial) -> list[Candidate]:
-    """A lag next to a dead time, and a dead time next to a lag: no score tells them apart, likelihoods do."""
+    """Return a model with dead time and lag as a candidate if the model has only one of them.
+
+    Scores do not distinguish the two, but likelihoods do.
+    """
     keys = [key for key in (DEAD_TIME, LAG) if getattr(trial.model, key) == ESTIMATE]
     if len(keys) != 1:
         return []
@@ -381,8 +416,10 @@ def _otherwise_late(trial: Trial) -> list[Candidate]:
 def _list_retries(
     trial: Trial, steps: Sequence[tuple[FittedCandidate, ...]], candidates: Sequence[Candidate]
 ) -> tuple[Candidate, ...]:
-    """Candidates that were beyond chance in the last step, and lost: the kept term may have taken up part of their
-    effect, so that their scores say nothing any more."""
+    """Return the candidates of the last step that were beyond chance but lost.
+
+    The kept term may have absorbed a part of their effect, so that their scores say nothing any more.
+    """
     if not steps:
         return ()
     lost = [step.candidate for step in steps[-1] if step.trial and not step.kept and step.gain > step.needed]
@@ -395,7 +432,10 @@ def _has(model: Drive, change: Change) -> bool:
 
 
 def propose_candidates(trial: Trial, found: Adequacy) -> list[Candidate]:
-    """Candidates that the counts ask for, ordered by promised gain; of several forces with one change, the best."""
+    """Return the candidates that the counts ask for, ordered by predicted gain.
+
+    Of several forces that lead to one change, the best is returned.
+    """
     by_change: dict[str, Candidate] = {}
     for k in np.argsort(-found.gain).tolist():
         candidate = found.forces[k]
@@ -411,8 +451,11 @@ def propose_candidates(trial: Trial, found: Adequacy) -> list[Candidate]:
 
 
 def _deserves_trial(trial: Trial, found: Adequacy, k: int) -> bool:
-    """Is a force worth a trial? If the model explains every count, the score must be beyond chance. Otherwise
-    unmodelled effects scatter the scores, and the likelihood decides."""
+    """Return whether a force deserves a trial.
+
+    If the model explains every count, the score of the force must be beyond chance. Otherwise unmodelled effects
+    scatter the scores, and the likelihood decides.
+    """
     if trial.best.clean:
         return bool(abs(found.z[k]) >= ESTIMATOR_TUNING.adequacy_missed)
     return bool(abs(found.z[k]) >= TUNING.terms_weak and found.gain[k] >= ESTIMATOR_TUNING.adequacy_missed**2)
@@ -436,7 +479,7 @@ def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int
         if candidate.scanned:
             found = bench.tune_pitch(found)
             candidate = replace(candidate, change={**candidate.change, "cogging": found.model.cogging})
-    except (NotIdentifiableError, UsageError):  # or the model has no room for both
+    except (NotIdentifiableError, UsageError):  # the second case is a model without room for both terms
         return FittedCandidate(candidate, None, 0.0, math.inf, math.inf, "no fit")
     candidate = replace(candidate, inflation=inflation(trial, found))
     return FittedCandidate(
@@ -445,7 +488,7 @@ def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int
 
 
 def find_objection(step: FittedCandidate, found: Sequence[FittedCandidate]) -> str:
-    """The reason against a term, whatever other terms there are; empty if there is none."""
+    """Return the reason against a term that holds whatever other terms exist, or an empty text."""
     if step.gain < step.needed:
         return "within chance"
     if step.candidate.elsewhere <= 0 and not step.explains_all:
@@ -454,7 +497,10 @@ def find_objection(step: FittedCandidate, found: Sequence[FittedCandidate]) -> s
 
 
 def is_unclear(step: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
-    """Is it a force along the travel of a pitch that is hardly better than another one? Neither is to be believed."""
+    """Return whether a term is a cogging force whose pitch explains hardly more than another pitch.
+
+    Then neither pitch is credible.
+    """
     if step.explains_all:
         return False
     own = step.candidate

@@ -29,26 +29,29 @@ from pmfid.types import Floats
 def model_spread(
     estimator: Estimator, u: Floats, counts: NDArray[np.int64], theta: Floats, std: Floats, found: Adequacy
 ) -> Floats:
-    """(p,) root mean square by which unmodelled effects may move an estimate theta (p,) with standard deviations std
-    (p,) from u, counts: (n,); NaN for what is no parameter of the equation.
+    """Return the root mean square shift (p,) that unmodelled effects may cause in an estimate theta (p,).
 
-    found: adequacy of the model on the same record. If the counts contradict the model, a force that they ask for
-    counts at the size that they ask for.
+    The estimate has the standard deviations std (p,) and comes from u (n,) and counts (n,). Entries of unknowns that
+    are no parameter of the equation are NaN. `found` is the adequacy of the model on the same record. If the counts
+    contradict the model, a force that they ask for enters with its estimated size.
     """
     spread = np.full(theta.size, np.nan)
     equation = slice(0, len(estimator.equation.names))
     twin = like(IV, estimator, prefilter_zeros=None)
     best = found.q[equation] * found.difference.scale[equation]
     columns = twin.columns_at(best, u, counts)
-    with np.errstate(all="ignore"):  # a view beyond numbers shows nothing
+    with np.errstate(all="ignore"):  # Effects whose shift is not finite do not count.
         largest = _largest(list(_views(estimator, twin, columns, theta[equation], std[equation], best, found)))
         spread[equation] = np.sqrt(largest + found.unseen[: largest.size] ** 2)
     return spread
 
 
 def spread_without_motion(estimator: Estimator, u: Floats, counts: NDArray[np.int64], theta: Floats) -> Floats:
-    """The same where no motion of the model can be fitted to the counts, so that no effect is singled out: by the
-    parts of the record alone, and by as much as the estimate itself where these say nothing either."""
+    """Return the shift (p,) by unmodelled effects if no motion of the model can be fitted to the counts.
+
+    Without such a motion, no single effect can be identified. The shift is then the contradiction between parts of the
+    record. If the parts give no estimate, the shift is as large as the estimate itself.
+    """
     p = len(estimator.equation.names)
     spread, twin = np.full(theta.size, np.nan), like(IV, estimator, prefilter_zeros=None)
     at = np.where(estimator.equation.positive, np.maximum(theta[:p], 0.0), theta[:p])
@@ -61,7 +64,7 @@ def spread_without_motion(estimator: Estimator, u: Floats, counts: NDArray[np.in
 
 
 def _largest(views: Sequence[Floats]) -> Floats:
-    """(p,) of mean squares; a view beyond numbers shows nothing."""
+    """Return the largest mean square (p,) of all views, without values that are not finite."""
     each = np.array(views)
     return np.asarray(np.max(np.where(np.isfinite(each), each, 0.0), axis=0))
 
@@ -69,7 +72,7 @@ def _largest(views: Sequence[Floats]) -> Floats:
 def _views(
     estimator: Estimator, twin: IV, columns: Columns, theta: Floats, std: Floats, best: Floats, found: Adequacy
 ) -> Iterator[Floats]:
-    """Mean squares (p,), one for each way to look at it."""
+    """Yield the mean squares (p,) of the shift, one array for each way to estimate it."""
     follows = isinstance(estimator, Following)
     squares = _own_moves(found, twin, columns, follows)[: theta.size] ** 2 * believed_squares(found)
     yield sum((np.max(squares[:, own], axis=1) for own in _kinds_of_force(found)), start=np.zeros(theta.size))
@@ -85,15 +88,19 @@ def _views(
 
 
 def _kinds_of_force(found: Adequacy) -> Iterator[list[int]]:
-    """Indices of the candidates of each kind: one force tested at several speeds or sizes, of which a machine has
-    one."""
+    """Yield the indices of the candidates of each kind.
+
+    A kind is one force that is tested at several speeds or sizes. A machine has only one force of each kind.
+    """
     names = [candidate.name for candidate in found.forces]
     for name in dict.fromkeys(names):
         yield [k for k, other in enumerate(names) if other == name]
 
 
 def _contradictions(twin: IV, columns: Columns, velocity: Floats) -> Iterator[Floats]:
-    """Mean squares (p,) by which parts of a record contradict each other, along its mean velocities (n,)."""
+    """Yield the mean squares (p,) by which parts of a record, split along its mean velocities (n,), contradict each
+    other.
+    """
     for part in _parts(twin, columns, velocity):
         first, second = _solve_part(twin, columns, part), _solve_part(twin, columns, ~part)
         if first is not None and second is not None:
@@ -102,7 +109,10 @@ def _contradictions(twin: IV, columns: Columns, velocity: Floats) -> Iterator[Fl
 
 
 def _own_moves(found: Adequacy, twin: IV, columns: Columns, follows: bool) -> Floats:
-    """(p, k) by how much the estimate moves for a unit of each force: by the best motion, or by instruments."""
+    """Return the shift of the estimate (p, k) for a unit of each force.
+
+    The shift comes from the best motion of the model or from the instruments.
+    """
     if not follows:
         with suppress(NotIdentifiableError):
             return force_moves(found, twin, columns)
@@ -110,11 +120,12 @@ def _own_moves(found: Adequacy, twin: IV, columns: Columns, follows: bool) -> Fl
 
 
 def believed_squares(found: Adequacy) -> Floats:
-    """(k,) mean squares of the coefficients of the forces, as the record and what is plausible in machines say.
+    """Return the mean squares (k,) of the coefficients of the forces, given the record and plausible sizes in machines.
 
-    Where the model is contradicted, a force counts by its part of what the one explains that explains most, and that
-    by its part of all that is wrong: noise of the force has no single cause, and is in the standard deviation. One that
-    is tested for, but not supposed, counts only where it explains nearly as much as the first.
+    If the counts contradict the model, the weight of a force is the ratio of its explained part to that of the best
+    force. The whole is scaled by the part of the misfit that the best force explains. Noise of the force has no single
+    cause and belongs to the standard deviation. A force without a plausible size counts only if it explains nearly as
+    much as the best force.
     """
     prior = np.array([candidate.plausible for candidate in found.forces])
     squares = believed_square(found.size, found.size_std, prior)
@@ -126,8 +137,10 @@ def believed_squares(found: Adequacy) -> Floats:
 
 
 def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
-    """(k,) mean squares of coefficients that a record finds to be size (k,) with standard deviations std (k,), where a
-    machine has one of the plausible size (k,) or none."""
+    """Return the mean squares (k,) of coefficients with estimates `size` (k,) and standard deviations `std` (k,).
+
+    Each force has either the plausible size (k,) or does not exist in the machine.
+    """
     prior, variance = plausible**2, std**2
     share = prior / (prior + variance)
     evidence = (np.log(variance / (prior + variance)) + share * (size / std) ** 2) / 2
@@ -136,7 +149,7 @@ def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
 
 
 def _parts(twin: IV, columns: Columns, velocity: Floats) -> Iterator[NDArray[np.bool_]]:
-    """Which of the samples in use are in one of the two parts: the first half, fast, forward."""
+    """Yield a mark for the first half of the used samples, for the fast samples and for the forward samples."""
     n = columns.z.size
     yield np.arange(n) < n // 2
     velocity = filter_force(velocity, twin, columns.used.size)[columns.used]
@@ -146,15 +159,20 @@ def _parts(twin: IV, columns: Columns, velocity: Floats) -> Iterator[NDArray[np.
 
 
 def _share(columns: Columns, part: NDArray[np.bool_]) -> Floats:
-    """(p,) of the information on each parameter that both parts have the part that the first one has: as many of two
-    different values are in the estimate from both, which so scatter by share (1 - share) of the square between them."""
+    """Return the part (p,) of the information on each parameter that the first part of the record contains.
+
+    If the values in both parts differ, the estimate from both scatters by share (1 - share) times the squared
+    difference.
+    """
     scaled = columns.phi / np.linalg.norm(columns.phi, axis=0)
     inside, outside = (1 / np.diagonal(np.linalg.pinv(phi.T @ phi)) for phi in (scaled[part], scaled[~part]))
     return np.asarray(inside / (inside + outside))
 
 
 def _solve_part(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
-    """Estimate (p,) from a part of the samples in use, and its variances (p,); None if the part identifies nothing."""
+    """Return the estimate (p,) and its variances (p,) from a part of the used samples, or None if it identifies
+    nothing.
+    """
     own = replace(columns, phi=columns.phi[part], z=columns.z[part], zeta=columns.zeta[part])
     if not (np.all(np.any(own.zeta != 0, axis=0)) and np.all(np.any(own.phi != 0, axis=0))):
         return None
@@ -168,9 +186,12 @@ def _solve_part(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Fl
 
 @dataclass(frozen=True)
 class Verdict:
-    """What there is to say of an estimate of p parameters. judged: all that is found, whatever comes of it; spread
-    (p,): by how much unmodelled effects may move it, NaN: not known; matter: whether that matters; adequacy: what the
-    counts say on the model, None: nothing."""
+    """All findings on an estimate with p parameters.
+
+    `judged` holds all findings, whether or not they matter. `spread` (p,) is the shift that unmodelled effects may
+    cause, or NaN if unknown. `matter` is the possible error of the parameters. `adequacy` says how the model agrees
+    with the counts, or is None.
+    """
 
     judged: tuple[Finding, ...]
     spread: Floats
@@ -179,7 +200,7 @@ class Verdict:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What matters with its size, and what does not as notes."""
+        """The findings that matter, with the size of the possible error, and all others as notes."""
         return weigh_findings(self.judged, self.matter)
 
 
@@ -192,8 +213,11 @@ def verdict(
     known: Adequacy | None,
     tolerance: float,
 ) -> Verdict:
-    """Judge an estimate theta (p,) with standard deviations std (p,) from u, counts: (n,). known: what the counts say
-    on the model, if that is known; tolerance: negligible relative error of a parameter."""
+    """Judge an estimate theta (p,) with standard deviations std (p,) from u (n,) and counts (n,).
+
+    `known` is the adequacy of the model if it has been computed before. `tolerance` is the negligible relative error of
+    a parameter.
+    """
     found, spread = _spread(estimator, u, counts, theta, std, known)
     judged = judge(estimator, u, counts, theta, std, found)
     found = found if isinstance(found, Adequacy) else None
@@ -203,9 +227,12 @@ def verdict(
 
 
 def _estimate_shown_bias(found: Adequacy, theta: Floats, std: Floats, spread: Floats) -> Floats:
-    """(p,) by how much what the record shows may move an estimate: of a model that it contradicts all but what no
-    record of this input shows, which is reported once. Of any other only forces that it nearly shows, and by
-    how much the estimate differs from the motion that fits: what would not show is in the interval."""
+    """Return the shift (p,) that the visible effects in the record may cause in an estimate.
+
+    If the counts contradict the model, the shift excludes effects that no record of this input shows. These effects are
+    reported once. If the model is adequate, the shift contains forces that are nearly visible and the distance to the
+    best motion. The interval covers invisible effects.
+    """
     p = theta.size
     if not found.adequate:
         return np.asarray(np.sqrt(np.maximum(spread**2 - found.unseen[:p] ** 2, 0.0)))
@@ -222,7 +249,7 @@ def _spread(
     std: Floats,
     known: Adequacy | None,
 ) -> tuple[Examined, Floats]:
-    """What the counts say on the model, if anything, and by how much unmodelled effects may move the estimate (p,)."""
+    """Return the examination of the model on the counts and the shift (p,) that unmodelled effects may cause."""
     part = recent(estimator, u.size)
     try:
         found = examine_estimate(estimator, u, counts, theta, known)
