@@ -1,4 +1,4 @@
-"""Records that several tests share."""
+"""Fixtures and records that several tests share."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from pmfid.simulation.signals import prbs
 from pmfid.stream.groups import Prepared, prepare
 from studies.monitoring.pipe import write_axis
 
-#: Of simulated normal work: enough for thresholds that nobody relies on.
+#: Hours of simulated normal work: enough for thresholds on which no test relies.
 HOURS = 0.5
 EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
 
-#: What a command that was started says while it works, on a busy machine of any work.
+#: On a busy machine, a command with any amount of work can print these progress lines.
 PROGRESS = re.compile(r"^pmfid: .*after \d+ s\n", re.MULTILINE)
 
-#: Most characters of a sentence and of a remedy.
+#: Most characters of a sentence and of a remedy in a finding.
 LONGEST = 140
 
 
 @pytest.fixture(autouse=True, scope="session")
 def short_findings() -> Iterator[None]:
-    """Holds every finding that a test produces to two short lines."""
+    """Check that each finding of a test has a short sentence and a short remedy."""
     construct = Finding.__init__
 
     def checked(self: Finding, *values: Any, **named: Any) -> None:
@@ -52,7 +52,7 @@ TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """A parallel run that exceeds its bound (`make test`) ends with the summary of its failures."""
+    """Let a parallel run that `make test` stops by its time limit still print its failures."""
     if getattr(config.option, "numprocesses", None):
         signal.signal(signal.SIGTERM, signal.default_int_handler)
 
@@ -65,7 +65,7 @@ class Run:
 
 
 def cart_run(seed: int, *, increments: float | None = 4096, samples: int = 3000, clock: int = 10) -> Run:
-    """The cart under an open-loop PRBS of +-3 V; increments None: an encoder too fine to matter."""
+    """Return a run of the cart under an open-loop PRBS of +-3 V; `increments` None means a nearly exact encoder."""
     rng = np.random.default_rng(seed)
     u = prbs(samples, clock=clock, amplitude=3.0, rng=rng)
     resolution = 1e-9 if increments is None else resolution_of(increments)
@@ -74,14 +74,14 @@ def cart_run(seed: int, *, increments: float | None = 4096, samples: int = 3000,
 
 
 def long_unless(few: Callable[..., bool], cases: Iterable[Any]) -> list[Any]:
-    """Cases of a test, of which all but a few are left to `make test-long`; few: of the value or values of a case."""
+    """Mark the cases of a test as `long` unless `few` returns true for the values of the case."""
     values = [(case, case if isinstance(case, tuple) else (case,)) for case in cases]
     return [case if few(*parts) else pytest.param(*parts, marks=pytest.mark.long) for case, parts in values]
 
 
 @pytest.fixture(scope="session", autouse=True)
 def silent_progress() -> Iterator[None]:
-    """Commands in this process report no progress, which they do of any work on a machine that is busy enough."""
+    """Suppress progress reports of commands in this process: on a busy machine any command can print them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pmfid.cli.terminal.EVERY", 3600.0)
         yield
@@ -93,20 +93,20 @@ def drive() -> pmfid.Drive:
 
 
 def assert_near(theta: np.ndarray, truth: np.ndarray, within: list[float]) -> None:
-    """Each relative error within its own bound; the message shows the errors in percent."""
+    """Check each relative error against its own bound; a failure shows the errors in percent."""
     error = np.asarray(theta) / truth - 1
     assert np.all(np.abs(error) < within), f"errors in percent: {100 * error}"
 
 
 def unjudged() -> AbstractContextManager[object]:
-    """Within it, machines are identified without what is thought of the estimate: most of the time goes into that."""
+    """Switch off the judgement of estimates within the block: the judgement takes most of the time."""
     without = {"judge": mock.Mock(return_value=()), "examine_estimate": mock.Mock(return_value=None)}
     return mock.patch.multiple("pmfid.diagnostics.verdict", **without)
 
 
 @pytest.fixture(scope="session")
 def plant_place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """axis.toml and its reference, written once."""
+    """Return a folder with axis.toml and its reference record, written once."""
     place = tmp_path_factory.mktemp("plant")
     write_axis(place, 60.0)
     return place
@@ -114,7 +114,7 @@ def plant_place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plant_folder(plant_place: Path) -> Iterator[Path]:
-    """The same, and calibrations of a few minutes, which are kept there, for as long as a file of tests runs."""
+    """Return the folder of the axis with short calibrations, which a file of tests shares."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(plant_place / "cache"))
         patch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: HOURS)
@@ -123,5 +123,5 @@ def plant_folder(plant_place: Path) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def prepared(plant_folder: Path) -> Prepared:
-    """axis.toml, calibrated."""
+    """Return the calibrated axis of axis.toml."""
     return prepare(plant_folder / "axis.toml")

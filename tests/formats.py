@@ -1,4 +1,4 @@
-"""Columns as files of every format, as the programs that write these do."""
+"""Write columns as files of every format, in the way of the programs that write these formats."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ import polars as pl
 import scipy.io
 
 Columns = Mapping[str, Any]
-#: Step between the stamps of a log, where the columns have none [s].
+#: Step between the time stamps of a log without a time column [s].
 STEP = 0.01
 ROW = "logged_msgs/msg/Row"
-#: What reads or writes the formats that need an extra.
+#: The libraries that read or write the formats of an extra.
 LIBRARIES = {
     ".xlsx": "fastexcel",
     ".h5": "h5py",
@@ -35,13 +35,13 @@ def frame(columns: Columns) -> pl.DataFrame:
 
 
 def _arrays(columns: Columns) -> dict[str, np.ndarray]:
-    """What are numbers."""
+    """Return the numeric columns."""
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     return {name: values for name, values in arrays.items() if values.dtype.kind in "biuf"}
 
 
 def _stamps(columns: Columns) -> list[int]:
-    """Nanoseconds of the rows, from the column t where it has any."""
+    """Return the time stamps of the rows [ns]: the column t, or equal steps if the column is not usable."""
     n = len(next(iter(columns.values()), ()))
     t = np.asarray(_arrays(columns).get("t", np.arange(n) * STEP), float)
     good = np.isfinite(t).all() and t.size and t.min() >= 0 and t.max() < 1e9
@@ -49,7 +49,7 @@ def _stamps(columns: Columns) -> list[int]:
 
 
 def write_matlab_7_3(path: Path, columns: Columns) -> None:
-    """After MATLAB's header, rows as columns."""
+    """Write a MATLAB 7.3 file: MATLAB's header, then rows as columns."""
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -177,7 +177,7 @@ def write_tdms(path: Path, columns: Columns) -> None:
     path.write_bytes(stream.getvalue())
 
 
-#: Suffix -> what writes such a file.
+#: Suffix -> function that writes such a file.
 WRITERS: dict[str, Callable[[Path, Columns], object]] = {
     ".csv": lambda path, columns: frame(columns).write_csv(path),
     ".parquet": lambda path, columns: frame(columns).write_parquet(path),

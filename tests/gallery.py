@@ -32,7 +32,7 @@ def _result(**settings: object) -> pmfid.Result:
 
 
 def _experiment(seed: int) -> pmfid.Experiment:
-    """Of y' = (u - y) / 0.3 s, with noise; every tenth output is missing, at odd instants."""
+    """Return an experiment of y' = (u - y) / 0.3 s with noise; every tenth output is missing, at odd instants."""
     rng = np.random.default_rng(seed)
     u, y, dt = np.repeat(rng.choice([-1.0, 1.0], 40), 10), np.zeros(400), 0.02
     for k in range(399):
@@ -59,14 +59,14 @@ def _monitor() -> Monitor:
 
 @cache
 def gallery() -> dict[str, Presentable | pmfid.Estimate]:
-    """By what it is."""
+    """Return one of each object by its description."""
     bcrls = pmfid.BCRLS(DRIVE, RUN.encoder, CART_DT, CUTOFF, forgetting=0.995)
     fit = pmfid.LS(DRIVE, RUN.encoder, CART_DT, CUTOFF).fit(RUN.u, RUN.counts)
     offline, online = _result(method="iv"), _result(method="riv", forgetting=0.99)
     experiments = [_experiment(1), _experiment(2)]
     process = pmfid.identify(experiments, model=pmfid.TransferFunction(1, 0), cutoff=5.0)
     fleet = pmfid.Fleet(bcrls, 3, workers=1)
-    longer = np.round(1.02 * RUN.counts).astype(np.int64)  # an axis on which the same force moves a bit less
+    longer = np.round(1.02 * RUN.counts).astype(np.int64)  # an axis that the same force moves slightly less
     track = bcrls.run(RUN.u, RUN.counts)
     design = evaluate(PROBLEM, 3.0 * np.sign(np.sin(np.arange(40) / 4)), "A")
     return {

@@ -1,4 +1,4 @@
-"""What loggers do wrong, from a row of a record on."""
+"""Faults that loggers make, from a row of a record onwards."""
 
 from __future__ import annotations
 
@@ -28,8 +28,12 @@ def restamped(rows: list[Row], begin: int, stamp: Callable[[float], float], end:
 
 @dataclass(frozen=True)
 class Fault:
-    """do: the lines with the fault from row k on; lasts: lines from k on that are not as they should be; first: the
-    first place where it can be; said: is it in the totals of a run?"""
+    """A fault of a logger.
+
+    `do` returns the lines with the fault from row k onwards. `lasts` is the number of wrong lines from row k. `first`
+    is the
+    first row at which the fault is possible. `said` is whether the totals of a run count the fault.
+    """
 
     do: Callable[[list[Row], int, np.random.Generator], Text]
     lasts: int = 1
@@ -88,7 +92,7 @@ def starts_again(header: bytes, counts: bool) -> Fault:
 
 
 def goes_on(header: bytes, line: str, said: bool = True) -> Fault:
-    """Another program, or another version, writes on: line: with the places {t}, {ms}, {day}, {u} and {c}."""
+    """Return the fault that another program continues the stream: `line` has the places {t}, {ms}, {day}, {u} and {c}."""
 
     def do(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
         later = [
@@ -111,7 +115,7 @@ def jitter(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
 
 
 def stall(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
-    """Sixty lines are written at once, stamped then."""
+    """Write sixty lines at once, with the time stamps of that moment."""
     late = rows[k + 60][0]
     burst = [(late + 1e-4 * rng.random(), u, c) for _, u, c in rows[k : k + 60]]
     return lines([*rows[:k], *burst, *rows[k + 60 :]])

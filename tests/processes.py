@@ -11,8 +11,10 @@ from typing import Any
 
 @contextmanager
 def run_process(command: Sequence[object], limit: float = 120.0, **options: Any) -> Iterator[subprocess.Popen[Any]]:
-    """The process of a command. It is killed at the end of the block and after `limit` seconds; a test that waits for
-    its output then reads the end of the file."""
+    """Start the process of a command and kill it at the end of the block, or after `limit` seconds.
+
+    After the limit, a test that waits for the output reads the end of the file.
+    """
     with subprocess.Popen([*map(str, command)], **options) as process:
         timer = Timer(limit, process.kill)
         timer.start()

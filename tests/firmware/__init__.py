@@ -1,1 +1,1 @@
-"""The exported C on this computer and on emulated microcontrollers."""
+"""Tests of the exported C on this computer and on emulated microcontrollers."""

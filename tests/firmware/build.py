@@ -1,4 +1,4 @@
-"""Compilers and emulators for the exported C, and how to run it with them."""
+"""Compile the exported C, and run it on this computer or on an emulator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SEMIHOSTING = "-semihosting-config"
 
 @dataclass(frozen=True)
 class Target:
-    """A compiler with the options of a machine, and what runs its programs; board: of the emulator, "" for this one."""
+    """A compiler with its options, and the emulator's board that runs the program ("" means this computer)."""
 
     name: str
     compiler: str
@@ -28,7 +28,7 @@ class Target:
 
     @property
     def missing(self) -> str:
-        """What is not installed, as the reason of a skipped test; "" if everything is there."""
+        """The tools that are not installed, as the reason of a skipped test, or ""."""
         needed = [self.compiler, *(["qemu-system-arm"] if self.board else [])]
         absent = [name for name in needed if shutil.which(name) is None]
         return f"not installed: {', '.join(absent)} (make firmware-tools INSTALL_TOOLS=1)" if absent else ""
@@ -42,17 +42,19 @@ TARGETS = (GCC, CLANG, M4F, M7)
 
 
 def command(arguments: list[str], folder: Path, timeout: float = 600) -> subprocess.CompletedProcess[str]:
-    """Runs in a folder; what it prints is kept."""
+    """Run a command in a folder and keep its output."""
     return subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=timeout)
 
 
-#: Objects of exported kernels, by everything that they are made of: many exports differ in their configuration alone.
+#: The key of a compiled kernel is its whole source, because many exports differ only in their configuration.
 _MADE: dict[str, bytes] = {}
 
 
 def objects(folder: Path, target: Target, *options: str) -> list[str]:
-    """The kernel's objects in an exported folder, compiled once for the same sources and options. Raises RuntimeError
-    with what the compiler said."""
+    """Return the compiled objects of an exported kernel, cached by source and options.
+
+    Raises RuntimeError with the compiler's output.
+    """
     words = [target.compiler, *REQUIRED, *target.options, *options]
     headers = b"".join(path.read_bytes() for path in sorted(folder.glob("pmf*.h")))
     out = folder / "objects"
@@ -74,7 +76,7 @@ def _key(words: list[str], headers: bytes, source: Path) -> str:
 
 
 def compiled(folder: Path, prefix: str, target: Target, main: Path, optimize: str, *options: str) -> Path:
-    """A program from an exported folder and a main file. Raises RuntimeError with what the compiler said."""
+    """Compile a program from an exported folder and a main file; raise RuntimeError with the compiler's output."""
     program = folder / f"{main.stem}-{target.name}{optimize}"
     kernel = objects(folder, target, optimize, *options)
     board = ["--specs=rdimon.specs", f"-T{HERE / 'mps2.ld'}", str(HERE / "startup.c")] if target.board else []
@@ -88,21 +90,21 @@ def compiled(folder: Path, prefix: str, target: Target, main: Path, optimize: st
 
 
 def calls(folder: Path, target: Target, objects: list[str]) -> set[str]:
-    """What the objects need of others."""
+    """Return the undefined symbols of the objects."""
     nm = target.compiler.replace("gcc", "nm") if target.board else "nm"
     return set(re.findall(r"^\s+U (\S+)$", command([nm, "-u", *objects], folder).stdout, re.MULTILINE))
 
 
 @cache
 def links(target: Target, *options: str) -> bool:
-    """Whether a program of nothing can be had with these options."""
+    """Return whether an empty program compiles and links with these options."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "nothing.c").write_text("int main(void) { return 0; }\n")
         return command([target.compiler, *options, "nothing.c"], Path(folder)).returncode == 0
 
 
 def run(program: Path, target: Target, *arguments: str, clock: bool = False) -> subprocess.CompletedProcess[str]:
-    """Runs a program in its folder. clock: the emulated clock goes on by 64 ns with every instruction."""
+    """Run a program in its folder. With `clock`, each instruction advances the emulated clock by 64 ns."""
     if not target.board:
         return command([f"./{program.name}", *arguments], program.parent)
     semihosting = ",".join(["enable=on", "target=native", *(f"arg={word}" for word in (program.name, *arguments))])

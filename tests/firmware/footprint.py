@@ -1,4 +1,4 @@
-"""What an export costs on a microcontroller: flash, stack and instructions, measured with the cross compiler."""
+"""Measure the flash, stack and instructions of an export on a microcontroller, with the cross compiler."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tests.firmware.build import HERE, M4F, REQUIRED, Target, command, compiled, run
 
-#: Calls init, step and theta in an endless loop, as a drive does.
+#: The program calls init, step and theta in an endless loop, as a drive does.
 DRIVE = """#include "{prefix}.h"
 int main(void);
 void _exit(int code);
@@ -34,9 +34,12 @@ int main(void)
 
 @dataclass(frozen=True)
 class Cost:
-    """flash: code and constants of the kernel and its configuration in a drive that calls init, step and theta [byte];
-    library: the same of everything in the folder; stack: of pmf_step by its call graph [byte]; mean, most:
-    instructions of a step over the samples of the self-test, at -O3."""
+    """The cost of an export on a microcontroller.
+
+    `flash` is the code and constants of the kernel in a drive that calls init, step and theta [byte]. `library` is the
+    code and constants of everything in the folder [byte]. `stack` is the deepest stack of pmf_step by its call graph
+    [byte]. `mean` and `most` are the instructions of a step over the samples of the self-test, compiled at -O3.
+    """
 
     flash: int
     library: int
@@ -46,20 +49,20 @@ class Cost:
 
 
 def cost(folder: Path, prefix: str, target: Target = M4F) -> Cost:
-    """Measures an exported folder."""
+    """Measure the cost of an exported folder."""
     mean, most = instructions(folder, prefix, target)
     return Cost(flash(folder, prefix, target), library(folder, target), stack(folder, prefix, target), mean, most)
 
 
 def instructions(folder: Path, prefix: str, target: Target, optimize: str = "-O3") -> tuple[int, int]:
-    """Of a step: mean, and most."""
+    """Return the mean and the largest number of instructions of a step."""
     program = compiled(folder, prefix, target, HERE / "cost.c", optimize)
     printed = run(program, target, clock=True).stdout.split()
     return int(printed[0]), int(printed[1])
 
 
 def flash(folder: Path, prefix: str, target: Target, optimize: str = "-O2") -> int:
-    """Bytes that the linker keeps of the kernel's objects, by its map; with what it takes from libc for them."""
+    """Return the bytes that the linker keeps of the kernel's objects, with the libc functions that they need."""
     (folder / "drive.c").write_text(DRIVE.format(prefix=prefix))
     sources = [*sorted(path.name for path in folder.glob("pmf_*.c")), f"{prefix}_config.c"]
     objects = []
@@ -73,14 +76,14 @@ def flash(folder: Path, prefix: str, target: Target, optimize: str = "-O2") -> i
 
 
 def kept(text: str) -> list[tuple[str, int]]:
-    """Object and size of every piece of code and constants in a linker map."""
+    """Return the object and the size of each piece of code and constants in a linker map."""
     placed = text.partition("Linker script and memory map")[2]
     pattern = r"^ \.(?:text|rodata)\S*\s+0x[0-9a-f]+\s+0x([0-9a-f]+)\s+(\S+)$"
     return [(name, int(size, 16)) for size, name in re.findall(pattern, placed, re.MULTILINE)]
 
 
 def library(folder: Path, target: Target, optimize: str = "-O2") -> int:
-    """Bytes of code and constants of all objects."""
+    """Return the bytes of code and constants of all objects."""
     size = target.compiler.replace("gcc", "size")
     objects = sorted(path.name for path in folder.glob("*-drive.o") if path.name != "drive-drive.o")
     lines = _checked([size, "-t", *objects], folder).splitlines()
@@ -88,7 +91,7 @@ def library(folder: Path, target: Target, optimize: str = "-O2") -> int:
 
 
 def stack(folder: Path, prefix: str, target: Target, optimize: str = "-O2") -> int:
-    """Deepest path of the call graph from pmf_step on, with the compiler's size of every frame."""
+    """Return the stack of the deepest call path from pmf_step [byte], by the compiler's size of each frame."""
     frames: dict[str, int] = {}
     calls: dict[str, set[str]] = {}
     for path in sorted(folder.glob("pmf_*.c")):

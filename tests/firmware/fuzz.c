@@ -1,7 +1,7 @@
-/* libFuzzer target: every byte string is a run of samples; after each the state must be finite.
+/* libFuzzer target: every byte string is a run of samples, and after each sample the state must be finite.
  *
- * clang -std=c99 -ffp-contract=off -O2 -fsanitize=fuzzer,undefined -fno-sanitize-recover with an exported folder.
- */
+ * Compile in an exported folder with clang -std=c99 -ffp-contract=off -O2 -fsanitize=fuzzer,undefined
+ * -fno-sanitize-recover. */
 #include EXPORT_HEADER
 
 #include <stddef.h>
@@ -27,7 +27,7 @@ int LLVMFuzzerInitialize(int *argc, char ***argv)
     return atexit(report);
 }
 
-/* Numbers that are not finite, large, small, and ordinary. */
+/* Return a number that is not finite, large, small, or ordinary. */
 static real_t input_of(uint8_t kind, uint8_t value)
 {
     volatile real_t zero = PMF_R(0.0);
@@ -44,7 +44,7 @@ static real_t input_of(uint8_t kind, uint8_t value)
     }
 }
 
-/* A jump over the whole range, nothing, or some counts. */
+/* Return the count after a jump over the whole range, no motion, or some counts. */
 static uint32_t count_of(uint8_t kind, const uint8_t *value, uint32_t count)
 {
     uint32_t low = value[0], high = value[1];
@@ -95,7 +95,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     size_t k;
     pmf_init(&EXPORT_CONFIG, &state);
     for (k = 0; k + SAMPLE <= size; k += SAMPLE) {
-        for (repeat = 0U; repeat <= data[k + 4U]; ++repeat) { /* also long enough to settle */
+        for (repeat = 0U; repeat <= data[k + 4U]; ++repeat) { /* repeated samples let the filters settle */
             count = count_of(repeat == 0U ? data[k] : data[k + 5U], &data[k + 2U], count);
             ++steps;
             (void)pmf_step(&EXPORT_CONFIG, &state, input_of(data[k], data[k + 1U]), count);
@@ -110,7 +110,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     return 0;
 }
 
-#ifdef RANDOM_STEPS /* without libFuzzer: random bytes until so many steps are done */
+#ifdef RANDOM_STEPS /* without libFuzzer: feed random bytes until the given number of steps is done */
 int main(void)
 {
     static uint8_t data[600];

@@ -1,6 +1,5 @@
-/* Goes on from a saved state, if there is one, with a file of samples; writes theta after each, then the saved state:
- * moved SAMPLES STATE THETA SAVED, STATE "-" for none.
- */
+/* Resume from a saved state, if one is given, and process a file of samples. Write theta after each sample, then the
+ * saved state. Usage: moved SAMPLES STATE THETA SAVED, where STATE "-" means no state. */
 #include EXPORT_HEADER
 
 #include <stdio.h>

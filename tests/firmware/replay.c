@@ -1,7 +1,6 @@
-/* Replays a file of samples through an export and writes what comes out, sample by sample, then the state.
- * Compiled with -DEXPORT_HEADER='"NAME.h"' -DEXPORT_CONFIG=NAME_config, and -DGAPS=400,900 where samples were lost before
- * those of these numbers.
- */
+/* Replay a file of samples through an export; write the output of each sample, then the state. Compile with
+ * -DEXPORT_HEADER='"NAME.h"' -DEXPORT_CONFIG=NAME_config. The option -DGAPS=400,900 names the samples before which
+ * samples were lost. */
 #include EXPORT_HEADER
 
 #include <stdio.h>

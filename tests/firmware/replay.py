@@ -1,4 +1,4 @@
-"""A record through Python and through the exported C: the same bits?"""
+"""Compare Python and the exported C bit by bit on one record."""
 
 from __future__ import annotations
 
@@ -26,9 +26,11 @@ def exported(
     gaps: Sequence[int] = (),
     steps: NDArray[np.float64] | None = None,
 ) -> Path:
-    """Exports, with a file of samples in.bin and what Python makes of them, expected.bin. gaps: numbers of the samples
-    before which others were lost; replay.c is then compiled with -DGAPS of the same. steps: (n,) of an estimator with
-    steps."""
+    """Export an estimator with a file of samples, in.bin, and the output that Python gives for them, expected.bin.
+
+    `gaps` are the numbers of the samples that follow a gap; replay.c is then compiled with -DGAPS of the same numbers.
+    `steps` (n,) are the sample periods of an estimator whose sample period varies [s].
+    """
     export_firmware(estimator, folder, prefix=PREFIX)
     real = np.float32 if estimator.precision == "float32" else np.float64
     first: list[Any] = [] if steps is None else [("step", real)]
@@ -48,7 +50,7 @@ def expected(
     gaps: Sequence[int] = (),
     steps: NDArray[np.float64] | None = None,
 ) -> bytes:
-    """What replay.c writes: status and estimate after each sample, then the state."""
+    """Return the bytes that replay.c must write: status and estimate after each sample, then the state."""
     kernel = estimator.make_kernel(estimator.forgetting)
     parts = []
     for first, last in pairwise((0, *gaps, u.size)):
@@ -69,7 +71,7 @@ def expected(
 
 
 def difference(folder: Path, target: Target, optimize: str, *options: str) -> int | None:
-    """Place of the first byte that differs between the exported C and Python; None: there is none."""
+    """Return the position of the first byte that differs between the exported C and Python, or None."""
     program = compiled(folder, PREFIX, target, HERE / "replay.c", optimize, *options)
     out = folder / f"{program.name}.bin"
     done = run(program, target, "in.bin", out.name)

@@ -1,4 +1,5 @@
-/* Start of a Cortex-M4F or -M7 on the boards mps2-an386 and mps2-an500: vectors, floating-point unit, C library. */
+/* Startup code for a Cortex-M4F or -M7 on the boards mps2-an386 and mps2-an500: vectors, floating-point unit, C
+ * library. */
 #include <stdint.h>
 
 extern uint32_t stack_top;
@@ -8,7 +9,7 @@ void halt(void);
 
 void reset(void)
 {
-    *(volatile uint32_t *)0xE000ED88U |= 0xFU << 20; /* CPACR: coprocessors 10 and 11, the floating-point unit */
+    *(volatile uint32_t *)0xE000ED88U |= 0xFU << 20; /* CPACR: enable coprocessors 10 and 11, the floating-point unit */
     __asm__ volatile("dsb\n isb");
     _start();
 }

@@ -1,4 +1,4 @@
-"""Bits and costs of the exported C, as a page: `python -m tests.firmware.study --out results/footprint.md`."""
+"""Write a page on the bits and costs of the exported C: `python -m tests.firmware.study --out results/footprint.md`."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ the state after the last: {runs}. The emulated processors are those of QEMU's bo
 
 
 def records() -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.int64], Drive, Encoder, float, float]]:
-    """Name, input, counts, model, encoder, sample period, cutoff."""
+    """Yield the name, input, counts, model, encoder, sample period [s] and cutoff [rad/s] of each record."""
     cart = make_scenario("prbs", seed=0, increments=256, duration=SAMPLES * CART_DT)
     encoder = Encoder(cart.resolution, bits=16)
     yield "cart", cart.motion.u, cart.counts, Drive(2.0), encoder, CART_DT, 50.0
@@ -108,7 +108,7 @@ def cost_row(estimator: RecursiveEstimator, folder: Path) -> str:
 
 
 def compilers() -> str:
-    """Names and versions."""
+    """Return the names and versions of the compilers."""
     found = [f"this computer: {platform.machine()}"]
     for name in ("gcc", "clang", "arm-none-eabi-gcc", "qemu-system-arm"):
         line = subprocess.run([name, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]

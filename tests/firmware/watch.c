@@ -1,4 +1,4 @@
-/* Replays a file of samples and writes the alarm after each: -1, 0 or 1, and the two sums. */
+/* Replay a file of samples and write the alarm after each sample: -1, 0 or 1, and the two sums. */
 #include EXPORT_HEADER
 
 #include <stdio.h>

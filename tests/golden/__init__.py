@@ -1,1 +1,1 @@
-"""Outputs of every method on records of every kind, kept as text: a change of numbers shows in the diff."""
+"""Outputs of every method on records of every kind, kept as text so that a diff shows each change of numbers."""

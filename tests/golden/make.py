@@ -1,4 +1,4 @@
-"""Writes the golden outputs: `python -m tests.golden.make`."""
+"""Write the golden outputs: `python -m tests.golden.make`."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from pmfid.types import Counts, Floats
 PLACE = Path(__file__).with_name("outputs.csv")
 HEADER = ("record", "method", "precision", "status", "theta", "theta_std")
 PRECISIONS = ("float64", "float32")
-#: Of the records of a drive: increments per turn, and length [s].
+#: Increments per turn and length [s] of the records of a drive.
 INCREMENTS, DURATION = (1024, 128), 12.0
 CUTOFF, FORGETTING = 25.0, 0.99
-#: Poles and zeros of the processes, their noise, samples, and resolution of the output.
+#: Poles and zeros of the processes, their noise, number of samples, and resolution of the output.
 PROCESSES, NOISE, SAMPLES, RESOLUTION = ((1, 0), (2, 0), (2, 1), (3, 1)), (0.0, 0.05), 600, 1e-3
-#: Digits that are kept. The kernel has the same bits on every target; off-line, a library adds in an order
-#: of its own.
+#: Number of digits that are kept. The kernel has the same bits on every target; in off-line methods a library chooses
+#: the order of a sum.
 DIGITS, DIGITS_OFF_LINE = 17, 7
 
 Row = tuple[str, str, str, str, str, str]
 
 
 def rows(wanted: Callable[[str], bool] = lambda record: True) -> Iterator[Row]:
-    """All of them, or those of the wanted records."""
+    """Yield the golden rows of all records, or of the wanted records."""
     for name in SCENARIOS:
         for increments in INCREMENTS:
             if not wanted(f"{name} {increments}"):
@@ -68,7 +68,7 @@ def _process(method: str, precision: str, orders: tuple[int, int]) -> Estimator:
 
 
 def process(orders: tuple[int, int], noise: float) -> tuple[Floats, Counts]:
-    """Input and counts (n,) of a sampled process of these orders, with white noise."""
+    """Return input and counts (n,) of a sampled process with these numbers of poles and zeros, with white noise."""
     rng = np.random.default_rng([*orders, 5])
     u = np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 10), 10)
     poles = np.exp(-CART_DT * np.array([4.0, 9.0, 15.0][: orders[0]]))
@@ -79,7 +79,7 @@ def process(orders: tuple[int, int], noise: float) -> tuple[Floats, Counts]:
 
 
 def outcome(estimator: Estimator, u: Floats, counts: Counts) -> tuple[str, str, str]:
-    """Status, theta and its standard deviation as text; of a refusal its kind."""
+    """Return status, theta and its standard deviation as text, or the kind of the error."""
     digits = DIGITS if hasattr(estimator, "run") else DIGITS_OFF_LINE
     try:
         if hasattr(estimator, "run"):
@@ -96,7 +96,6 @@ def _text(values: Floats, digits: int) -> str:
 
 
 def main() -> None:
-    """Writes the file."""
     with PLACE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(HEADER)

@@ -1,1 +1,1 @@
-"""Hostile input: what a configuration, a record or a name may be, drawn at random from valid and broken parts."""
+"""Hostile input: configurations, records and names drawn at random from valid and broken parts."""

@@ -1,6 +1,6 @@
-"""All attacks at length: `python -m tests.hostile.campaign`, or `make hostile`; `--quick` for a look.
+"""All attacks at length: `python -m tests.hostile.campaign`, or `make hostile`; `--quick` makes a short run.
 
-Each part prints a line; the exit code is 1 where one of them found something.
+Each part prints a line. The exit code is 1 if a part finds a fault.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from tests.hostile.names import faults_of_names, hostile_names
 from tests.hostile.openings import faults_of
 from tests.hostile.study import judged
 
-#: How often in full, and for a look: crafted states (of all estimators and places together), openings, names, calls.
+#: Numbers of attacks in a full run and in a quick one: crafted states (over all estimators and places), openings,
+#: names, calls.
 FULL = {"states": 300_000, "openings": 10_000, "names": 1000, "calls": 20_000}
 QUICK = {"states": 3000, "openings": 500, "names": 20, "calls": 50}
-#: Files of the tests that attack files, pipes, signals and many axes; they are quick and complete.
+#: Test files that attack files, pipes, signals and many axes; these tests are fast and complete.
 FILES = (
     "test_pipe_faults.py",
     "test_monitor_files.py",
@@ -36,8 +37,7 @@ Faults = Iterator[str]
 
 
 def crafted_states(amount: int) -> Faults:
-    """States with valid checksums, loaded and stepped under the sanitizers; by turns as Python, a fleet and an export
-    have them."""
+    """Load and step states with valid checksums under the sanitizers: in Python, in a fleet and in an export."""
     cases = list(estimators())
     each = -(-amount // (len(cases) * len(PLACES)))
     built: dict[tuple[str, ...], Path] = {}

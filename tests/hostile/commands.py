@@ -1,4 +1,4 @@
-"""Calls of every command: the files that each takes, and its options, hostile ones among them."""
+"""Calls of every command with its files and options, some of them hostile."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Rng = np.random.Generator
 
 #: Methods that run sample by sample.
 RECURSIVE = ("auto", "rls", "bcrls", "rknown-step", "riv", "rsrivc")
-#: Values of an option that nobody means.
+#: Values of an option that no user intends.
 ODD = [
     "0",
     "-1",
@@ -43,7 +43,7 @@ ODD = [
 
 @dataclass(frozen=True)
 class Case:
-    """What one call gets: the words after `pmfid`, the files of its folder by name, and what is piped into it."""
+    """One call: the words after `pmfid`, the files of its folder by name, and the bytes piped into it."""
 
     arguments: tuple[str, ...]
     files: dict[str, bytes]
@@ -51,7 +51,7 @@ class Case:
 
 
 def options(rng: Rng, chance: float, **choices: list[str]) -> list[str]:
-    """Options with a value of theirs, or one time in ten with an odd one; `no_guard` is --no-guard."""
+    """Return options with a valid value, or at times an odd value; `no_guard` is --no-guard."""
     found = []
     for key, value in some(rng, chance, **choices).items():
         odd = rng.random() < 0.07
@@ -63,15 +63,16 @@ def _flags(rng: Rng, chance: float, *names: str) -> list[str]:
     return [name for name in names if rng.random() < chance]
 
 
-# --- of a record ------------------------------------------------------------------------------------------------------
+# --- commands that take a record
+# ----------------------------------------------------------------------------------------
 
 
-#: Of five plants as many, for what takes each.
+#: Weights of the five plants for a command that takes any plant.
 ANY = (*4 * ("cart",), *2 * ("heavy", "process"), "rotary", "rest")
 
 
 def _plant(rng: Rng, names: tuple[str, ...] = ANY) -> tuple[str, Columns, Columns]:
-    """The kind of its model, its columns, and facts."""
+    """Draw a plant: the kind of its model, its columns, and its facts."""
     plant = str(rng.choice(names))
     columns, facts = PLANTS[plant](int(rng.integers(4)))
     kind = "transfer_function" if plant == "process" else str(rng.choice(["drive", "equation"], p=[0.75, 0.25]))
@@ -79,7 +80,7 @@ def _plant(rng: Rng, names: tuple[str, ...] = ANY) -> tuple[str, Columns, Column
 
 
 def _recorded(rng: Rng, folder: Path, methods: tuple[str, ...] = METHODS) -> tuple[dict[str, bytes], str]:
-    """AXIS.toml and a record of it, and the name of the record."""
+    """Return AXIS.toml with a record of that axis, and the name of the record."""
     kind, columns, facts = _plant(rng)
     text = axis(rng, kind, facts, methods)
     name, data = as_file(rng, with_defects(rng, columns), folder)
@@ -96,12 +97,12 @@ def _identify(rng: Rng, folder: Path) -> Case:
 
 
 def _more(rng: Rng, name: str) -> list[str]:
-    """The record once more, or one that is not there."""
+    """Return the record a second time, or a file that does not exist."""
     return [str(rng.choice([name, "nowhere.csv", "."]))] if rng.random() < 0.03 else []
 
 
 def _out(rng: Rng, chance: float) -> list[str]:
-    """Where results go: a new folder, or now and then a file that is there, or no place at all."""
+    """Return the place of the results: a new folder, or at times an existing file or an invalid place."""
     place = str(rng.choice(["out", "axis.toml", "axis.toml/out", "a" * 300], p=[0.7, 0.1, 0.1, 0.1]))
     return ["--out", place] if rng.random() < chance else []
 
@@ -139,7 +140,7 @@ def _friction(rng: Rng, folder: Path) -> Case:
 
 
 def _fleet(rng: Rng, folder: Path) -> Case:
-    """A record in place of a data set, a folder of such, or what is none."""
+    """Draw a call of `pmfid fleet` with a record as data set, a folder of records, or no data set."""
     files, name = _recorded(rng, folder)
     by = str(rng.choice(["t", "u", "counts", "machine", ""]))
     source = str(rng.choice([name, ".", "nowhere", "axis.toml"]))
@@ -151,7 +152,7 @@ def _fleet(rng: Rng, folder: Path) -> Case:
 
 
 def _fleet_stream(rng: Rng, name: str) -> tuple[str, ...]:
-    """Refusals alone: a stream takes a minute to start."""
+    """Draw a call of `pmfid fleet-stream` that is refused, because a stream takes a minute to start."""
     source = str(rng.choice([name, "nowhere", "axis.toml", ""]))
     chosen = options(rng, 0.2, shards=["0", "4"], window=["-1", "0"], every=["nan", "1"], files=["0", "2"])
     if rng.random() < 0.5:
@@ -208,7 +209,7 @@ def _alarms(rng: Rng) -> list[str]:
 
 
 def _monitor(rng: Rng, folder: Path) -> Case:
-    """A record of normal work, and another one as a file or, with what loggers do, through a pipe."""
+    """Draw a record of normal work and a second record, as a file or through a pipe with the faults of loggers."""
     kind, columns, facts = _plant(rng, (*12 * ("watched",), "cart", "heavy", "rotary", "rest", "process"))
     kind = "drive" if kind == "equation" and rng.random() < 0.7 else kind
     text = axis(rng, kind, facts, (*2 * ("riv", "bcrls", "auto"), "rknown-step", "rls")) + monitor(rng, facts)
@@ -225,7 +226,7 @@ def _monitor(rng: Rng, folder: Path) -> Case:
 
 
 def _serve(rng: Rng, folder: Path) -> Case:
-    """A record or a pipe of one axis, and plants of what `[axes]` and `[sources]` may not be; none that would go on."""
+    """Draw a PLANT.toml with a record, a pipe, or invalid `[axes]` and `[sources]`; each such service ends by itself."""
     _, columns, facts = _plant(rng, ("watched",))
     files = {"normal.csv": as_csv(rng, columns)}
     files["axis.toml"] = (axis(rng, "drive", facts, ("riv", "bcrls")) + monitor(rng, facts)).encode()
@@ -244,7 +245,7 @@ def _serve(rng: Rng, folder: Path) -> Case:
 
 
 def _odd_plant(rng: Rng) -> str:
-    """A PLANT.toml in which something is wrong, one time in four nothing."""
+    """Return a PLANT.toml that has a fault in three of four cases."""
     names = ["x1", '"../x"', '"<script>"', '"a b"', '""', "9" * 200]
     name = str(rng.choice([*8 * ("x1",), *names]))
     lines = [f"[axes.{name}]", f'config = "{rng.choice(["axis.toml", "axis.toml", "nowhere.toml", "."])}"']
@@ -257,12 +258,12 @@ def _odd_plant(rng: Rng) -> str:
 
 
 def some_lines(rng: Rng, lines: list[str]) -> list[str]:
-    """None of them, or one."""
+    """Return none or one of the lines."""
     return [str(rng.choice(lines))] if rng.random() < 0.3 else []
 
 
 def _simulate(rng: Rng, folder: Path) -> Case:
-    """Short runs of the cart."""
+    """Draw a short simulation of the cart."""
     scenario = (
         [str(rng.choice([*SCENARIOS, *SCENARIOS, *SCENARIOS, "PRBS", "\x1b[31m"]))] if rng.random() < 0.97 else []
     )
@@ -314,11 +315,11 @@ def _commission(rng: Rng, folder: Path) -> Case:
     return Case(("design", "spec.toml", *runs, *chosen, *_out(rng, 0.01)), files)
 
 
-# --- the rest ---------------------------------------------------------------------------------------------------------
+# --- other commands ---------------------------------------------------------------------------------------------------
 
 
 def _explain(rng: Rng, folder: Path) -> Case:
-    """Keys and words that there are, halves of them, and what nobody calls so."""
+    """Draw a call of `pmfid explain` with a known key or word, a part of one, or an unknown word."""
     words = ["record.time_unit", "[model] stribeck", "poor_excitation", "dead time", "mass", "", *ODD]
     own = str(rng.choice(words))
     return Case(
@@ -327,14 +328,14 @@ def _explain(rng: Rng, folder: Path) -> Case:
 
 
 def _none(rng: Rng, folder: Path) -> Case:
-    """No command, a wrong one, none of its files."""
+    """Draw a call without a command, with a wrong command, or with a command but no files."""
     further = ["--help", "-h", "--json", "nowhere.csv", "--config"]
     words: list[tuple[str, ...]] = [(), ("--version",), ("--help",), ("identfy",), ("",), ("\x1b[31m",), ("-x",)]
     words = [*words, *((name, *rng.choice(further, 2).tolist()) for name in COMMANDS)]
     return Case(words[rng.integers(len(words))], {})
 
 
-#: Command -> how its calls are drawn, and its part of all calls: what takes long is seldom.
+#: Command -> function that draws its calls, and the share of all calls: slow commands are rare.
 COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "identify": (_identify, 0.27),
     "validate": (_validate, 0.05),

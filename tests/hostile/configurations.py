@@ -14,15 +14,15 @@ from tests.hostile.plants import Columns
 
 Rng = np.random.Generator
 
-#: Part of the keys that get a broken value, and of the keys that are left out.
+#: Share of the keys that get a broken value, and share of the keys that are left out.
 BROKEN, LEFT_OUT = 0.012, 0.006
-#: In place of any value.
+#: Wrong values that can replace any value.
 WRONG: list[Any] = [0, -1, 1e308, 1e-320, -1e-300, 1e30, 1e-30, 10**30, "", "x", "\u001b[31m", True, [], [1], {"a": 1}]
 WRONG += [float("nan"), float("inf"), 2**63, 3.7, "[red]", "µm"]
 
 
 def axis(rng: Rng, kind: str, facts: Columns, methods: tuple[str, ...] = METHODS) -> str:
-    """The text of an AXIS.toml for a plant of these facts; kind: of the model; methods: that may stand in it."""
+    """Return the text of an AXIS.toml for a plant with these facts; `methods` are the methods that it may name."""
     counted, process = bool(rng.random() < 0.6), kind == "transfer_function"
     record = {
         "input": "u",
@@ -54,7 +54,7 @@ def _estimator(rng: Rng, facts: Columns, methods: tuple[str, ...]) -> Columns:
 
 
 def monitor(rng: Rng, facts: Columns) -> str:
-    """The section [monitor], for after an AXIS.toml."""
+    """Return the section [monitor] for the end of an AXIS.toml."""
     names = ["mass", "viscous_friction", "coulomb_friction"]
     nominal = dict(zip(names, facts.get("theta", (1.0, 1.0, 1.0)), strict=True))
     section = {
@@ -67,7 +67,7 @@ def monitor(rng: Rng, facts: Columns) -> str:
 
 
 def text_of(rng: Rng, sections: dict[str, Columns], broken: float = BROKEN) -> str:
-    """Sections as TOML; of N keys the value is a wrong one, and now and then the text is cut off."""
+    """Return sections as TOML; some keys get a wrong value, and at times the text is cut off."""
     for section in sections.values():
         for key in list(section):
             if rng.random() < broken:
@@ -86,7 +86,7 @@ def _clock(rng: Rng, dt: float) -> Columns:
 
 
 def some(rng: Rng, chance: float, **choices: list[Any]) -> Columns:
-    """Each key with a chance, and one of its values."""
+    """Return a random choice of the keys, each with one of its values."""
     return {key: values[rng.integers(len(values))] for key, values in choices.items() if rng.random() < chance}
 
 
@@ -122,7 +122,6 @@ _MODELS = {"drive": _drive, "equation": _equation, "transfer_function": _transfe
 
 
 def _toml(value: Any) -> str:
-    """A value as TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):

@@ -1,10 +1,10 @@
-/* Crafted states with valid checksums: fields of a true one drawn at random, extremes first, then loaded and stepped.
+/* Craft states with valid checksums from a true state: draw fields at random, extremes first, then load and step the
+ * state.
  *
- * Compiled with the kernel's sources, the module's or an export's, under AddressSanitizer and UBSan. Arguments: folder,
- * number of states, first seed. The folder has `config`, a pmf_config_t, `state`, a pmf_state_t, and `words`, pairs of
- * the offset of a field in the state and 1 for a real number or 0 for a whole one. Prints how many were taken.
- * With FLEET the states are those of a fleet, side by side in vectors.
- */
+ * Compile with the kernel's sources, of the module or of an export, under AddressSanitizer and UBSan. Arguments:
+ * folder, number of states, first seed. The folder has three files. `config` is a pmf_config_t, and `state` is a
+ * pmf_state_t. `words` are pairs of the offset of a field in the state and 1 for a real number or 0 for a whole number.
+ * The program prints the number of accepted states. With FLEET, the states are vectors of a fleet. */
 #include "pmf.h"
 #ifdef FLEET
 #include "many/pmf_many.h"
@@ -74,7 +74,8 @@ static uint32_t drawn_whole(void)
     return place % 2U == 0U ? drawn() : drawn() % 1000U;
 }
 
-/* Some fields, and every tenth time only of those that passed alone: else hardly any state with many would be taken. */
+/* Draw some fields. In one of ten states, draw only fields that were accepted alone: otherwise the kernel would accept
+ * hardly any state with many drawn fields. */
 static void craft(void)
 {
     uint32_t fields = 1U + drawn() % MOST_FIELDS, tries;
@@ -106,7 +107,7 @@ static uint32_t count_of(uint32_t count)
     return drawn() % 64U == 0U ? drawn_whole() : count + drawn() % 7U - 3U;
 }
 
-/* What an estimate shows must be a number. */
+/* Check that all outputs of an estimate are numbers. */
 static void read_all(const pmf_state_t *state)
 {
     static real_t p[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS];
@@ -125,7 +126,7 @@ static void read_all(const pmf_state_t *state)
 #define AXES 9U
 
 static pmf_layout_t layout;
-static unsigned char whole[sizeof(pmf_state_t) / 4U]; /* for every word 1 where it is a whole number */
+static unsigned char whole[sizeof(pmf_state_t) / 4U]; /* for every word 1 if the word is a whole number */
 static unsigned char *packed;
 static double result[6][AXES * PMF_MAX_PARAMETERS];
 static uint32_t statuses[AXES];
@@ -155,14 +156,14 @@ static uint32_t run(void)
     many.innovation_variance = result[4];
     many.status = statuses;
     pmf_many_run(&config, &layout, &many, 0U, AXES, packed);
-    for (axis = 0; axis < AXES; ++axis) { /* what came out of it can be loaded again, but for what overflowed */
+    for (axis = 0; axis < AXES; ++axis) { /* the unpacked state can be loaded again, unless it has overflowed */
         pmf_unpack(&layout, packed + axis * layout.packed_size, &loaded);
         read_all(&loaded);
     }
     return 1U;
 }
 
-/* Nine axes at a time: as many as fit a vector, and some left over. */
+/* Take nine axes at a time: a full vector and a remainder. */
 static uint32_t take(uint32_t number)
 {
     uint32_t axis = number % AXES;

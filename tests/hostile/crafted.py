@@ -1,4 +1,4 @@
-"""Crafted states under the sanitizers: the kernel as Python has it, as a fleet has it, and as an export has it."""
+"""Crafted states under the sanitizers, with the kernel of Python, of a fleet, and of an export."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tests.test_many import PROCESS, PROCESSES, VARIANTS, fleet_record, make, pr
 SOURCES = Path(__file__).parents[2] / "csrc"
 PROGRAM = Path(__file__).with_suffix(".c")
 SANITIZE = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-#: Where the kernel comes from, and what runs it.
+#: The builds of the kernel.
 PLACES = ("python", "fleet", "export")
 LAGS = {"model": PROCESS, "encoder": pmfid.Encoder(1e-3), "dt": 0.05, "cutoff": 5.0, "forgetting": 0.999}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of N crafted states as many were taken; report: of a sanitizer or the program, "" where there is none."""
+    """The outcome of an attack: numbers of crafted and of accepted states, and the report of a sanitizer or ""."""
 
     states: int
     taken: int
@@ -37,7 +37,7 @@ class Outcome:
 
 
 def estimators() -> Iterator[tuple[str, RecursiveEstimator]]:
-    """Name and estimator, with the state that a run has left in it: every method, scheme and model, both precisions."""
+    """Yield the name and the estimator of every method, scheme, model and precision, each after a run."""
     cases = [(cls, options, fleet_record()) for cls, options in VARIANTS]
     cases += [(cls, LAGS | options, process_record()) for cls, options in PROCESSES]
     for precision in ("float32", "float64"):
@@ -49,7 +49,7 @@ def estimators() -> Iterator[tuple[str, RecursiveEstimator]]:
 
 
 def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
-    """Writes the configuration, the state and its fields, for a build of the module's sizes or of an export's."""
+    """Write the configuration, the state and its fields for a build with the module's sizes or an export's sizes."""
     config, precision = configuration(estimator.runner.kernel, estimator.precision), estimator.precision
     shape = shape_of(config) if place == "export" else None
     types = structures(shape, precision)
@@ -68,7 +68,7 @@ def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
 
 
 def leaves(dtype: np.dtype[Any], start: int = 0, prefix: str = "") -> Iterator[tuple[str, str, int]]:
-    """Name, kind and offset of every number of a structure; elements of an array have its name."""
+    """Yield name, kind and offset of every number of a structure; elements of an array have the array's name."""
     for name in dtype.names or ():
         entry, offset = dtype.fields[name][:2]  # type: ignore[index]
         base, shape = entry.subdtype or (entry, ())
@@ -81,13 +81,13 @@ def leaves(dtype: np.dtype[Any], start: int = 0, prefix: str = "") -> Iterator[t
 
 
 def program(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
-    """Compiles the kernel with the sanitizers. Raises RuntimeError with what the compiler said."""
+    """Compile the kernel with the sanitizers; raise RuntimeError with the compiler's output."""
     folder.mkdir(parents=True, exist_ok=True)
     sources = folder / "c"
     if place == "export":
         export_firmware(estimator, sources)
     else:
-        shutil.copytree(SOURCES, sources, dirs_exist_ok=True)  # an installation has those of firmware alone
+        shutil.copytree(SOURCES, sources, dirs_exist_ok=True)  # an installation has only the sources for firmware
     files = [str(PROGRAM), *sorted(map(str, sources.glob("pmf_*.c")))]
     options = ["-O0"]
     if place != "export" and estimator.precision == "float32":
@@ -112,7 +112,7 @@ def program(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
 
 
 def attack(built: Path, folder: Path, states: int, seed: int) -> Outcome:
-    """Runs a program on the files of `folder_of`."""
+    """Run a program on the files of `folder_of`."""
     command = [str(built), str(folder), str(states), str(seed)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:

@@ -12,7 +12,7 @@ Rng = np.random.Generator
 
 
 def draw(seed: int, folder: Path) -> Case:
-    """The call of a number; folder: for files that are written on the way."""
+    """Draw the call of a seed; files of the call are written into `folder`."""
     rng = np.random.default_rng([20, seed])
     makers, parts = zip(*COMMANDS.values(), strict=True)
     return makers[rng.choice(len(makers), p=parts)](rng, folder)

@@ -1,4 +1,4 @@
-"""What loggers write into a pipe: good lines, and lines that nobody means."""
+"""Lines that loggers write into a pipe: good lines and faulty lines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.hostile.plants import Columns
 
 Rng = np.random.Generator
 
-#: In place of a line, or between two.
+#: Foreign lines that replace a line or come between two lines.
 FOREIGN = [
     b"",
     b"# note",
@@ -44,7 +44,7 @@ ENDS = [b"\n", b"\r\n", b"\r"]
 
 
 def as_pipe(rng: Rng, columns: Columns) -> bytes:
-    """The record as lines, of which one in fifty may be lost, repeated, cut off, moved in time, or foreign."""
+    """Return the record as lines; one line in fifty may be lost, repeated, cut off, moved in time, or foreign."""
     rows = list(
         zip(
             columns["t"].tolist(), columns["u"].tolist(), columns["y"].tolist(), columns["counts"].tolist(), strict=True

@@ -1,4 +1,4 @@
-"""Hostile names and units through an export: refused, or the same C as with harmless ones but for the comments."""
+"""Hostile names and units of an export: refused, or the C is the same as with harmless names except for comments."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from pmfid.errors import UsageError
 from pmfid.models.signals import Signal
 from tests.firmware.build import GCC, REQUIRED, WARNINGS, command
 
-#: Input and counts of the self-test: it is not run.
+#: Input and counts of the self-test, which these tests do not run.
 REST = (np.zeros(20), np.zeros(20, np.int64))
-#: Terms that the names of one export stand at.
+#: Terms to which one export gives the names.
 SLOTS: list[tuple[Signal, int]] = [("output", 2), ("output", 1), ("direction", 0), ("output", 0), ("moving", 0)]
 #: Pieces of C, of the shell, of Make, of templates, of terminals and of other alphabets.
 PIECES = ["*/", "/*", "//", "\\", "??/", "\n", "\r", '"', "'", "#define mass 1", ";", "int x;", "main", "}", "{{", "}}"]
@@ -58,7 +58,7 @@ PIECES += [
 
 
 def hostile_names(amount: int) -> Iterator[tuple[str, str]]:
-    """`count` pairs of a parameter's name and unit; each second name is one that C would take."""
+    """Yield `amount` pairs of a parameter's name and unit; each second name is a valid C name."""
     rng = np.random.default_rng(13)
     for number in range(amount):
         name, unit = ("".join(rng.choice(PIECES, rng.integers(1, 5)).tolist()) for _ in range(2))
@@ -66,8 +66,12 @@ def hostile_names(amount: int) -> Iterator[tuple[str, str]]:
 
 
 def faults_of_names(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """What is wrong with the exports of these names and units: each is refused alone, or compiles with -Werror to what
-    a harmless unit gives; several at a time, because a compiler takes longer than all else."""
+    """Yield the faults of the exports of these names and units.
+
+    A name is refused alone, or its export compiles with -Werror to the C of a harmless unit. Several exports are
+    compiled
+    at a time, because the compiler takes most of the time.
+    """
     waiting: dict[str, str] = {}
     for name, unit in pairs:
         fault = _refused(name, unit)
@@ -83,7 +87,7 @@ def faults_of_names(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
 
 
 def _refused(name: str, unit: str) -> str | None:
-    """None where the export takes it, else what is wrong with the refusal, "" for nothing."""
+    """Return None if the export accepts the name; otherwise return the fault of the refusal, or ""."""
     with tempfile.TemporaryDirectory() as root:
         folder = Path(root) / "hostile"
         try:
@@ -111,7 +115,7 @@ def _refusal(message: str) -> str:
 
 
 def _export(named: dict[str, str], folder: Path) -> None:
-    """An equation whose parameters have these names and units."""
+    """Export an equation whose parameters have these names and units."""
     further = {} if len(named) > 1 else {"drag": ""}
     terms = [
         pmfid.Term(*slot, name, unit) for slot, (name, unit) in zip(SLOTS, (named | further).items(), strict=False)
@@ -122,13 +126,13 @@ def _export(named: dict[str, str], folder: Path) -> None:
 
 @cache
 def _harmless(names: tuple[str, ...]) -> dict[str, str]:
-    """File -> its text without comments, with harmless units."""
+    """Return the files of an export with harmless units, without comments, by file name."""
     with tempfile.TemporaryDirectory() as root:
         _export(dict.fromkeys(names, "kg"), Path(root))
         return {path.name: _without_comments(path) for path in Path(root).iterdir()}
 
 
 def _without_comments(path: Path) -> str:
-    """As the compiler reads it: trigraphs and spliced lines first."""
+    """Return a source as the compiler reads it: trigraphs and spliced lines first, then without comments."""
     text = path.read_text("ascii").replace("??/", "\\").replace("\\\n", "")
     return re.sub(r"/\*.*?\*/|//[^\n]*", "", text, flags=re.DOTALL)

@@ -1,4 +1,4 @@
-"""Openings of the memory at random places, of one parameter or all, once or twice: what must not come of them."""
+"""Openings of the memory at random places, of one parameter or all, once or twice, and faults that may follow."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pmfid.status import Status
 from tests.hostile.draw import Rng
 from tests.test_many import fleet_record, process_record
 
-#: Samples before the first opening, in which it may come, and after it.
+#: Samples before the first opening, samples in which openings may come, and samples after them.
 BEFORE, WITHIN, AFTER = 300, 200, 60
-#: An estimate of N times the largest before, and of N of its error bars, is astray.
+#: An estimate is astray if it exceeds the largest earlier one by the first factor and its error bars by the second.
 ASTRAY, CONVINCED = 1e3, 10.0
 
 
 def faults_of(estimator: RecursiveEstimator, rng: Rng, openings: int) -> list[str]:
-    """What is wrong after each of N openings; empty where all is well."""
+    """Return the faults after each opening; the list is empty if none is found."""
     u, counts = (table[0] for table in (process_record() if estimator.equation.process else fleet_record()))
     estimator.reset()
     estimator.run(u[:BEFORE], counts[:BEFORE])

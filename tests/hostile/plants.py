@@ -1,4 +1,4 @@
-"""Records of five plants, as columns, and what a configuration must say of them. Short: a call is to be cheap."""
+"""Records of five plants as columns, and facts for their configuration; short, because calls must be cheap."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _cart(seed: int, samples: int = 200) -> tuple[Columns, Columns]:
 
 
 def _watched(seed: int) -> tuple[Columns, Columns]:
-    """Long enough to be a reference."""
+    """Return a record that is long enough for a reference."""
     return _cart(seed, 1000)
 
 

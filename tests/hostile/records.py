@@ -19,20 +19,20 @@ from tests.hostile.plants import Columns
 
 Rng = np.random.Generator
 
-#: Part of the records that get a defect, and one more, and one more.
+#: Share of the records with a defect, and of these the share with a further defect.
 DEFECT = 0.35
-#: What a file may be packed with, though its name does not say so.
+#: Compressions of a file whose name does not show them.
 PACKERS: list[Callable[[bytes], bytes]] = [gzip.compress, zlib.compress, bz2.compress]
 
 
 def _numbers(values: Any) -> np.ndarray:
-    """A column as floats; zeros where it has become text."""
+    """Return a column as floats, or zeros if the column has become text."""
     array = np.asarray(values)
     return array.astype(float) if array.dtype.kind in "biuf" else np.zeros(array.size)
 
 
 def _spoilt(rng: Rng, columns: Columns) -> Columns:
-    """Some values of a column that nobody expects there."""
+    """Return columns with some unexpected values in one column."""
     name = str(rng.choice(list(columns)))
     values = _numbers(columns[name]).copy()
     bad = rng.choice([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 1e-320, 2.0**63, 1e18, 0.5])
@@ -63,7 +63,7 @@ def _renamed(rng: Rng, columns: Columns) -> Columns:
 
 
 def _cut(rng: Rng, columns: Columns) -> Columns:
-    """Rows left out, repeated, in another order, or all but a few gone."""
+    """Return columns with rows left out, repeated, in another order, or nearly all removed."""
     n = len(next(iter(columns.values())))
     rows = np.arange(n)
     way = rng.integers(6)
@@ -124,7 +124,7 @@ DEFECTS: list[Callable[[Rng, Columns], Columns]] = [
 
 
 def with_defects(rng: Rng, columns: Columns) -> Columns:
-    """Columns with none, one or several defects."""
+    """Return columns with none, one or several defects."""
     columns = dict(columns)
     while rng.random() < DEFECT:
         columns = rng.choice(DEFECTS)(rng, columns)  # type: ignore[arg-type]
@@ -137,7 +137,7 @@ def as_csv(rng: Rng, columns: Columns) -> bytes:
 
 
 def as_file(rng: Rng, columns: Columns, folder: Path) -> tuple[str, bytes]:
-    """A record as a file: name and bytes, of which some may be missing, wrong, or packed."""
+    """Return a record as a file: name and bytes, of which some may be missing, wrong, or compressed."""
     kind = str(rng.choice(list(WRITERS), p=[part for part, _ in WRITERS.values()]))
     data = WRITERS[kind][1](rng, columns, folder)
     if rng.random() < 0.08:
@@ -165,7 +165,7 @@ def _mat(rng: Rng, columns: Columns, folder: Path) -> bytes:
 
 
 def _as(suffix: str) -> Callable[[Rng, Columns, Path], bytes]:
-    """A file of that format, as others write it."""
+    """Return a writer of files of this format, which works as other programs do."""
 
     def written(_: Rng, columns: Columns, folder: Path) -> bytes:
         path = folder / f"drawn{suffix}"
@@ -176,7 +176,7 @@ def _as(suffix: str) -> Callable[[Rng, Columns, Path], bytes]:
     return written
 
 
-#: Suffix -> the part of the files that have it, and their bytes.
+#: Suffix -> share of the files with this suffix, and function that returns their bytes.
 WRITERS: dict[str, tuple[float, Callable[[Rng, Columns, Path], bytes]]] = {
     ".csv": (0.6, lambda rng, columns, _: as_csv(rng, columns)),
     ".parquet": (0.1, _parquet),
@@ -187,7 +187,7 @@ WRITERS |= {suffix: (0.18 / len(REST), _as(suffix)) for suffix in REST}
 
 
 def damaged(rng: Rng, data: bytes) -> bytes:
-    """Emptied, cut off, with another separator, packed, or with some other bytes."""
+    """Return the bytes emptied, cut off, with another separator, compressed, or with some bytes replaced."""
     way = rng.integers(6)
     if way == 0 or not data:
         return b""

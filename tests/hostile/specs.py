@@ -10,12 +10,12 @@ from tests.hostile.plants import Columns
 Rng = np.random.Generator
 
 NAMES = ["mass", "viscous_friction", "coulomb_friction"]
-#: A design that succeeds takes a second: most are to be refused.
+#: A design that succeeds takes a second, so that most specifications must be refused.
 BROKEN = 0.02
 
 
 def spec(rng: Rng, resolution: float) -> str:
-    """The text of a SPEC.toml of a cart with few intervals; resolution: of its encoder [m]."""
+    """Return the text of a SPEC.toml for a cart with few intervals; `resolution` is the encoder's [m]."""
     intervals = int(rng.integers(1, 7))
     sections = {
         "drive": _drive(rng),

@@ -1,4 +1,4 @@
-"""Random calls of the commands, as a page: `python -m tests.hostile.study --out results/hostile.md`."""
+"""Write a page on random calls of the commands: `python -m tests.hostile.study --out results/hostile.md`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.hostile.commands import COMMANDS
 from tests.hostile.verdict import DONE, NOT_IDENTIFIABLE, USAGE, Verdict, judge
 
 CASES = 2000
-#: Calls that a process makes before the next one takes over: what one of them leaves after ends there.
+#: Calls in one process: a new process ends the side effects of the calls before it.
 PART = 1000
 
 PAGE = """# Hostile input
@@ -59,7 +59,7 @@ def main() -> int:
 
 
 def judged(seeds: range) -> Iterator[tuple[int, Verdict]]:
-    """Number and verdict of each; calls that end their process raise BrokenProcessPool."""
+    """Yield number and verdict of each call; a call that ends its process raises BrokenProcessPool."""
     for start in range(0, len(seeds), PART):
         part = seeds[start : start + PART]
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
@@ -67,14 +67,14 @@ def judged(seeds: range) -> Iterator[tuple[int, Verdict]]:
 
 
 def page(verdicts: list[Verdict]) -> str:
-    """The page of N calls."""
+    """Return the page on the verdicts."""
     from tests.hostile.verdict import HANGS, RUN_TIME
 
     return PAGE.format(cases=len(verdicts), rows="\n".join(rows(verdicts)), hangs=HANGS, run=RUN_TIME, formats=SPOKEN)
 
 
 def rows(verdicts: list[Verdict]) -> list[str]:
-    """A row for each command, and one of all."""
+    """Return a table row for each command, and a row for all commands."""
     known = [name for name in COMMANDS if name != "none"]
     lines = [_row(f"`{name}`", [v for v in verdicts if v.command == name]) for name in known]
     lines.append(_row("none, or another word", [v for v in verdicts if v.command not in known]))

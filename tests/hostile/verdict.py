@@ -1,4 +1,4 @@
-"""Runs a call as the command does, and judges what came of it by what the pages promise."""
+"""Run a call as the command does, and judge its outcome by the promises of the pages."""
 
 from __future__ import annotations
 
@@ -29,16 +29,19 @@ from tests.hostile.draw import draw
 DONE, USAGE, NOT_IDENTIFIABLE = 0, 2, 3
 NOT_FINITE = re.compile(r"(?<![\w'\"\[])[-+]?(nan|inf|infinity)(?![\w'\"\]])", re.IGNORECASE)
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
-#: A call that takes more of the processor hangs [s], one that takes more memory has unpacked something [kB].
+#: A call hangs if it takes more processor time [s]; it has unpacked a compressed bomb if it takes more memory [kB].
 HANGS, TOO_MUCH = 60.0, 400_000
-#: A calibration of two short runs is enough here: hours of simulated work, and length of a run [s].
+#: Hours of simulated work and length of a run [s]: a calibration of two short runs is enough here.
 HOURS, RUN_TIME = 0.04, 80.0
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The command and exit code of a call, its processor time [s], and what is wrong with how it ended: empty where all
-    is as promised."""
+    """The verdict on a call.
+
+    It holds command, exit code, processor time [s], and the faults of the outcome, which are empty if every promise is
+    kept.
+    """
 
     command: str
     code: int
@@ -47,11 +50,11 @@ class Verdict:
 
 
 class HangsError(Exception):
-    """The call took too long."""
+    """The error of a call that takes too long."""
 
 
 def judge(seed: int) -> Verdict:
-    """Draws a call, runs it in a folder of its own with every warning an error, and judges."""
+    """Draw a call, run it in its own folder with every warning as an error, and judge the outcome."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         return run(draw(seed, folder), folder)
@@ -73,7 +76,7 @@ def run(case: Case, folder: Path) -> Verdict:
 
 @contextlib.contextmanager
 def _limited() -> Iterator[None]:
-    """Raises HangsError inside of the block after too much time of the processor."""
+    """Raise HangsError within the block if it uses too much processor time."""
 
     def stop(number: int, frame: object) -> None:
         raise HangsError(f"more than {HANGS:g} s")
@@ -116,7 +119,7 @@ def _said(case: Case, result: Result) -> list[str]:
     if code not in (DONE, USAGE, NOT_IDENTIFIABLE):
         return [*faults, f"exit code {code}"]
     watches = case.arguments[:1] in (("monitor",), ("serve",))
-    # estimates; the bar of one that is not known yet is infinite
+    # estimates; the error bar of an unknown parameter is infinite
     rows = case.arguments[:1] == ("monitor",) and "-" in case.arguments[2:]
     if "--json" in case.arguments and not {"--help", "-h"} & set(case.arguments) and not rows:
         faults += _json(out, several=watches)
@@ -140,7 +143,7 @@ def _finite(out: str) -> list[str]:
 
 
 def _json(out: str, several: bool) -> list[str]:
-    """One object on one line; of a watch as many as there are events."""
+    """Return the faults of the JSON output: one object on one line, or one line for each event of a watch."""
     lines = out.splitlines()
     try:
         for line in lines:

@@ -1,4 +1,4 @@
-"""Short NumPy versions of the formulas, to be read next to the paper. Slow, and written for nothing but reading."""
+"""Short NumPy versions of the formulas, to be read next to the paper; they are slow and made only for reading."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ def tustin(poles_and_orders, w, dt):
 
 
 def matched(w, cutoff, order, dt):
-    """F(s) on a held signal, w[k] valid over [k dt, (k+1) dt): Tustin times M(z) = 2 / (z + 1)."""
+    """Filter a held signal by F(s), with w[k] valid over [k dt, (k+1) dt): Tustin times M(z) = 2 / (z + 1)."""
     first = lfilter([0, 2 * cutoff / (2 / dt + cutoff)], [1, -(2 / dt - cutoff) / (2 / dt + cutoff)], w)
     return tustin([(cutoff, 0)] * (order - 1), first, dt)
 
 
 def J(i, gamma, dt, degree):
-    """Paper eq. 35, divided by the common ((1 + gamma) dt / 2)^degree: powers of the zero's Tustin image."""
+    """Return J of paper eq. 35, divided by the common ((1 + gamma) dt / 2)^degree: powers of the zero's Tustin image."""
     return ((gamma - 1) / (dt / 2 * (1 + gamma))) ** i
 
 
 def facts(zeros, dt, p, first):
-    """H (p, n) and h (n,) of the drive: 1 + f_1 s + f_2 s^2 = 0 at the Tustin images (paper eq. 34 to 36, h affine)."""
+    """Return H (p, n) and h (n,) of the drive: 1 + f_1 s + f_2 s^2 = 0 at the Tustin images (paper eq. 34 to 36, h
+    affine).
+    """
     n = len(zeros)
     H = np.zeros((p, n))
     for column, zero in enumerate(zeros):
@@ -41,19 +43,19 @@ def facts(zeros, dt, p, first):
 
 
 def compensate(P, theta_biased, H, h, G):
-    """Paper eq. 26 to 32 with the affine right-hand side: theta_B - P G (H^T P G)^-1 (H^T theta_B - h)."""
+    """Return theta_B - P G (H^T P G)^-1 (H^T theta_B - h): paper eq. 26 to 32 with the affine right-hand side."""
     r = np.linalg.solve(H.T @ P @ G, H.T @ theta_biased - h)
     return theta_biased - P @ G @ r
 
 
 def bcls(phi, z, H, h, G):
-    """Batch bias-compensated least squares on the extended regressor phi (n, p)."""
+    """Return the batch bias-compensated least-squares estimate for the extended regressor phi (n, p)."""
     information = phi.T @ phi
     return compensate(np.linalg.inv(information), np.linalg.solve(information, phi.T @ z), H, h, G)
 
 
 def bcrls(phi, z, forgetting, start, H, h, G):
-    """Paper eq. 33 from sample `start` on, begun with the discounted batch solution; theta_BC (n, p)."""
+    """Return theta_BC (n, p) of paper eq. 33 from sample `start`, begun with the discounted batch solution."""
     weights = forgetting ** np.arange(start)[::-1]
     P = np.linalg.inv((phi[:start] * weights[:, None]).T @ phi[:start])
     theta = P @ ((phi[:start] * weights[:, None]).T @ z[:start])
@@ -68,7 +70,7 @@ def bcrls(phi, z, forgetting, start, H, h, G):
 
 
 def moment(w, k, cutoff, gain, t):
-    """M_k of w at time t, by the definition (paper eq. 8) with a gain for each of the k + 1 stages."""
+    """Return M_k of w at time t by the definition (paper eq. 8), with a gain for each of the k + 1 stages."""
 
     def weighted(tau):
         return gain ** (k + 1) * (t - tau) ** k / math.factorial(k) * math.exp(-cutoff * (t - tau)) * w(tau)
@@ -77,7 +79,9 @@ def moment(w, k, cutoff, gain, t):
 
 
 def matched_input(w, cutoff, order, dt, j, r):
-    """s^j F(s) on the input of a plant of relative degree r, w[k] valid over [k dt, (k+1) dt): Tustin times M_r(z)."""
+    """Filter the input of a plant of relative degree r by s^j F(s), with w[k] valid over [k dt, (k+1) dt): Tustin
+    times M_r(z).
+    """
     B = {1: [1], 2: [1, 1], 3: [1, 4, 1], 4: [1, 11, 11, 1]}[r]
     gain, pole = cutoff / (2 / dt + cutoff), (2 / dt - cutoff) / (2 / dt + cutoff)
     numerator = np.r_[0.0, B] * (2 * gain) ** r / math.factorial(r) * gain ** (order - r)
@@ -87,7 +91,7 @@ def matched_input(w, cutoff, order, dt, j, r):
 
 
 def process_facts(zeros, dt, n, m):
-    """H (2n + m + 1, n) of a transfer function, b^e in ascending powers: b^e(z_i) = 0 (paper eq. 34 to 36)."""
+    """Return H (2n + m + 1, n) of a transfer function with b^e in ascending powers: b^e(z_i) = 0 (paper eq. 34 to 36)."""
     H = np.zeros((2 * n + m + 1, n))
     for column, zero in enumerate(zeros):
         H[n:, column] = [J(i, np.exp(zero * dt), dt, n) for i in range(n + m + 1)]
@@ -95,15 +99,15 @@ def process_facts(zeros, dt, n, m):
 
 
 def coefficient_matrix(n: int, cutoff: float, gain: float) -> np.ndarray:
-    """The matrix A_n (n+1, n+1) of paper eq. 13 to 16, with the exponent of the gain corrected.
+    """Return the matrix A_n (n+1, n+1) of paper eq. 13 to 16, with the exponent of the gain corrected.
 
     M_n{d^(n+1-i) y / dt^(n+1-i)} = sum_j A_n(i, j) M_{j-1}{y}, i, j = 1 .. n+1, for the moments
     M_k = (gain / (s + cutoff))^(k+1):
 
         A_n(i, j) = (-1)^(j-i) C(n+1-i, j-i) cutoff^(j-i) gain^(n+1-j) for i <= j, else 0.
 
-    The first row is that of the target y_PMF^(n) (eq. 14), the others are those of the regressors (eq. 13). The paper
-    prints the exponent of the gain as n+i-j, which is right for gain = 1 alone.
+    The first row gives the target y_PMF^(n) (eq. 14), the other rows give the regressors (eq. 13). The paper prints the
+    exponent of the gain as n+i-j, which is right only for gain = 1.
     `pmfid.filters.chain.derivative` is this matrix for gain = cutoff.
     """
     matrix = np.zeros((n + 1, n + 1))

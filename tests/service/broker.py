@@ -1,4 +1,4 @@
-"""A Mosquitto of its own for a test: on a free port of the loopback, its files in a folder of the test."""
+"""A Mosquitto broker for one test: on a free port of the loopback, with its files in a folder of the test."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ log_dest none
 """
 
 
-#: All that a test has started.
+#: All brokers that a test has started.
 _STARTED: list[Broker] = []
 
 
 @pytest.fixture
 def stopped_brokers() -> Iterator[None]:
-    """Whatever a test does, no broker of it goes on."""
+    """Stop the brokers of a test at its end, even if it fails."""
     before = len(_STARTED)
     yield
     while len(_STARTED) > before:
@@ -47,7 +47,7 @@ def stopped_brokers() -> Iterator[None]:
 
 @dataclass
 class Broker:
-    """folder: of its configuration and what it keeps; more: lines of its configuration."""
+    """A broker with its folder for configuration and saved data; `more` are further lines of the configuration."""
 
     folder: Path
     more: str = "max_queued_messages 100000\n"
@@ -65,8 +65,8 @@ class Broker:
         return BrokerSection(host="127.0.0.1", port=self.port)
 
     def start(self) -> Broker:
-        """Starts it, as it was left, and waits until it takes connections."""
-        user = "user root" if os.geteuid() == 0 else ""  # else it gives up the right to its own folder
+        """Start the broker with its saved data and wait until it accepts connections."""
+        user = "user root" if os.geteuid() == 0 else ""  # otherwise the broker gives up the right to its own folder
         config = self.folder / "mosquitto.conf"
         config.write_text(CONFIG.format(port=self.port, folder=self.folder, user=user) + self.more)
         self._process = subprocess.Popen([str(MOSQUITTO), "-c", config], stderr=subprocess.DEVNULL)
@@ -81,14 +81,14 @@ class Broker:
         raise RuntimeError("Mosquitto does not start")
 
     def kill(self) -> None:
-        """Ends it without a warning; only what it saved by itself stays."""
+        """Kill the broker without a warning; only data that it saved by itself remain."""
         assert self._process is not None
         self._process.kill()
         self._process.wait()
         self._process = None
 
     def stop(self) -> None:
-        """Ends it if it runs."""
+        """Stop the broker if it runs."""
         if self._process is not None:
             self._process.terminate()
             self._process.wait()

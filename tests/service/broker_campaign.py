@@ -1,9 +1,9 @@
-"""The broker killed again and again with the whole service connected to it, and the service itself in between:
+"""Kill the broker repeatedly with the whole service connected to it, and at times the service itself:
 `python -m tests.service.broker_campaign --kills 50 --service-kills 20`.
 
 A gateway, Mosquitto and a service are processes of their own. The gateway sends three axes in real time at quality of
-service 1; the broker is killed without notice and started again with what it had saved by itself. At the end every row
-that the service gave out, and its last checkpoint, must be bit by bit those of a run without kills.
+service 1. The broker is killed without notice and started again with its saved data. At the end every row of the
+service and its last checkpoint must have the bits of a run without kills.
 """
 
 from __future__ import annotations
@@ -34,22 +34,23 @@ from studies.monitoring.pipe import write_axis
 from tests.service.broker import MISSING, Broker
 from tests.service.kill_campaign import HOURS, assert_same, died, incarnation, rows_of
 
-#: Samples of a block. The broker saves every second; what a gateway keeps goes out again after every new connection.
+#: Samples of a block, and seconds of data that the gateway keeps. The broker saves every second; the gateway sends the
+#: kept data again after every new connection.
 BLOCK, KEPT = 20, 2.5
-#: Seconds until all that was sent must be through after the last kill.
+#: Seconds after the last kill within which all data must arrive.
 PATIENCE = 120.0
 AXES = ("x1", "x2", "x3")
 
 
 @dataclass(frozen=True)
 class Work:
-    """The motions of the axes, whole blocks; that of the second becomes heavier half-way."""
+    """The motions of the axes in whole blocks; the second axis becomes heavier half-way."""
 
     motions: tuple[tuple[Floats, Counts], ...]
 
     @property
     def samples(self) -> int:
-        """Of each axis."""
+        """The number of samples of each axis."""
         return self.motions[0][0].size
 
 
@@ -68,8 +69,11 @@ def plant_of(folder: Path, axis: Path, broker: Broker) -> Plant:
 
 
 def gateway(work: Work, broker: Broker, speed: float) -> int:
-    """A child that sends everything, `speed` times as fast as in reality, 0: at once; its number. It ends with 0 when
-    the broker has all of it."""
+    """Fork a child that sends all samples, and return its process number.
+
+    The child sends `speed` times as fast as real time; 0 sends at once. It exits with 0 when the broker has all
+    samples.
+    """
     number = os.fork()
     if number:
         return number
@@ -92,7 +96,7 @@ def gateway(work: Work, broker: Broker, speed: float) -> int:
 
 @dataclass
 class Running:
-    """A plant that is served, and its broker; log: where incarnations print."""
+    """A plant that is served, and its broker; all incarnations print to `log`."""
 
     plant: Plant
     broker: Broker
@@ -100,7 +104,7 @@ class Running:
     number: int = 0
 
     def serve(self) -> None:
-        """Another incarnation of the service."""
+        """Start the next incarnation of the service."""
         with self.log.open("a", encoding="utf-8") as log:
             self.number = incarnation(self.plant, "", log)
 
@@ -110,7 +114,7 @@ class Running:
         assert code == -signal.SIGKILL, f"the service had ended with {code} before it was killed"
 
     def strike(self, what: str, rng: random.Random) -> None:
-        """Kills the broker, the service, or the service while the broker is away."""
+        """Kill the broker, the service, or the service while the broker is down."""
         if what == "service":
             self.kill_service()
             self.serve()
@@ -123,7 +127,7 @@ class Running:
         self.broker.start()
 
     def finish(self, samples: int) -> None:
-        """Waits until every sample of every axis came out, and ends the service."""
+        """Wait for the output of every sample of every axis, then end the service."""
         end = time.monotonic() + PATIENCE
         while len(rows_of(self.plant)[0]) < samples * len(AXES) and time.monotonic() < end:
             time.sleep(0.5)
@@ -133,7 +137,7 @@ class Running:
 
 
 def strikes(kills: int, service_kills: int, rng: random.Random) -> list[str]:
-    """What is killed in which order; a third of the kills of the service while the broker is away."""
+    """Return the order of the kills; a third of the service's kills come while the broker is down."""
     both = min(kills, service_kills // 3)
     found = ["both"] * both + ["broker"] * (kills - both) + ["service"] * (service_kills - both)
     rng.shuffle(found)
@@ -141,7 +145,7 @@ def strikes(kills: int, service_kills: int, rng: random.Random) -> list[str]:
 
 
 def run(place: Path, axis: Path, work: Work, struck: Sequence[str], speed: float, rng: random.Random) -> Plant:
-    """One run to its end; struck: what is killed meanwhile."""
+    """Do one run to its end, with the kills `struck` on the way."""
     place.mkdir()
     (place / "broker").mkdir()
     broker = Broker(place / "broker").start()
@@ -171,8 +175,12 @@ def run(place: Path, axis: Path, work: Work, struck: Sequence[str], speed: float
 def campaign(
     axis: Path, folder: Path, kills: int, service_kills: int, apart: float, seed: int
 ) -> tuple[Counter[str], int]:
-    """N kills, `apart` seconds apart on average, against a run without. What was killed how often, and how many
-    rows came again; AssertionError where one of them left a trace."""
+    """Compare a run with kills, `apart` seconds apart on average, to a run without kills.
+
+    Returns the number of kills of each kind and the number of repeated rows. Raises AssertionError if a kill changed
+    the
+    output.
+    """
     rng = random.Random(seed)
     struck = strikes(kills, service_kills, rng)
     work = work_of(seed, apart * (len(struck) + 1))
@@ -185,7 +193,7 @@ def campaign(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints how many kills there were of each kind; ends with an error where one of them left a trace."""
+    """Print the number of kills of each kind; fail if a kill changed the output."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--kills", type=int, default=50, help="of the broker")
     parser.add_argument("--service-kills", type=int, default=0, help="of the service, in between")

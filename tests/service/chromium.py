@@ -1,4 +1,4 @@
-"""Debian's Chromium for tests of the page; they skip, with the reason, where it or Playwright is absent."""
+"""Debian's Chromium for tests of the page; they skip with the reason if Chromium or Playwright is absent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """The browser, one for a file of tests."""
+    """Start the browser, once for a file of tests."""
     if CHROMIUM is None:
         pytest.skip("there is no chromium on this machine: make service-tools installs it")
     playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
@@ -32,8 +32,10 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def tab(browser: Any, width: int = 1280, height: int = 800, theme: str = "light") -> Iterator[Any]:
-    """A page of its own session. At the end nothing may have gone wrong in it: no error, nothing that the
-    Content-Security-Policy refused."""
+    """Open a page in its own session; check at the end that it had no error and no violation of its policy.
+
+    The policy is the page's Content-Security-Policy.
+    """
     context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme)
     page = context.new_page()
     problems: list[str] = []
@@ -47,14 +49,16 @@ def tab(browser: Any, width: int = 1280, height: int = 800, theme: str = "light"
 
 
 def violations(page: Any) -> list[str]:
-    """What axe-core finds wrong with what is shown."""
+    """Return the violations that axe-core finds on the shown page."""
     page.evaluate(AXE.read_text(encoding="utf-8"))
     found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
     return [f"{one['id']}: {json.dumps([node['target'] for node in one['nodes'][:3]])}" for one in found]
 
 
 def until(page: Any, expression: str, seconds: float = 10.0) -> bool:
-    """Whether it comes true in time; by asking, for the page's policy refuses to evaluate texts by itself."""
+    """Return whether the expression becomes true in time; poll, because the page's policy forbids Playwright's own
+    wait.
+    """
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if page.evaluate(expression):

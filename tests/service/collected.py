@@ -1,4 +1,4 @@
-"""What an engine gives out, by axis and number; and what `pmfid monitor` says of the same samples."""
+"""Collect the output of an engine by axis and number, and the output of `pmfid monitor` for the same samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Bits = tuple[Any, ...]
 
 @dataclass
 class Collected:
-    """An outlet. rows: (axis, number) -> bits; what comes twice must be the same; notices: by number."""
+    """An outlet that collects rows by axis and number, and notices by number; a repeated row must be the same."""
 
     rows_of: dict[tuple[str, int], Bits] = field(default_factory=dict)
     notices: dict[int, tuple[str, dict[str, Any]]] = field(default_factory=dict)
@@ -45,18 +45,18 @@ class Collected:
             assert self.notices.setdefault(notice.number, entry) == entry, f"{notice} is another than before"
 
     def of(self, axis: str) -> list[tuple[int, Bits]]:
-        """Rows of an axis in their order."""
+        """Return the rows of an axis in their order."""
         return sorted((number, bits) for (name, number), bits in self.rows_of.items() if name == axis)
 
     def events(self, axis: str, *kinds: str) -> list[dict[str, Any]]:
-        """What was reported of an axis, in order."""
+        """Return the events of an axis in their order."""
         found = [what for _, (name, what) in sorted(self.notices.items()) if name == axis]
         return [what for what in found if what["event"] in kinds]
 
 
 @dataclass
 class _Sink:
-    """Rows of `pmfid monitor`, as bits."""
+    """A sink for the rows of `pmfid monitor`, as bits."""
 
     names: int
     rows: list[Bits] = field(default_factory=list)
@@ -70,12 +70,11 @@ class _Sink:
         theta, std = np.array(row[1 : 1 + q], float), np.array(row[1 + q : 1 + 2 * q], float)
         self.rows.append((theta.tobytes(), std.tobytes(), *row[1 + 2 * q :]))
 
-    def close(self) -> None:
-        """Nothing is open."""
+    def close(self) -> None: ...
 
 
 def monitored(prepared: Prepared, samples: Iterable[Sample]) -> tuple[list[Bits], list[dict[str, Any]]]:
-    """Rows and events of `pmfid monitor` over samples."""
+    """Return rows and events of `pmfid monitor` for the samples."""
     monitor = MonitorFleet(prepared.setup.monitor, 1).monitor(0)
     sink, reported = _Sink(len(monitor.names)), list[dict[str, Any]]()
     watch(samples, monitor, sink, reported.append)

@@ -1,4 +1,4 @@
-"""What stands for the engine where a source is tested: it keeps deliveries and calls `done` as a checkpoint would."""
+"""A stand-in for the engine in tests of a source: it keeps deliveries and calls `done` as a checkpoint would."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ from pmfid.stream.delivery import Block, Delivery, Lines, Unusable, split_tables
 
 @dataclass
 class FakeEngine:
-    """deliveries: all that came; reported: notices; reached: end of the latest block of each axis; ends: takes no
-    more; slow: time that a delivery takes [s]."""
+    """A stand-in for the engine.
+
+    `deliveries` are all deliveries so far, and `reported` are the notices. `reached` is the end of the latest block of
+    each
+    axis. After `ends` the engine accepts no more, and `slow` is the time of a delivery [s].
+    """
 
     deliveries: list[Delivery] = field(default_factory=list)
     reported: list[dict[str, Any]] = field(default_factory=list)
@@ -56,14 +60,14 @@ class FakeEngine:
         return [one["problem"] for one in self.reported]
 
     def running(self, source: Source) -> Thread:
-        """The source's thread, started."""
+        """Start the source's thread and return it."""
         thread = Thread(target=source.run, args=(self.take, None), daemon=True)
         thread.start()
         return thread
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 10.0) -> bool:
-    """Whether a condition comes true in time."""
+    """Return whether a condition becomes true in time."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():

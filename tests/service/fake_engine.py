@@ -1,4 +1,4 @@
-"""An engine that estimates nothing: rows and alarms as they look, for the page alone.
+"""An engine that estimates nothing: it makes realistic rows and alarms for tests of the page.
 
 `python -m tests.service.fake_engine --axes 12 --port 8127` serves the page with them.
 """
@@ -32,7 +32,7 @@ NAMES = (
 
 
 def kindreds(axes: int) -> list[Kindred]:
-    """A linear and a rotary group, or one large group."""
+    """Return a linear and a rotary group, or one large group."""
     if axes > 12:
         cells = tuple(f"cell-{i:05d}" for i in range(axes))
         return [_linear("cell.toml", cells)]
@@ -58,8 +58,11 @@ def _linear(config: str, names: tuple[str, ...]) -> Kindred:
 
 @dataclass
 class FakePlant:
-    """every: seconds between two rows of an axis; odd: axes by name -> what is wrong with them, "heavy", "poor",
-    "silent" or "suspicious"."""
+    """A plant of simulated rows.
+
+    `every` is the time between two rows of an axis [s]. `odd` maps axes to their fault: "heavy", "poor", "silent" or
+    "suspicious".
+    """
 
     axes: int = 12
     every: float = 1.0
@@ -75,7 +78,7 @@ class FakePlant:
         self.samples = 0
 
     def run(self, seconds: float, received: float | None = None) -> None:
-        """N seconds of the plant; received: of their end, None: now."""
+        """Make the rows of the given number of seconds; `received` is the time of their end, and None means now."""
         end = time.monotonic() if received is None else received
         steps = max(1, round(seconds / self.every))
         for step in range(steps):
@@ -116,7 +119,7 @@ class FakePlant:
         )  # fmt: skip
 
     def tell(self, axis: str, **what: object) -> int:
-        """A notice; returns its number."""
+        """Publish a notice and return its number."""
         self._number += 1
         self.board.notice(Notice(axis, self._number, time.time(), what))
         return self._number
@@ -128,7 +131,7 @@ class FakePlant:
             unit=unit, relative=relative, changed_at=t - 1.4, statistic=31.2, threshold=17.9,
         )  # fmt: skip
 
-    # --- what the page asks for ---
+    # --- requests of the page ---
 
     def acknowledge(self, number: int, note: str) -> bool:
         self.tell(getattr(self.board.alarm(number), "axis", ""), event="acknowledged", alarm=number, note=note)
@@ -148,7 +151,7 @@ class FakePlant:
         return True
 
     def reference(self, axis: str) -> Record | None:
-        """As the axis moved before anything was wrong."""
+        """Return the motion of the axis before any fault."""
         t = DT * np.arange(3000)
         u = 3 * np.sign(np.sin(2 * np.pi * t / 1.3)) + 0.4 * np.sin(9 * t)
         group = self.board.group_of(axis)
@@ -169,7 +172,7 @@ ODD = {
 
 
 def troubled(axes: int = 12) -> FakePlant:
-    """A plant with a past of two minutes and a few things wrong."""
+    """Return a plant with a past of two minutes and some faulty axes."""
     plant = FakePlant(axes, odd=ODD)
     plant.run(120 if axes <= 12 else 70)
     names = {name for group in plant.groups for name in group.axes}

@@ -1,4 +1,4 @@
-"""Rows and notices as an engine offers them, and a sink that can be made to fail, for the tests of sinks."""
+"""Rows and notices as an engine offers them, and a sink that can fail, for the tests of sinks."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ ALARM = {
 
 
 def kindred(axes: int = 3, config: str = "cart.toml", names: tuple[str, ...] = ("mass", "friction")) -> Kindred:
-    """A group of axes x0, x1, ..."""
+    """Return a group of axes x0, x1, ..."""
     named = tuple(f"x{k}" for k in range(axes))
     return Kindred(config, names, ("kg",) * len(names), 0.01, np.ones(len(names)), named)
 
 
 def block(group: Kindred, first: int = 1, samples: int = 1) -> EstimateRows:
-    """N rows of every axis, in the order of time; numbers that tell rows apart."""
+    """Return rows of every axis in the order of time, with numbers that identify each row."""
     k, q = len(group.axes), len(group.names)
     axis = np.tile(np.arange(k), samples)
     number = first + np.repeat(np.arange(samples), k)
@@ -57,23 +57,23 @@ def block(group: Kindred, first: int = 1, samples: int = 1) -> EstimateRows:
 
 
 def alarm(number: int, axis: str = "x1", **changed: object) -> Notice:
-    """An alarm on the mass."""
+    """Return an alarm on the mass."""
     return Notice(axis, number, 1.7e9 + number, {**ALARM, **changed})
 
 
 def notice(number: int, event: str, axis: str = "x1", **what: object) -> Notice:
-    """Any other event."""
+    """Return a notice of any other event."""
     return Notice(axis, number, 1.7e9 + number, {"event": event, **what})
 
 
 def numbers(outcomes: list[EstimateRows | Notice]) -> list[int]:
-    """Of notices, and of the first row of each block."""
+    """Return the numbers of the notices, and of the first row of each block."""
     return [one.number if isinstance(one, Notice) else int(one.number[0]) for one in outcomes]
 
 
 @dataclass
 class Host:
-    """A service to stand in."""
+    """A service that hosts a sink."""
 
     folder: Path
     name: str = "hall-3"
@@ -83,18 +83,22 @@ class Host:
 
     @property
     def tell(self) -> Callable[[dict[str, Any]], None]:
-        """Keeps what is reported."""
+        """Return a function that keeps the reports."""
         return self.reported.append
 
     def count(self, name: str, **labels: str) -> float:
-        """Of a total or a level."""
+        """Return the value of a total or a level."""
         return self.counters.values().get((name, tuple(sorted(labels.items()))), 0.0)
 
 
 @dataclass
 class Faulty:
-    """A sink that keeps what it gets. error: what it raises while that is set; poison: raises ValueError for this
-    number; hold: waits for it in `put`; open_error: as error, in `open`."""
+    """A sink that keeps its input and can fail.
+
+    `error` is raised while it is set, and `open_error` is raised by `open`. The number `poison` raises ValueError.
+    `put`
+    waits for the event `hold`.
+    """
 
     name: str = "s"
     error: Exception | None = None
@@ -126,7 +130,7 @@ class Faulty:
 
 
 def until(true: Callable[[], object], seconds: float = 20.0) -> bool:
-    """Waits for it."""
+    """Wait until the condition is true."""
     end = time.monotonic() + seconds
     while not true():
         if time.monotonic() > end:
