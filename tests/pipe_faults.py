@@ -92,7 +92,7 @@ def starts_again(header: bytes, counts: bool) -> Fault:
 
 
 def goes_on(header: bytes, line: str, said: bool = True) -> Fault:
-    """Return the fault that another program continues the stream: `line` has the places {t}, {ms}, {day}, {u} and {c}."""
+    """Return the fault that another program continues: `line` has the places {t}, {ms}, {day}, {u} and {c}."""
 
     def do(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
         later = [

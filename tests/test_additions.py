@@ -1,5 +1,4 @@
-"""What is added in the place that docs/extending.md names reaches every other place, or a test here says where it does
-not."""
+"""An addition at the place that docs/extending.md names reaches all other places, or a test says which not."""
 
 from __future__ import annotations
 
@@ -52,7 +51,7 @@ def test_every_detector_is_made_and_reported_and_every_file_and_option_may_name_
 
 @dataclass(frozen=True)
 class Slower(Cusum):
-    """One more."""
+    """A further detector."""
 
     name: ClassVar[str] = "slower"  # type: ignore[misc]
 
@@ -61,7 +60,7 @@ class Slower(Cusum):
 def test_thresholds_of_other_detectors_are_not_those_of_these(
     further: dict[str, Detector], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file from before a detector was added, or tuned again, is no calibration of it: it would have no threshold."""
+    """An older file, from before a detector was added or tuned, is no calibration of it: the threshold is missing."""
 
     def made(*_: object, **__: object) -> Calibration:
         scale = Scale(*(np.ones(3) for _ in Scale.__dataclass_fields__))
@@ -94,10 +93,10 @@ def test_the_figure_of_thresholds_leaves_no_detector_out() -> None:
 
 
 class StoppedError(Exception):
-    """Before anything is identified."""
+    """The signal to stop before the estimate."""
 
 
-#: Other values than the default one of each field of a model; a new field needs a line.
+#: A value of each field of a model that differs from its default; a new field needs a line here.
 DRIVE = {"input_gain": 3.0, "offset": True, "friction": "directional", "spring": True, "dead_time": 0.003}
 DRIVE |= {"stribeck": 0.02, "quadratic": True, "gravity": True, "cogging": 0.01, "friction_period": 0.2, "lag": 0.004}
 DRIVE |= {"axis": "rotary"}
@@ -105,7 +104,7 @@ PROCESS = {"n": 3, "m": 2, "delay": 4, "offset": True, "integrators": 1, "unstab
 TERM = {"signal": "forward_output", "derivative": 1, "name": "d", "unit": "N s/m", "coefficient": 2.5}
 SHAPE = {"form": "stribeck", "speed": 0.02}
 SHAPED = pmfid.Term("friction", 0, "stribeck_friction", "N", shape=pmfid.Stribeck(0.02))
-#: What a model needs next to a field.
+#: Further fields that a model needs.
 PLAIN: dict[type, dict[str, object]] = {pmfid.Drive: {"input_gain": 2.0}, pmfid.TransferFunction: {"n": 2, "m": 0}}
 FIELDS = [(pmfid.Drive, {name: value}) for name, value in DRIVE.items()]
 FIELDS += [(pmfid.TransferFunction, {name: value}) for name, value in PROCESS.items()]
@@ -118,14 +117,14 @@ def model_of(cls: type, field: dict[str, object]) -> pmfid.Drive | pmfid.Transfe
 
 
 def equation_model(**known: object) -> pmfid.EquationModel:
-    """One whose unknown terms differ from a plain one in every field."""
+    """Return a model whose unknown terms differ in every field from a plain term."""
     own = pmfid.Term(**TERM)
     unknown = (pmfid.Term("output", 2, "m", "kg", -1.0), own, pmfid.Term("direction", 0, "F"), SHAPED)
     return pmfid.EquationModel(pmfid.Equation(unknown, (pmfid.Term("input", 0, **known),)))
 
 
 def from_python(model: object, monkeypatch: pytest.MonkeyPatch) -> object:
-    """What `pmfid.identify` identifies, by way of AXIS.toml's [model]."""
+    """Return the model that `pmfid.identify` takes, by way of AXIS.toml's [model]."""
     seen: list[Axis] = []
 
     def run(_: object, axis: Axis) -> None:
@@ -156,7 +155,7 @@ def toml(value: object) -> str:
 
 
 def test_every_field_of_a_model_is_tried_here() -> None:
-    """`initial_conditions` are refused in one sentence: the starts are always part of the fit there."""
+    """`initial_conditions` are refused in one sentence: `identify` always fits the start values."""
     assert set(DRIVE) == {field.name for field in fields(pmfid.Drive)}
     assert {*PROCESS, "initial_conditions"} == {field.name for field in fields(pmfid.TransferFunction)}
     tried = TERM | {"shape": SHAPED.shape}
@@ -168,7 +167,7 @@ def test_every_field_of_a_model_is_tried_here() -> None:
 def test_a_field_of_a_model_arrives_from_python_and_from_a_file(
     cls: type, field: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A field that one of them forgets is dropped without a word, and another plant is identified."""
+    """A lost field would not be reported, and another plant would be identified."""
     model = model_of(cls, field)
     assert from_python(model, monkeypatch) == model
     keys = {name: getattr(model, name) for name in {**PLAIN[cls], **field}}
@@ -193,7 +192,7 @@ def test_the_unit_of_a_known_term_does_not_matter(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("further", [{"delay": 3}, {"only_simulated": "a reason"}, {"further": (("late", "s"),)}])
 def test_what_no_file_says_of_an_equation_is_refused(further: dict[str, object]) -> None:
-    """It was dropped: a dead time of three samples was none."""
+    """An earlier version dropped such a field: it ignored a dead time of three samples."""
     terms = (pmfid.Term("process_output", 0, "a0"), pmfid.Term("process_input", 0, "b0", coefficient=-1.0))
     known = (pmfid.Term("process_output", 1, coefficient=-1.0),)
     model = pmfid.EquationModel(pmfid.Equation(terms, known, **further))
@@ -205,7 +204,7 @@ def test_what_no_file_says_of_an_equation_is_refused(further: dict[str, object])
 
 
 def test_every_signal_has_its_facts() -> None:
-    """And holds for an interval or has derivatives: a term of it can be made, and reads as something."""
+    """Every signal holds for an interval or has derivatives, and a term of it has a readable text."""
     assert tuple(SIGNALS) == get_args(Signal)
     for signal, facts in SIGNALS.items():
         for derivative in range(facts.derivatives[0], facts.derivatives[1] + 1):
@@ -219,7 +218,7 @@ def test_every_signal_has_its_facts() -> None:
 
 
 def test_every_format_has_a_reader_is_reported_and_is_attacked() -> None:
-    """`test_records.py` and `test_unpacked.py` go through the same list."""
+    """`test_records.py` and `test_unpacked.py` use the same list."""
     assert set(READERS) == set(FORMATS)
     assert set(records.WRITERS) == set(FORMATS)
     assert SPOKEN in str(identify.help)

@@ -1,4 +1,4 @@
-"""Does the program know when its model is wrong? Machines, motions and encoders that nobody tuned to."""
+"""The judge recognises a wrong model on machines, motions and encoders that were not used for tuning."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -31,7 +31,7 @@ HEAVY = DriveParameters(500.0, 3000.0, 80.0, 35.0)
 
 @dataclass(frozen=True)
 class Axis:
-    """A machine with its sample time [s], random input [V] and what a controller is to do."""
+    """A machine with its sample period [s], random input [V] and the motion that its controller follows."""
 
     drive: DriveParameters
     dt: float
@@ -62,7 +62,7 @@ def machine(axis: Axis, wrong: str) -> Machine:
 
 
 def record(axis: Axis, wrong: str, motion: str, counts_a_stroke: float, seed: int = 1):
-    """u, counts and resolution of 3000 samples."""
+    """Return u, counts and resolution of 3000 samples."""
     rng, resolution = np.random.default_rng(seed), axis.stroke / counts_a_stroke
     phase, plant = resolution * rng.random(), machine(axis, wrong)
     if motion == "prbs":
@@ -169,7 +169,7 @@ def test_bars_of_the_simulating_methods_are_of_the_size_of_the_errors(name):
 
 
 def test_auto_does_not_trust_instruments_where_the_counts_contradict_them():
-    axis = AXES["heavy"]  # coarse encoder in the loop: instrumental variables are ten per cent off there
+    axis = AXES["heavy"]  # coarse encoder in the loop: instrumental variables have an error of ten per cent there
     u, read, resolution = record(axis, "right", "stop-and-go", 300.0)
     method = estimator(pmfid.IV, axis, resolution)
     fit = method.fit(u, read)
@@ -185,7 +185,7 @@ def test_the_likelihood_leaves_local_maxima():
     drive, dt, resolution = ROTARY, 0.01, 2 * np.pi / 32
     from pmfid.simulation import position_control, random_moves
 
-    for seed in (0, 7, 8, 12):  # each ended in a local maximum, or found no fit within the counts
+    for seed in (0, 7, 8, 12):  # each of these seeds once ended in a local maximum, or found no fit within the counts
         rng = np.random.default_rng(seed)
         reference = random_moves(3000, dt, 1.5, 0.8, 0.4, rng)
         control = {"kp": 1.2, "kd": 0.05, "u_max": 3.0, "resolution": resolution, "phase": resolution * rng.random()}
@@ -232,7 +232,9 @@ def test_a_record_that_begins_at_rest_keeps_its_first_motion(rest):
     motion, counts = position_control(CART, reference, 0.01, **control)
     fit = pmfid.IV(pmfid.Drive(CART.input_gain), pmfid.Encoder(91e-6), 0.01, 10.0).fit(motion.u, counts)
     truth = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-    assert np.all(np.abs(fit.theta / truth - 1) < [0.002, 0.002, 0.01])  # 10 times as far off without the first motion
+    assert np.all(
+        np.abs(fit.theta / truth - 1) < [0.002, 0.002, 0.01]
+    )  # the error is 10 times as large without the first motion
 
 
 def test_a_record_of_another_machine_is_no_estimate(tmp_path):
@@ -244,7 +246,7 @@ def test_a_record_of_another_machine_is_no_estimate(tmp_path):
     text = '[record]\ninput = "u"\noutput = "c"\noutput_kind = "counts"\ndt = 0.01\n[encoder]\nresolution = 1e-4\n'
     (tmp_path / "axis.toml").write_text(text + "[model]\ninput_gain = 2.0\n[estimator]\ncutoff = 30.0\n")
     u, counts, _ = record(AXES["cart"], "right", "prbs", 2000.0)
-    shuffled = np.roll(u, 1000)  # an input of another time: nothing follows it
+    shuffled = np.roll(u, 1000)  # an input from another time, to which the motion does not respond
     for method in ("auto", "iv", "ls", "bcls", "output-error", "interval"):
         axis = load_axis(tmp_path / "axis.toml", {"estimator.method": method})
         with pytest.raises(NotIdentifiableError):

@@ -1,4 +1,4 @@
-"""What holds the house up: imports point down, the surface is listed, the command starts fast, the kernel is pure."""
+"""Rules of the structure: imports point down, the surface is listed, the command starts fast, the kernel is pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CONFIG = DIAGNOSTICS | {"diagnostics", "monitor"}
 RECORDS = CONFIG | {"config", "io"}
 PIPELINE = RECORDS | {"records", "design"}
 WINGS = PIPELINE | {"pipeline", "export"}
-#: Room -> the rooms that it may import, besides itself; "pmfid" is the package's own `__init__`.
+#: Package -> the packages that it may import besides itself; "pmfid" is the top `__init__`.
 MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "types": set(),
@@ -136,12 +136,12 @@ C_FLAGS = ["-std=c99", *C_WARNINGS, "-ffp-contract=off", "-fsyntax-only"]
 
 
 def room_of(parts: tuple[str, ...]) -> str:
-    """Room of a module, from its path or name below the package."""
+    """Return the package of a module from its path or name below `pmfid`."""
     return parts[0] if parts else "pmfid"
 
 
 def python_of(path: Path) -> str:
-    """Text that `ast` can parse; of Cython only the imports, each on its own line as before."""
+    """Return text that `ast` can parse; of Cython keep only the imports, on their own lines."""
     text = path.read_text(encoding="utf-8")
     if path.suffix not in (".pyx", ".pxi"):
         return text
@@ -151,19 +151,19 @@ def python_of(path: Path) -> str:
 
 @cache
 def nodes_of(path: Path) -> list[ast.AST]:
-    """All that can import, of a file."""
+    """Return all nodes of a file that can import."""
     kinds = (ast.Import, ast.ImportFrom, ast.Name, ast.Attribute)
     return [node for node in ast.walk(ast.parse(python_of(path))) if isinstance(node, kinds)]
 
 
 def modules_in(node: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
-    """Full names that a node imports; a module imported by a computed name is `importlib`'s."""
+    """Yield the full names that a node imports; a computed name gives a name of `importlib`."""
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names)
     elif isinstance(node, ast.ImportFrom):
         start = package[: len(package) + 1 - node.level] if node.level else ()
         base = ".".join([*start, *([node.module] if node.module else [])])
-        # `from pmfid import x`: x decides, for the package itself is no room
+        # in `from pmfid import x` only x decides, because the top package has no layer
         yield from (f"{base}.{alias.name}" for alias in node.names)
     elif isinstance(node, ast.Name | ast.Attribute):
         name = node.id if isinstance(node, ast.Name) else node.attr
@@ -172,7 +172,7 @@ def modules_in(node: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
 
 
 def rooms_imported(path: Path, root: Path) -> Iterator[tuple[int, str]]:
-    """(line, room) of every import of the package in a file, at any depth; a computed import is the room `?`."""
+    """Yield (line, package) of every import of `pmfid` in a file, at any depth; a computed import gives `?`."""
     package = (root.name, *path.relative_to(root).parent.parts)
     for node in nodes_of(path):
         for name in modules_in(node, package):
@@ -189,7 +189,7 @@ def source_files(root: Path) -> list[Path]:
 
 
 def violations(root: Path) -> list[str]:
-    """Imports that the table does not allow, and files in no room of the table."""
+    """Return the imports that the table does not allow, and the files outside the packages of the table."""
     found = []
     for path in source_files(root):
         inside = path.relative_to(root)
@@ -218,14 +218,16 @@ def test_every_room_of_the_table_exists() -> None:
 
 
 def module_of(path: Path, root: Path) -> str:
-    """Full name of the module in a file."""
+    """Return the full name of the module in a file."""
     parts = path.relative_to(root.parent).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def imports_between_modules(root: Path) -> dict[str, set[str]]:
-    """Module -> the modules of the package that it imports, at any depth, also for types only. The package's own
-    `__init__` is left out: it loads a name when it is asked for."""
+    """Return the modules of `pmfid` that each module imports, at any depth, also only for types.
+
+    The top `__init__` is left out, because it loads a name on demand.
+    """
     files = {module_of(path, root): path for path in source_files(root) if path.suffix != ".pyi"}
     del files[root.name]
     graph: dict[str, set[str]] = {}
@@ -241,7 +243,7 @@ def imports_between_modules(root: Path) -> dict[str, set[str]]:
 def test_no_imports_run_in_a_circle(root: Path) -> None:
     graph = imports_between_modules(root)
     assert sum(map(len, graph.values())) > 20
-    assert list(TopologicalSorter(graph).static_order())  # raises CycleError, with the circle
+    assert list(TopologicalSorter(graph).static_order())  # raises CycleError with the circle
 
 
 def test_a_circle_is_found(tmp_path: Path) -> None:
@@ -255,7 +257,7 @@ def test_a_circle_is_found(tmp_path: Path) -> None:
 
 
 def test_what_kind_of_plant_it_is_is_asked_in_three_files() -> None:
-    """Elsewhere what is particular to a kind stands in an object of that kind (`Plant`, `Kind`)."""
+    """In other files, code for one kind of plant belongs to an object of that kind (`Plant`, `Kind`)."""
     asked = re.compile(r"equation\.process\b|\.process else|if self\.process:")
     found = {path.name for path in source_files(PACKAGE) if asked.search(path.read_text(encoding="utf-8"))}
     assert found == {"equation.py", "plants.py", "srivc.py"}
@@ -337,7 +339,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 
 def modules_after(statement: str) -> set[str]:
-    """Names in `sys.modules` of a fresh interpreter after a statement."""
+    """Return the names in `sys.modules` of a fresh interpreter after a statement."""
     program = f"{statement}\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     return set(json.loads(run.stdout))
@@ -352,7 +354,7 @@ def test_the_command_starts_without_the_heavy_libraries() -> None:
 
 NUMERIC = {"numpy", "scipy"}
 TABLES = NUMERIC | {"pydantic", "pydantic_core", "polars"}
-#: Room -> the libraries without which its modules are not imported; all others of OUTSIDE may be absent.
+#: Package -> the libraries that the import of its modules needs; all other libraries of OUTSIDE may be absent.
 NEEDS = {
     **dict.fromkeys(["simulation", "kernel", "models", "filters", "linear", "estimators", "diagnostics"], NUMERIC),
     **dict.fromkeys(["monitor", "testing", "io", "design"], NUMERIC),
@@ -384,7 +386,7 @@ def test_a_room_needs_no_library_of_those_above(needs: tuple[str, ...]) -> None:
 
 
 def test_the_way_to_the_estimate_of_a_drive_needs_no_library_of_filters() -> None:
-    """scipy.signal brings scipy.stats, and took a third of the time of `pmfid identify`."""
+    """scipy.signal imports scipy.stats, which took a third of the time of `pmfid identify`."""
     loaded = modules_after("import pmfid.pipeline.identify, pmfid.estimators.registry, pmfid.diagnostics.drives")
     assert "pmfid.estimators.iv" in loaded
     assert not {"scipy.signal", "scipy.stats"} & loaded
@@ -399,13 +401,15 @@ def test_the_package_imports_nothing_of_its_own_until_asked() -> None:
 
 
 def bare(source: str) -> str:
-    """C without comments and character constants."""
+    """Return C without comments and character constants."""
     return re.sub(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'", " ", source, flags=re.DOTALL)
 
 
 def mutable_objects(source: str) -> list[str]:
-    """Objects at file scope, and static ones at any, that are neither const nor functions nor types."""
-    code = re.sub(r"#ifdef __cplusplus\n.*?#endif", "", bare(source), flags=re.DOTALL)  # the braces of its linkage
+    """Return the objects at file scope, and the static ones at any scope, that are not const, functions or types."""
+    code = re.sub(
+        r"#ifdef __cplusplus\n.*?#endif", "", bare(source), flags=re.DOTALL
+    )  # remove the braces of its linkage
     code = re.sub(r"^\s*#(?:[^\n]*\\\n)*[^\n]*", "", code, flags=re.MULTILINE)
     static = [match.strip() for match in re.findall(r"\bstatic\b[^;{(=]*(?=[;{=])", code)]
     while (flat := re.sub(r"\{[^{}]*\}", " @ ", code)) != code:
@@ -414,7 +418,7 @@ def mutable_objects(source: str) -> list[str]:
     statements = [" ".join(statement.split()) for statement in code.split(";")]
     declared = [s for s in statements if not re.match(r"typedef\b|(enum|struct|union)\b[\w ]*@?$|$", s)]
     outside = [s for s in declared if "(" not in s.partition("=")[0] or "(*" in s]
-    # const must stand after the last star: a pointer to const can itself be changed
+    # const must stand after the last star, because a pointer to const can itself change
     return sorted({s for s in static + outside if "const" not in s.partition("=")[0].rpartition("*")[2]})
 
 

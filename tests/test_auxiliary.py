@@ -22,7 +22,7 @@ from pmfid.simulation.signals import prbs
     ],
 )
 def test_equals_the_event_driven_simulation(parameters, amplitude):
-    """Also with stiction for many intervals (the last case), without damping, and with a constant load."""
+    """The cases include long stiction (the last case), no damping, and a constant load."""
     dt, rng = 0.01, np.random.default_rng(1)
     u = prbs(2000, clock=7, amplitude=amplitude, rng=rng) * rng.uniform(0.2, 1.0, 2000)
     motion = simulate_drive(parameters, u, dt)
@@ -40,7 +40,7 @@ def test_equals_the_event_driven_simulation(parameters, amplitude):
 
 
 def test_approximant_is_good_at_strong_damping():
-    """damping * dt = 1: the mean velocity within 1e-4 of its range."""
+    """For damping * dt = 1 the mean velocity is right within 1e-4 of its range."""
     p = DriveParameters(0.128, 12.8, 0.8, 2.0)
     u = prbs(1000, clock=3, amplitude=3.0, rng=np.random.default_rng(2))
     mean, *_ = _kernel64.simulate((p.mass, 12.8, 12.8, 0.8, 0.8, 0.0, 0.0), 2.0, 0.01, u)

@@ -18,8 +18,12 @@ DT, AHEAD, WINDOW = 0.1, 50, 20
 
 @pytest.mark.skipif(RECORD is None, reason="the record of the ball and beam is not on this machine")
 def test_two_integrators_predict_better_than_the_last_slope():
-    """Fitted on the first half; on the second 50 samples ahead from a free start in the last 20, root mean square, the
-    input known; against straight lines through the last 2 to 20 samples."""
+    """The model is fitted to the first half and predicts 50 samples of the second half with known input.
+
+    Each prediction starts from a free fit to the preceding 20 samples. The model's root mean square error must be less
+    than
+    the error of straight lines through the last 2 to 20 samples.
+    """
     u, y = np.loadtxt(str(RECORD), delimiter=",", skiprows=1).T
     half, model = u.size // 2, TransferFunction(2, 0, integrators=2)
     fit = SRIVC(model, Encoder(1.0), DT, 2.0).fit_experiments([Experiment(u[:half], y[:half], dt=DT)])

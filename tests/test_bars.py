@@ -1,4 +1,4 @@
-"""Error bars off-line against repeated experiments: neither far too long nor far too short."""
+"""Error bars of off-line methods against repeated experiments: they are neither far too long nor far too short."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SEEDS = 8
 
 
 def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.ndarray, np.ndarray]:
-    """Errors and error bars (SEEDS, 3) of the right model."""
+    """Return errors and error bars (SEEDS, 3) of the right model."""
     axis, errors, bars = AXES[name], [], []
     for seed in range(SEEDS):
         record = machine_record(axis, "nothing", motion, increments, seed)
@@ -32,11 +32,13 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
             "cart",
             "stop-and-go",
             4096,
-        ),  # 9 to 11 times too long, of scores next to the edges of parked counts
-        pytest.param(IntervalML, "rotary", "stop-and-go", 4096, marks=pytest.mark.long),  # 4
-        (pmfid.IV, "heavy", "multisine", 4096),  # 3 to 8: blocks with sharp ends
+        ),  # bars were once 9 to 11 times too long, because of scores near the edges of parked counts
+        pytest.param(
+            IntervalML, "rotary", "stop-and-go", 4096, marks=pytest.mark.long
+        ),  # bars were once 4 times too long
+        (pmfid.IV, "heavy", "multisine", 4096),  # once 3 to 8 times: blocks with sharp ends
         pytest.param(pmfid.IV, "rotary", "prbs", 32, marks=pytest.mark.long),
-        (OE, "rotary", "stop-and-go", 4096),  # 2.4: scatter taken before the inverse
+        (OE, "rotary", "stop-and-go", 4096),  # once 2.4 times: scatter before the inverse
         pytest.param(OE, "heavy", "prbs", 32, marks=pytest.mark.long),
     ],
     ids=str,
@@ -44,7 +46,7 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
 def test_bars_are_those_of_repeated_experiments(cls, name, motion, increments):
     errors, bars = errors_and_bars(cls, name, motion, increments)
     ratio = np.sqrt(np.mean(bars**2, axis=0) / np.mean(errors**2, axis=0))
-    assert np.all(ratio < 2.2), ratio  # of eight experiments: the deviation is known to a quarter
+    assert np.all(ratio < 2.2), ratio  # eight experiments give the deviation only to a quarter
     assert np.all(ratio > 0.45), ratio
 
 
@@ -57,7 +59,7 @@ def test_noise_that_cancels_over_a_block_is_no_scatter():
     rng = np.random.default_rng(2)
     noise = rng.standard_normal((60, 3002))
     scores = np.diff(noise, n=2, axis=1)
-    observed = np.mean(scores.sum(axis=1) ** 2)  # of the two ends alone: 4 or so
+    observed = np.mean(scores.sum(axis=1) ** 2)  # the two ends alone would give about 4
     found = np.mean([block_scatter(series[:, None], 25)[0] for series in scores])
     sharp = np.mean([np.var(series.reshape(-1, 25).sum(axis=1)) * 120 for series in scores])
     assert found < sharp / 10

@@ -1,4 +1,4 @@
-"""The study of transfer functions: every section computes and writes its part of the page."""
+"""Study of transfer functions: every section computes and writes its part of the page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of logs: found, said in one sentence everywhere, and mended by what that says; no other is found."""
+"""Each fault of a log is found alone, described by the same sentence everywhere, and mended by its remedy."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from studies.check_logs import FAULTS, Logged, clean, faulty
 from studies.friction_axes import BENCHES
 from tests.conftest import long_unless
 
-#: Small machines, so that a log is made and read at once.
+#: Small machines, whose logs are fast to make and to read.
 AXES = {name: BENCHES[name] for name in ("cart", "slide")}
 SEED = 2
-#: With that seed so little of the input is cut off that it is a note.
+#: With this seed the cut-off part of the input is so small that the finding is a note.
 OTHER_SEEDS = {"saturated input": 3}
-#: Faults that a file shows which cannot be read, and one that an estimate is judged by.
+#: A fault whose file cannot be read, and a fault that the judge of an estimate finds.
 UNREADABLE, JUDGED = "counts as position", "dead time"
 SEEN = [fault for fault in FAULTS if fault not in (UNREADABLE, JUDGED)]
-#: Of each severity, of the log and of the model.
+#: One fault of each severity, of the log and of the model.
 SAID = ("reversed sign", "clipped counter", "sample rate too high")
 
 
@@ -58,7 +58,7 @@ def found_in(fault: str) -> tuple[Finding, ...]:
 
 
 def plainly(record: Record, axis: Axis) -> Result | NotIdentifiableError:
-    """By least squares, or why not; what is thought of the estimate is that its model lacks something."""
+    """Return the least-squares result or its error; the judge's only finding is an incomplete model."""
     doubt = Finding("unmodelled", "the model lacks something")
     ways = {"judge": mock.Mock(return_value=(doubt,)), "examine_estimate": mock.Mock(return_value=None)}
     options = axis.estimator.model_copy(update={"method": "ls", "cutoff": axis.estimator.cutoff or 1 / (5 * record.dt)})
@@ -89,7 +89,7 @@ def test_a_clean_log_has_no_fault(seed: int) -> None:
 
 
 def written(log: Logged, folder: Path) -> tuple[Path, Path]:
-    """The log as a file with its AXIS.toml."""
+    """Write the log as a file with its AXIS.toml."""
     names = list(log.columns)
     rows = np.column_stack([log.columns[name] for name in names])
     np.savetxt(folder / "log.csv", rows, "%.17g", delimiter=",", header=",".join(names), comments="")
@@ -112,13 +112,13 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
     said = pmfid.check(log.columns, axis=log.configuration)
     assert terminal.stdout.splitlines()[1:] == [line for one in said for line in one.lines]
     assert json.loads(as_json.stdout)["findings"] == [finding.to_json() for finding in said]
-    if set(codes(found_in(fault))) <= OF_LOG:  # what they do to the model is said, too
+    if set(codes(found_in(fault))) <= OF_LOG:  # effects on the model are also reported
         assert set(found_in(fault)) <= set(said)
     else:
         assert said == found_in(fault)
     result = plainly(log.record(), log.configuration)
     if isinstance(result, NotIdentifiableError):
-        assert str(result) == sentences[0]  # the others are left to the check
+        assert str(result) == sentences[0]  # the check reports the others
         return
     assert [note for note in result.notes if note in sentences] == sentences
     shown = result.to_json()
@@ -146,7 +146,7 @@ def test_an_input_that_acts_late_is_said_as_of_the_estimate() -> None:
     late = [finding for finding in found_in(JUDGED) if finding.code == "dead_time"]
     assert len(late) == 1
     notes = identify(log.record(), log.configuration).notes
-    assert any(note.startswith(late[0].text) for note in notes)  # and goes on with what comes of it
+    assert any(note.startswith(late[0].text) for note in notes)  # the notes continue with the effects of the delay
     assert late[0] in pmfid.check(log.columns, axis=log.configuration)
 
 
@@ -199,7 +199,7 @@ def value_of(pattern: str, text: str) -> str:
 
 
 def keyed(section: str, key: str) -> Callable[[Logged, str], Mended]:
-    """The key that the remedy names, with its value."""
+    """Return the mend that sets the key and the value of the remedy."""
 
     def mend(log: Logged, text: str) -> Mended:
         return Mended(log.columns, {section: {key: json.loads(value_of(rf"{key} = (\S+)", text))}})
@@ -249,7 +249,7 @@ REMEDIES: dict[str, Callable[[Logged, str], Mended]] = {
 
 
 def mass_of(record: Record, axis: Axis) -> float:
-    """By instrumental variables; infinite where these do not settle."""
+    """Return the mass by instrumental variables, or infinity if they do not converge."""
     options = axis.estimator.model_copy(update={"method": "iv"})
     ways = {"judge": mock.Mock(return_value=()), "examine_estimate": mock.Mock(return_value=None)}
     try:
@@ -286,7 +286,7 @@ def test_the_most_important_finding_comes_first_and_each_once() -> None:
 def test_a_relative_error_that_nobody_would_accept_is_no_result() -> None:
     run = make_scenario("moves", seed=1, duration=10.0)
     rng = np.random.default_rng(3)
-    u = rng.normal(size=run.counts.size)  # of another record
+    u = rng.normal(size=run.counts.size)  # the input of another record
     with pytest.raises(NotIdentifiableError):
         pmfid.identify(u, run.counts, model=pmfid.Drive(2.0), dt=run.dt, encoder=pmfid.Encoder(run.resolution))
 
@@ -297,7 +297,7 @@ def test_a_check_needs_whole_counts() -> None:
 
 
 def pendulum(gravity: bool, torque: float) -> tuple[Record, Axis]:
-    """Under slow position control, and an AXIS.toml for it; torque: of the load [N m]."""
+    """Return a pendulum under slow position control with its AXIS.toml; `torque` is the load's [N m]."""
     drive = DriveParameters(0.02, 0.05, 0.1, 1.0)
     t, dt, resolution = np.arange(3000) * 0.01, 0.01, 2 * np.pi / 4096
     reference = 1.2 * np.sin(0.7 * t) + 0.5 * np.sin(2.9 * t + 1) + 0.2 * np.sin(7.1 * t)
@@ -309,18 +309,18 @@ def pendulum(gravity: bool, torque: float) -> tuple[Record, Axis]:
 
 
 def test_a_pendulum_under_slow_position_control_is_no_velocity() -> None:
-    """Gravity takes most of the input, and a plain drive explains a third; its gravity explains nearly all."""
+    """Gravity takes most of the input: a plain drive explains a third of it, the model with gravity nearly all."""
     assert check_record(*pendulum(True, 0.8)) == ()
 
 
 def test_gravity_that_the_model_leaves_out_is_named() -> None:
-    """The remedies were a shorter sample period and a dead time of 21 samples."""
+    """An earlier version suggested a shorter sample period and a dead time of 21 samples."""
     assert [finding.code for finding in check_record(*pendulum(False, 0.8))] == ["gravity"]
     assert "gravity" not in [finding.code for finding in check_record(*pendulum(False, 1e-9))]
 
 
 def test_an_input_that_is_logged_late_is_moved_and_no_dead_time() -> None:
-    """`dead_time = "estimate"` found 0 there, and the status stayed."""
+    """For this record `dead_time = "estimate"` found 0, and the status stayed."""
     run = make_scenario("prbs", seed=1, increments=1024, duration=10.0)
     u, counts, encoder = run.motion.u, run.counts, pmfid.Encoder(run.resolution)
     late = pmfid.identify(np.roll(u, 1)[1:], counts[1:], model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)

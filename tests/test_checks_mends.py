@@ -1,4 +1,4 @@
-"""Faults that the checks once missed, and clean logs in which they once saw one."""
+"""Faults that the checks once missed, and clean logs in which they once found a fault."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def found_in(log: Logged) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("seed", [3006, 3019])
 def test_a_velocity_is_read_as_it_stands(seed: int) -> None:
-    # at 3006 the axis rests between moves, and what mends positions set its steps right; at 3019 two levels drive it
+    # At 3006 the axis rests between moves, so that the mend of positions removes its steps; at 3019 the input has two
+    # levels.
     assert found_in(faulty("velocity as position", seed)) == ("velocity",)
 
 
@@ -37,7 +38,7 @@ def test_an_axis_at_rest_stays_where_it_is() -> None:
 
 # --- stops ------------------------------------------------------------------------------------------------------------
 
-#: Moves at a constant acceleration up and down, 20 counts per sample at most, with rests.
+#: Counts of moves with constant acceleration up and down, with at most 20 counts per sample and with rests.
 RAMP = np.repeat([0.0, *np.linspace(0, 20, 60), *np.linspace(20, 0, 60), 0.0], [30] + [1] * 120 + [30])
 SPEED = np.tile(np.r_[RAMP, -RAMP], 4)
 
@@ -53,7 +54,7 @@ def test_rests_are_no_sudden_stops() -> None:
 
 
 def test_a_counter_that_catches_up_was_stuck() -> None:
-    # the axis is nearly as sudden by itself as where the counter stops, but nowhere as where it goes on
+    # The axis itself stops nearly as suddenly as the counter, but it never starts as suddenly.
     assert found_in(faulty("stuck counter", 1008)) == ("stuck",)
 
 
@@ -99,7 +100,7 @@ def test_a_note_ends_no_search_and_is_no_fault(tmp_path: Path) -> None:
     log = limited(5044, {"slide": ALL["slide"]})
     record, axis = written(log, tmp_path)
     result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
-    assert result.exit_code == 1  # for the model, which is wrong there
+    assert result.exit_code == 1  # of the model, which is wrong there
     assert "\nnote: the input column" in result.stdout
     assert "\ndoubt: an unmodelled effect" in result.stdout
     assert "doubt: the input column" not in result.stdout

@@ -1,4 +1,4 @@
-"""The command as a stranger tries it: bad input of every kind, and what good input prints and writes."""
+"""The command as a new user tries it: bad input of every kind, and the output for good input."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 from tests.conftest import PROGRESS, long_unless
 
 METHODS = ["auto", *methods_for(Drive(1.0))]
-#: One of each family: chosen, recursive with instruments, compensated least squares, likelihood.
+#: One method of each family: automatic choice, recursive with instruments, compensated least squares, likelihood.
 FAMILIES = ["auto", "riv", "bcls", "interval"]
 EVERY_METHOD = long_unless(FAMILIES.__contains__, METHODS)
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
@@ -47,7 +47,7 @@ Change = Callable[[pl.DataFrame], pl.DataFrame]
 
 @dataclass(frozen=True)
 class Cart:
-    """One simulated run in the three kinds of file; frame: columns t [s], u [V], counts."""
+    """One simulated run in three kinds of file; the columns of `frame` are t [s], u [V] and counts."""
 
     csv: Path
     parquet: Path
@@ -71,7 +71,7 @@ def run(record: Path, *options: str, config: Path = AXIS) -> Result:
 
 
 def good(record: Path, *options: str, config: Path = AXIS) -> dict[str, Any]:
-    """The one JSON object that a run without complaints prints."""
+    """Return the one JSON object that a run without complaints prints."""
     result = run(record, "--json", *options, config=config)
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout.count("\n") == 1
@@ -81,13 +81,13 @@ def good(record: Path, *options: str, config: Path = AXIS) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where `found` writes, a folder for each method."""
+    """Return the folder in which `found` writes one folder for each method."""
     return tmp_path_factory.mktemp("found") / "new"
 
 
 @pytest.fixture(scope="module")
 def found(cart: Cart, out: Path) -> Callable[[str], dict[str, Any]]:
-    """What each method makes of the run, once; the files of a few."""
+    """Return a function that runs each method once; a few methods write files."""
 
     def run_once(method: str) -> dict[str, Any]:
         return good(cart.csv, "--method", method, *(("--out", str(out / method)) if method in FAMILIES else ()))
@@ -96,7 +96,7 @@ def found(cart: Cart, out: Path) -> Callable[[str], dict[str, Any]]:
 
 
 def complaint(result: Result, code: int = 2) -> str:
-    """The one line on standard error, and nothing else anywhere."""
+    """Return the one line on standard error; all other output must be empty."""
     assert isinstance(result.exception, SystemExit)
     assert (result.exit_code, result.stdout) == (code, "")
     assert result.stderr.startswith("pmfid: ")
@@ -105,7 +105,7 @@ def complaint(result: Result, code: int = 2) -> str:
 
 
 def usage(result: Result) -> str:
-    """The line of a refused command line, below click's two lines on how to ask for help."""
+    """Return the line of a refused command line, which follows click's two lines on help."""
     assert (result.exit_code, result.stdout) == (2, "")
     assert "Traceback" not in result.stderr
     *_, last = result.stderr.splitlines()
@@ -124,7 +124,7 @@ def written(folder: Path, frame: pl.DataFrame) -> Path:
 
 
 def axis(folder: Path, old: str, new: str) -> Path:
-    """examples/cart.toml with one text replaced."""
+    """Write examples/cart.toml with one text replaced."""
     text = AXIS.read_text()
     assert text.count(old) == 1
     (folder / "axis.toml").write_text(text.replace(old, new))
@@ -132,7 +132,7 @@ def axis(folder: Path, old: str, new: str) -> Path:
 
 
 def edited(column: str, row: int, value: float) -> Change:
-    """One value of a column replaced; rows count from 1, as in the messages."""
+    """Return a change of one value of a column; rows count from 1, as in the messages."""
 
     def change(frame: pl.DataFrame) -> pl.DataFrame:
         values = frame[column].to_numpy().astype(float)
@@ -176,7 +176,7 @@ def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> Non
     assert "the file is empty; export the record again" in bad(record)
     whole: bytes = getattr(cart, kind).read_bytes()
     record.write_bytes(whole[: whole.rindex(b",") if kind == "csv" else len(whole) // 2])
-    if kind == "csv":  # it has no end mark, only its last row can be incomplete
+    if kind == "csv":  # CSV has no end mark, so that only its last row can be incomplete
         assert good(record)["samples"] == 2999
     else:
         assert "truncated or corrupt" in bad(record)
@@ -291,7 +291,7 @@ def test_out_without_permission(tmp_path: Path, cart: Cart, monkeypatch: pytest.
 
 
 def moved(u: np.ndarray) -> pl.DataFrame:
-    """The cart under the input u [V], (n,)."""
+    """Simulate the cart under the input u [V], (n,)."""
     motion = simulate_drive(Schedule(((0.0, CART),)), u, CART_DT)
     counts = quantize(motion.x, CART_RESOLUTION, phase=1e-6)
     return pl.DataFrame({"t": motion.t, "u": u, "counts": counts})
@@ -334,7 +334,7 @@ STEPS = [("91e-6", 0), ("91e-6", 100), ("364e-6", 100), ("728e-6", 0), ("1.5e-3"
 def test_constant_input_with_a_coarse_encoder_is_never_silently_wrong(
     tmp_path: Path, method: str, step: str, start: int
 ) -> None:
-    """It starts at once, or after a second."""
+    """The input starts at once, or after a second."""
     u = np.where(np.arange(3000) < start, 0.0, 3.0)
     never_silently_wrong(run(written(tmp_path, moved(u)), "--json", "--method", method, "--quantize", step))
 
@@ -358,7 +358,7 @@ def test_input_of_the_wrong_sign_is_never_silently_wrong(tmp_path: Path, cart: C
 
 
 def never_silently_wrong(result: Result) -> None:
-    """Exit code 3 and one line, or an estimate that is right within 10 %, or one that is flagged."""
+    """Check for exit code 3 with one line, or an estimate that is right within 10 %, or a flagged estimate."""
     if result.exit_code:
         complaint(result, code=3)
         return

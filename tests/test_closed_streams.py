@@ -1,4 +1,4 @@
-"""A standard stream that is closed, as by `<&-`, is empty or takes everything."""
+"""A closed standard stream, as by `<&-`, is empty for reads and accepts all writes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_pipe_that_is_closed_is_empty(folder: Path) -> None:
 
 
 def test_events_that_nobody_takes_end_nothing(folder: Path) -> None:
-    """Nor does a file that is opened get them."""
+    """The events also do not go into an opened file."""
     process = start(folder, "--out", str(folder / "unheard.csv"), before=lambda: os.close(1))
     _, error = end(process)
     assert (process.returncode, PROGRESS.sub("", error)) == (0, "")

@@ -36,7 +36,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True, scope="module")
 def compared() -> Iterator[None]:
-    """The same records are compared once; each test looks at what is made of it."""
+    """Compare the same records only once for all tests."""
     known: dict[bytes, Comparison] = {}
 
     def once(data: Records, axis: Axis, done: Progress | None = None) -> Comparison:
@@ -122,7 +122,7 @@ def test_a_drive_keeps_its_single_table(record):
 
 
 def _cells(page: Path) -> list[list[str]]:
-    """Header and rows of the first table of a report."""
+    """Return header and rows of the first table of a report."""
     table = page.read_text().split("<table", 1)[1].split("</table>", 1)[0]
     return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in table.split("<tr")[1:]]
 

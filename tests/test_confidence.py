@@ -1,4 +1,4 @@
-"""Transfer functions: error bars for noise of any colour, and the tests that say where no error bar can hold."""
+"""Transfer functions: error bars for noise of any colour, and findings for records on which no error bar holds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LAG = ((2.0,), (1.0, 1.5))
 
 
 def coloured(rng: np.random.Generator, samples: int, pole: float = 0.9) -> np.ndarray:
-    """Unit variance."""
+    """Return coloured noise of unit variance."""
     return lfilter([np.sqrt(1 - pole**2)], [1.0, -pole], rng.standard_normal(samples + 200))[200:]
 
 
@@ -58,7 +58,7 @@ def test_the_covariance_of_a_sum_is_that_of_the_matrix():
 
 
 def test_what_the_fit_took_of_the_noise_is_put_back():
-    """Slow columns take slow noise: the residual's own power is a quarter short, the model's is not."""
+    """Slow columns absorb slow noise: the residual's own power is a quarter too small, the model's power is not."""
     samples = 300
     Q = np.linalg.qr(np.cos(np.outer(np.arange(samples) + 0.5, np.arange(6)) * np.pi / samples))[0]
     found = []
@@ -87,7 +87,7 @@ def test_missing_samples_are_no_zeros():
 
 @pytest.mark.parametrize("samples", [300, pytest.param(1500, marks=pytest.mark.long)])
 def test_bars_hold_for_coloured_noise(samples):
-    """Products of the scores under a window had bars of the gain a third short at 300 samples."""
+    """Products of the scores under a window once gave bars of the gain that were a third too short at 300 samples."""
     u, z = sweep(samples), []
     clean = simulate_process(*LAG, u, DT)
     estimator = SRIVC(TransferFunction(1, 0), Encoder(1.0), DT, 2.0)
@@ -111,18 +111,18 @@ def test_least_squares_of_a_filtered_equation_has_such_bars_too():
 
 
 def test_near_poles_have_the_bars_of_both():
-    """(s + 1)^2 estimated as a pair a little apart: to first order the bars are a tenth of the distance."""
+    """(s + 1)^2 is estimated as a pair slightly apart: to first order the bars are a tenth of the distance."""
     process = Process(np.array([0.99, 2.0]), np.array([1.0]), np.diag([0.01**2, 1e-12, 1e-12]))
     assert process.poles.real == pytest.approx([-0.9, -1.1])
     assert np.all(process.poles_std[:, 0] > 0.02)
-    spread = np.sqrt([0.01 + 0.02, 0.01]) - 0.1  # with the discriminant two standard deviations larger
+    spread = np.sqrt([0.01 + 0.02, 0.01]) - 0.1  # with a discriminant that is two standard deviations larger
     assert process.poles_std[0, 0] == pytest.approx(max(spread[0], 0.1) / 2, rel=0.05)
     apart = replace(process, a=np.array([3.0, 4.0]))
-    np.testing.assert_allclose(apart.poles_std[:, 0], 0.005, rtol=0.02)  # as the delta method has it
+    np.testing.assert_allclose(apart.poles_std[:, 0], 0.005, rtol=0.02)  # as the delta method gives it
 
 
 def test_a_variance_that_rounding_makes_negative_is_no_small_bar():
-    """It was a bar of nothing for the pole, and NaN with a warning for the gain."""
+    """An earlier version gave a bar of 0 for the pole, and NaN with a warning for the gain."""
     cov = np.array([[1e6, 1.0, 0.0], [1.0, 1e-7, 0.0], [0.0, 0.0, 1e-8]])
     process = Process(np.array([2.0, 3.0]), np.array([1.0]), cov)
     assert np.all(process.poles_std[:, 0] > np.abs(process.poles))
@@ -152,7 +152,7 @@ def test_a_model_that_is_too_small_is_no_feedback():
 
 
 def looped(seed: int, noise: float, reference: str) -> Experiment:
-    """The lag under proportional control."""
+    """Return the record of the lag under proportional control."""
     rng, samples = np.random.default_rng(seed), 1000
     r = sweep(samples) if reference == "sweep" else np.repeat(rng.choice([-1.0, 1.0], samples // 10), 10)
     keep, v = float(expm(np.array([[-1.5 * DT]]))[0, 0]), noise * coloured(rng, samples)
@@ -176,7 +176,7 @@ def test_a_loop_is_found_however_small_the_noise(reference, noise):
 
 
 def test_an_estimate_on_the_noise_is_uncertain():
-    """Four poles on 300 samples: a pair settles on what the noise rings with, a bar of a hundredth of where it is."""
+    """On 300 samples a model of four poles fits a pair to the ringing noise, with a bar of a hundredth of the value."""
     rng = np.random.default_rng([4, INPUTS.index("sweep"), NOISES.index("resonance")])
     plant, hold = random_plant(rng), ("zoh", "foh")[int(rng.integers(2))]
     record = open_record(plant, "sweep", "resonance", 300, hold, rng)
@@ -206,7 +206,7 @@ def test_a_wrong_hold_is_unmodelled_and_no_feedback(made, kind):
 
 
 def test_a_numerator_that_is_not_known_is_no_reason_to_refuse():
-    """Two zeros too many: each of the numerator's coefficients may be anything, the response is there to 99 %."""
+    """With two zeros too many, the numerator's coefficients are arbitrary, but the response is right to 99 %."""
     rng, u = np.random.default_rng(3), sweep(400)
     y = simulate_process(*LAG, u, DT) + 0.01 * coloured(rng, 400)
     estimator, record = SRIVC(TransferFunction(2, 1), Encoder(1.0), DT, 2.0), Experiment(u, y, dt=DT)

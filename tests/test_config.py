@@ -1,4 +1,4 @@
-"""AXIS.toml: what is accepted, and the one error text for everything that is not."""
+"""AXIS.toml: the accepted content, and the one error text for all other content."""
 
 from __future__ import annotations
 
@@ -244,7 +244,7 @@ def test_the_examples_load() -> None:
 
 
 def test_an_unknown_kind_is_the_only_problem(tmp_path: Path) -> None:
-    """Whether there must be an encoder depends on it."""
+    """Only the kind decides whether an encoder is needed."""
     text = (Path(__file__).parents[1] / "examples" / "second_order.toml").read_text()
     path = tmp_path / "axis.toml"
     path.write_text(text.replace('"transfer_function"', '"transferfunction"'))

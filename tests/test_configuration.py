@@ -1,4 +1,4 @@
-"""The kernel's configuration is one structure: whoever adds a field to pmf.h must say where its value is made."""
+"""The kernel's configuration is one structure: a new field of pmf.h needs a place that makes its value."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def config_of(method: str) -> np.ndarray[Any, Any]:
 
 
 def grown(place: str) -> np.dtype[Any]:
-    """The configuration's type with one more field in one of its structures."""
+    """Return the configuration's type with one more field in one of its structures."""
     whole = structures(None, "float64")["pmf_config_t"]
     fields = [(name, whole[name]) for name in whole.names or ()]
     part = [*((name, whole[place][name]) for name in whole[place].names or ()), (NEW, np.dtype("<u4"))]
@@ -52,7 +52,7 @@ def test_a_field_without_a_value_is_found(method: str, place: str, monkeypatch: 
     plain = config_of("RLS").tobytes()
 
     class Kernel(_kernel64.Kernel):
-        """Takes the configuration of the estimator that this one starts from, in which the new field has no part."""
+        """A kernel that takes the configuration of the original estimator, which lacks the new field."""
 
         def __init__(self, config: bytes) -> None:
             super().__init__(plain)
@@ -139,11 +139,11 @@ def test_a_kernel_from_the_bytes_of_another_gives_its_bits(method: str) -> None:
 
 def test_the_status_has_the_numbers_of_the_header() -> None:
     constants = constants_of(None)
-    assert sum(Status) == constants["PMF_STATUS_BITS"]  # none is left out
+    assert sum(Status) == constants["PMF_STATUS_BITS"]  # every status bit is named
     assert all(constants[f"PMF_{bit.name}"] == bit for bit in Status)
 
 
 def test_what_lies_between_the_fields_is_zero() -> None:
-    """Else equal configurations would have different checksums, and a fleet refuse its own states."""
+    """Otherwise equal configurations would have different checksums, and a fleet would refuse its own states."""
     config = config_of("RLS")
     assert resize_structure(config, config.dtype).tobytes() == made("RLS").runner.kernel.raw_config()

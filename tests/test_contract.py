@@ -1,4 +1,4 @@
-"""What every estimator owes: all that exist are found, and held to the contract that ships."""
+"""The contract of estimators: the test finds every estimator and checks it against the shipped contract."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_contract_has_checks():
 
 
 def concrete() -> set[type[Estimator]]:
-    """Every class below `Estimator` that has a method's name, wherever in the room it is defined."""
+    """Return every class below `Estimator` with a method name, from any module of the package."""
     found = set()
     for module in pkgutil.iter_modules(estimators.__path__, "pmfid.estimators."):
         for _, cls in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):

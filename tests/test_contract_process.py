@@ -1,4 +1,4 @@
-"""What every estimator owes on a linear process: all that take one are found, and held to the contract that ships."""
+"""The contract of estimators on a linear process: every estimator that takes one is found and checked."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_methods_are_these():
 
 @pytest.mark.parametrize("cls", METHODS)
 def test_finds_the_truth_after_noise(cls):
-    """A zero in the right half-plane, 30 dB; the output is measured as a number: its noise is not the encoder's."""
+    """The process has a zero in the right half-plane, and 30 dB of noise that is not the encoder's."""
     run = make_record(UNDERSHOOT, 1, snr=30.0)
     options = {"noise_std": run.noise_std} if "known-step" in cls.method else {}
     estimator = build(cls, UNDERSHOOT, run, **options)
@@ -63,7 +63,7 @@ def test_rest_means_nothing_to_a_process(cls):
 
 @pytest.mark.parametrize("cls", RECURSIVE)
 def test_the_largest_model_of_the_kernel(cls):
-    """Eight parameters: fourth order with three zeros."""
+    """The model has eight parameters: fourth order with three zeros."""
     estimator = cls(TransferFunction(4, 3), pmfid.Encoder(1e-6), 0.01, 20.0)
     assert len(estimator.step(1.0, 0).theta) == 8
     with pytest.raises(pmfid.UsageError, match="at most 8 parameters, this transfer_function has 9: a0"):

@@ -1,4 +1,4 @@
-"""The pole of the filters, chosen by the record."""
+"""The choice of the filters' pole by the record."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ input_gain = {gain}
 
 
 def identified(axis: Axis, motion: str, cutoff: float | None = None, **settings: object) -> tuple[Floats, Result]:
-    """Errors in parts of the truth (3,), and the result."""
+    """Return the relative errors (3,) and the result."""
     record = record_of(axis, Machine(axis.drive), motion, 4096, 11)
     encoder, model = pmfid.Encoder(record.resolution), pmfid.Drive(axis.drive.input_gain)
     result = pmfid.identify(
@@ -49,7 +49,7 @@ def identified(axis: Axis, motion: str, cutoff: float | None = None, **settings:
 
 @pytest.mark.parametrize("name", ["wheel", "plotter", "crane"])
 def test_no_setting_of_the_estimator_is_needed(name: str) -> None:
-    """From 2.6e-5 kg m2 every millisecond to 500 kg every 20."""
+    """The axes range from 2.6e-5 kg m2 every millisecond to 500 kg every 20 ms."""
     error, result = identified(REAL[name], "prbs", method="iv")
     assert abs(error[0]) < 5e-3
     assert any("was chosen by this record" in note for note in result.notes)
@@ -59,7 +59,7 @@ def test_no_setting_of_the_estimator_is_needed(name: str) -> None:
 
 
 def test_filters_far_too_fast_for_the_encoder_are_not_chosen() -> None:
-    """With three samples the mass of the mirror is 26 % off with its encoder."""
+    """With three samples the mass of the mirror has an error of 26 % with its encoder."""
     axis = REAL["mirror"]
     record = record_of(axis, Machine(axis.drive), "stop-and-go", 4096, 11)
     model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
@@ -88,7 +88,7 @@ def test_without_motion_it_is_the_record_that_is_refused() -> None:
 
 
 def test_an_equation_that_nothing_simulates_has_a_cutoff_too() -> None:
-    """Its direction is that of the counts, and least squares with compensation chooses."""
+    """The direction is taken from the counts, and compensated least squares makes the choice."""
     axis = REAL["plotter"]
     record = record_of(axis, Machine(axis.drive), "prbs", 4096, 3)
     terms = (
@@ -123,7 +123,9 @@ def test_the_command_needs_none_and_export_asks_for_one_or_a_record(tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["crane", "door"])
 def test_on_line_the_filters_settle_within_what_is_remembered(name: str) -> None:
-    """A record of many minutes prefers filters after which a recursion of two seconds never trusts its instruments."""
+    """For a record of many minutes, a recursion of two seconds would never trust its instruments with the preferred
+    filters.
+    """
     axis = replace(REAL[name], samples=30_000)
     record, forgetting = record_of(axis, Machine(axis.drive), "multisine", 256, 5), 1 - axis.dt / 2.0
     model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
@@ -136,7 +138,7 @@ def test_on_line_the_filters_settle_within_what_is_remembered(name: str) -> None
 
 
 def test_a_monitor_has_filters_for_its_memory(tmp_path: Path) -> None:
-    """Where AXIS.toml names neither pole nor memory."""
+    """AXIS.toml names neither pole nor memory here."""
     axis = replace(REAL["crane"], samples=30_000)
     record = record_of(axis, Machine(axis.drive), "multisine", 4096, 5)
     np.savetxt(

@@ -1,4 +1,4 @@
-"""An input that acts late, by any part of a sample: known, estimated, and found where the model has none."""
+"""An input that acts late, by any part of a sample: known, estimated, and found by a model without a dead time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def prbs(axis: str, late: float, seed: int = 1, switches: int = 300) -> MachineR
 
 @cache
 def strokes(late: float, seed: int = 1, step: float = CART[6]) -> MachineRun:
-    """The cart under position control, from place to place."""
+    """Simulate the cart under position control, from place to place."""
     gain, mass, viscous, coulomb, dt, _, _, _ = CART
     rng = np.random.default_rng(seed)
     places = np.cumsum(rng.uniform(0.1, 0.3, 14) * np.resize([1.0, -1.0], 14))
@@ -79,7 +79,7 @@ def test_methods_that_follow_the_whole_motion_find_it_under_control(method: type
 
 @pytest.mark.parametrize("seed", [2, 4])
 def test_iv_takes_it_from_the_motion_that_explains_every_count(seed: int) -> None:
-    """Through a coarse encoder the input changes with the encoder's error, and by that alone it was a tenth off."""
+    """Through a coarse encoder the input follows the encoder's error; instruments alone were once wrong by a tenth."""
     run, model = strokes(0.7, seed, 7e-4), Drive(2.0, dead_time="estimate")
     fit, alone = (method(model, Encoder(7e-4), 0.01, 20.0).fit(run.u, run.counts) for method in (IV, Instruments))
     assert fit.theta[-1] / 0.01 == pytest.approx(0.7, abs=0.03)
@@ -140,7 +140,9 @@ def test_riv_says_on_line_that_the_input_acts_late(axis: str) -> None:
     run = prbs(axis, 0.6, switches=900)
     track = made(RIV, axis, 0.0).run(run.u, run.counts)
     assert track.status[-1] & WRONG_MODEL
-    assert track.has_status(Status.DEAD_TIME).any() or axis == "wheel"  # there only that the model is wrong
+    assert (
+        track.has_status(Status.DEAD_TIME).any() or axis == "wheel"
+    )  # for the wheel the status only says that the model is wrong
 
 
 @pytest.mark.parametrize("axis", AXES)

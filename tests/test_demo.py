@@ -1,4 +1,4 @@
-"""The demo: what it promises, and that it computes what it says."""
+"""The demo keeps its promises and computes the numbers that it shows."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def result() -> DemoResult:
 
 @pytest.fixture(scope="module")
 def folder(result: DemoResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the demo writes."""
+    """Write the demo and return its folder."""
     place = tmp_path_factory.mktemp("demo")
     write_demo(place, result)
     return place
@@ -156,7 +156,7 @@ def test_other_durations_work() -> None:
 
 
 def test_the_first_screen_says_what_happened(result: DemoResult, folder: Path) -> None:
-    """A figure, one sentence, a table; the numbers are those of the rows."""
+    """The first screen has a figure, one sentence and a table, whose numbers are those of the rows."""
     page = (folder / "report.html").read_text("utf-8")
     first = page.partition("<section>")[2].partition("</section>")[0]
     assert first.index("<figure") < first.index("<p>") < first.index("<table>")

@@ -1,4 +1,4 @@
-"""`pmfid design`, before the first run and after, as a stranger tries them."""
+"""`pmfid design`, before and after the first run, as a new user tries it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Where the example's design is written, and what was printed."""
+    """Return the folder of the example's design, and the printed text."""
     out = tmp_path_factory.mktemp("design")
     result = run("design", EXAMPLE, *FEW, "--out", out)
     assert result.exit_code == 0
@@ -46,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
-    """Input of the first design of a commissioning."""
+    """Return the input of the first design of a commissioning."""
     out = tmp_path_factory.mktemp("first")
     assert run("design", EXAMPLE, "--want", "mass=1e-6", "--starts", "3", "--out", out).exit_code == 0
     return pl.read_csv(out / "design.csv")["u"].to_numpy()[:-1]
@@ -137,7 +137,7 @@ def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_same_seed_gives_the_same_motion(folder: tuple[Path, str], tmp_path: Path) -> None:
-    run("design", EXAMPLE, *FEW, "--seed", "0", "--out", tmp_path)  # the example has 0
+    run("design", EXAMPLE, *FEW, "--seed", "0", "--out", tmp_path)  # the example has seed 0
     for file in ("design.csv", "prbs.csv"):
         assert (tmp_path / file).read_bytes() == (folder[0] / file).read_bytes()
 
@@ -195,7 +195,7 @@ def test_wrong_options_are_one_error(arguments: list[str], message: str) -> None
 
 
 def record(tmp_path: Path, u: np.ndarray, mass: float) -> Path:
-    """A run of this input on an axis with this mass, sampled faster than the design."""
+    """Write a run of this input on an axis with this mass, sampled faster than the design."""
     problem = make_problem(load_spec(EXAMPLE, {"encoder.samples_per_interval": 5}))
     motion = simulate(problem, u, {"mass": mass})
     counts = np.floor(motion.x / 22.75e-6 + 0.4).astype(int)

@@ -1,4 +1,4 @@
-"""What `pmfid design SPEC RECORD` says of counts: deviations that are true, inputs that serve it, doubts where due."""
+"""`pmfid design SPEC RECORD` with counts: true deviations, inputs that serve the command, and due doubts."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_errors_are_as_large_as_claimed(name: str) -> None:
     found = usual_claims(name)
     ratio = np.abs(found.errors / found.stds)
     assert ratio.max() < 4.0
-    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6  # of a few runs, whose parameters err together
+    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6  # from a few runs, whose parameters have common errors
     assert found.inside.mean() >= 0.85
     assert not found.unexplained.any()
 
@@ -63,7 +63,9 @@ def test_the_expected_deviation_is_that_of_the_estimates() -> None:
 
 
 def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float]:
-    """One trapezoid of the 1 kg axis, with what the model lacks; the wanted deviation of the mass is a tenth of it."""
+    """Simulate one trapezoid of the 1 kg axis with effects that the model lacks; ask for a tenth of the mass's
+    deviation.
+    """
     problem = replace(MACHINES["1 kg"], resolution=resolution)
     u = np.r_[np.repeat(standard_inputs(problem, names=(USUAL,))[USUAL].u, problem.samples_per_interval), 0.0]
     dt = problem.dt / problem.samples_per_interval
@@ -100,7 +102,7 @@ def test_the_right_model_is_not_doubted() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_an_axis_without_one_of_the_frictions_is_not_refused(seed: int) -> None:
-    problem = MACHINES["8 kg, 2 mm"]  # least squares ends at the bound, 0
+    problem = MACHINES["8 kg, 2 mm"]  # least squares ends at the bound 0
     experiment = simulated_experiment(problem, {"coulomb_friction": 0.0}, np.random.default_rng(seed))
     run = experiment(evaluate(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u))
     known = calibrate(problem, [run])
@@ -122,7 +124,7 @@ def test_two_runs_know_more_than_one_and_a_prior_counts() -> None:
 
 
 def test_an_input_is_chosen_that_leaves_no_parameter_worse_than_the_trapezoid() -> None:
-    # 0.01 m/s are exactly 10 counts per sample: the encoder's error repeats where the design creeps
+    # 0.01 m/s are exactly 10 counts per sample, so that the encoder's error repeats at the creep speed of the design
     problem = replace(MACHINES["40 kg"], resolution=50e-6, samples_per_interval=1)
     state = redesign(problem, [], {}, starts=4)
     assert state.choice is not None
@@ -133,7 +135,7 @@ def test_an_input_is_chosen_that_leaves_no_parameter_worse_than_the_trapezoid() 
 
 @pytest.mark.parametrize("name", long_unless("rotary".__eq__, ["40 kg", "150 kg, slow", "rotary"]))
 def test_a_motion_that_stops_on_a_machine_near_by_is_not_chosen(name: str) -> None:
-    """Before, designs at the least speed stopped on one machine in ten: 0.30 of the trapezoid's information on F_c."""
+    """Designs at the least speed once stopped on one machine in ten, with 0.30 of the trapezoid's information."""
     problem = MACHINES[name]
     choice = choose(evaluate(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u), starts=4)
     assert choice.name != USUAL

@@ -1,4 +1,4 @@
-"""Motions at the edge: to and fro between limits, large inputs, few intervals."""
+"""Motions at the edge of a design: forward and back between limits, large inputs, few intervals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMES = ("mass", "viscous_friction", "coulomb_friction")
 def to_and_fro(
     values: tuple[float, float, float], gain: float, duration: float, rests: tuple[int, int], limits: Limits, size: int
 ) -> Problem:
-    """Forward, a rest, back to where it started, and a rest there; rests: their lengths in intervals."""
+    """Return the problem of a move forward, a rest, a move back, and a rest; `rests` are their lengths in intervals."""
     way = (size - sum(rests)) // 2
     directions = (1,) * way + (0,) * rests[0] + (-1,) * (size - sum(rests) - way) + (0,) * rests[1]
     return Problem(
@@ -39,7 +39,7 @@ def to_and_fro(
 
 
 LIGHT = ((0.18979340340880785, 1.599595856897632, 0.09556429941859632), 2.0, 3.6461140381518007, (3, 1))
-#: Inputs of thousands, because little force comes of one.
+#: The inputs are thousands, because a unit of input gives little force.
 WEAK = ((33.39198165368409, 377.89086877893544, 2.0178120152151604), 0.2254297231411151, 2.110053474090249, (3, 1))
 
 

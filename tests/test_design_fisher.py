@@ -1,4 +1,6 @@
-"""Sensitivities against difference quotients, an independent integration and closed forms; criteria against theirs."""
+"""Sensitivities against difference quotients, an independent integration and closed forms; criteria against closed
+forms.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,7 @@ def test_sensitivities_are_difference_quotients(drive: tuple[float, float, float
         def moved(part: float, name: str = name, h: float = h) -> np.ndarray:
             return motion(case, u, {name: case.nominal[name] + part * h})[0][1:]
 
-        # the quotient of order six leaves h^6: nothing next to rounding
+        # the quotient of order six has an error of h^6, which is negligible next to rounding
         quotient = (45 * (moved(1) - moved(-1)) - 9 * (moved(2) - moved(-2)) + moved(3) - moved(-3)) / (60 * h)
         assert np.abs(quotient - exact[:, i]).max() <= 1e-8 * max(np.abs(exact[:, i]).max(), 1e-3)
 
@@ -136,7 +138,7 @@ def test_the_tangent_at_the_best_mixture_bounds_every_part() -> None:
         weights = proportions(rule, parts)
         mean = np.tensordot(weights, parts, 1)
         assert weights.sum() == pytest.approx(1.0, abs=1e-4)
-        if name != "E":  # not smooth where two eigenvalues meet
+        if name != "E":  # E is not smooth where two eigenvalues meet
             assert np.tensordot(parts, share(rule, mean), 2).max() <= rule.value(mean) * (1 + 1e-3)
         for other in rng.dirichlet(np.ones(8), 20):
             assert rule.value(np.tensordot(other, parts, 1)) <= np.sum(

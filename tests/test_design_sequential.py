@@ -18,7 +18,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from studies.design_case import NOMINAL, case
 
 CASE = case("m, d, F_c")
-#: The same axis where the position has normal noise in place of counts.
+#: The same axis with normal noise of the position in place of counts.
 NOISY = replace(CASE, resolution=None, noise_variance=CASE.variance)
 TRUTH = {"mass": 1.2, "viscous_friction": 7.0, "coulomb_friction": 0.5}
 U = standard_inputs(CASE, names=("minimum_time",))["minimum_time"].u
@@ -56,7 +56,7 @@ def test_the_scatter_is_that_of_the_information() -> None:
         found = calibrate(NOISY, [run({}, noise, seed)])
         root = np.linalg.cholesky(found.information)
         errors.append(root.T @ [found.parameters[name] - NOMINAL[name] for name in CASE.names])
-    # 180 squares of standard normal variables, less what the inflation takes off
+    # 180 squares of standard normal variables, reduced by the inflation
     assert np.mean(np.square(errors)) == pytest.approx(0.9, abs=0.3)
 
 

@@ -1,4 +1,4 @@
-"""The second opinion on a design: the simulation with stiction, and what an appraisal makes of it."""
+"""The second opinion on a design: the simulation with stiction, and its appraisal."""
 
 from __future__ import annotations
 
@@ -65,7 +65,9 @@ def test_simulate_wants_one_value_per_interval() -> None:
 def test_a_design_with_a_least_speed_survives(best: Design) -> None:
     found = appraise(best)
     assert found.worths["design"].surviving == pytest.approx(1.0, abs=1e-3)
-    assert appraise(replace(best, problem=known(CASE))).warnings == ()  # by what the counts leave open it is better
+    assert (
+        appraise(replace(best, problem=known(CASE))).warnings == ()
+    )  # the design is better, by the parameters that the counts allow
     assert "comes to rest on a machine a little heavier" in found.warnings[0]
     assert found.gain["trapezoid"] > 4.5
     assert found.gain["minimum_time"] >= 1 - 1e-6
@@ -104,7 +106,7 @@ def test_what_is_gathered_ends_at_the_value(best: Design, criterion: str) -> Non
 
 def test_an_unknown_start_costs_information(best: Design) -> None:
     s = affine(CASE).weigh_sensitivities(best.u)
-    # as one more parameter with a sensitivity of 1, and a sample at the start
+    # a further parameter with a sensitivity of 1, and a sample at the start
     wide = np.vstack([np.c_[np.zeros(3), s], np.ones(s.shape[1] + 1)])
     covariance = np.linalg.inv(wide @ wide.T)[:3, :3]
     assert np.linalg.inv(start_free(s)) == pytest.approx(covariance, rel=1e-6)

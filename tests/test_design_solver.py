@@ -1,4 +1,4 @@
-"""Designs keep all limits, are the best there are as far as anybody has found, and their bounds hold."""
+"""Designs keep all limits and equal the best known ones, and their bounds hold."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LIMITS = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
 
 
 def case(unknown: int = 1, intervals: int = 40, **limits: object) -> Problem:
-    """The case of the paper, section IV-A, with a least speed."""
+    """Return the case of the paper, section IV-A, with a least speed."""
     bounds = replace(LIMITS, **limits)  # type: ignore[arg-type]
     return Problem(pmfid.Drive(2.0), NOMINAL, NAMES[:unknown], 2.0, intervals, bounds, resolution=91e-6, end=(0.4, 0.0))
 
@@ -76,7 +76,7 @@ def test_vertices_keep_every_limit(m: float, d: float, F: float, end: float, tig
 
 
 def _needed(problem: Problem, name: str, u: np.ndarray | None = None) -> float:
-    """What an input asks of a limit; without one, that of a quiet motion at constant speed."""
+    """Return the need of an input for a limit; without an input, the need of a motion at constant speed."""
     if u is None:
         m, d, F = problem.nominal.values()
         speed = (problem.end[0] or 0.0) / problem.horizon
@@ -108,7 +108,7 @@ def test_bounds_are_proved_and_hold() -> None:
 
 
 def _slow(intervals: int) -> np.ndarray:
-    """A feasible input that is far from the best: the one of least energy."""
+    """Return the feasible input of least energy, which is far from the best."""
     return nearest(input_set(case(1, intervals)), np.zeros(intervals))
 
 
@@ -128,7 +128,9 @@ def test_roundness_has_no_bound() -> None:
 
 
 def test_a_second_motion_tells_more_than_the_first_again() -> None:
-    """With the first as the prior, as the rounds do it: no mixture of motions tells more than 1.53 times as much."""
+    """The first motion is the prior of the second, as in rounds: a mixture of motions gives at most 1.53 times as
+    much.
+    """
     first = solve(case(3), "D", starts=5)
     second = solve(replace(case(3), prior=first.fisher), "D", starts=5)
     assert 1.45 * 2 * first.value < second.value < 1.54 * 2 * first.value
@@ -153,7 +155,7 @@ def test_a_robust_design_keeps_the_limits_in_every_scenario(average: str | None)
 
 
 def test_stops_and_reversals_are_exact() -> None:
-    """The information of a motion with rests is there with true stiction, too."""
+    """A motion with rests has the same information with true stiction."""
     from pmfid.design.simulated import simulated_information
 
     sense = (1,) * 20 + (0,) * 2 + (-1,) * 18
@@ -174,7 +176,7 @@ def test_energy_is_kept_and_pays() -> None:
     assert values[0].value < values[1].value <= solve(case(1, 16), "trace").value * (1 + 1e-6)
 
 
-# --- what cannot be met -----------------------------------------------------------------------------------------------
+# --- conditions that cannot be met ------------------------------------------------------------------------------------
 
 
 def test_too_short_a_horizon_says_the_least_time() -> None:

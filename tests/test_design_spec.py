@@ -1,4 +1,4 @@
-"""SPEC.toml: what it says becomes the problem, and what is wrong in it becomes one clear line."""
+"""SPEC.toml becomes the problem, and each fault in it becomes one clear line."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_parameters_that_no_input_tells_are_named() -> None:
     both = spec(drive__offset=0.2, experiment__unknown=["mass", "coulomb_friction", "offset"], search__starts=2)
     with pytest.raises(NotIdentifiableError, match="coulomb_friction from offset"):
         run_design(both)
-    # what is known beforehand tells them apart
+    # the prior knowledge separates the parameters
     prior = spec(
         drive__offset=0.2,
         experiment__unknown=["mass", "coulomb_friction", "offset"],

@@ -1,4 +1,4 @@
-"""Standard inputs: the shapes that their names promise, and always within the limits."""
+"""Standard inputs have the shapes that their names promise, within the limits."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_every_standard_input_keeps_the_limits(name: str) -> None:
 def test_the_checker_sees_what_leaves_the_limits() -> None:
     inputs = input_set(CASE)
     u = standard_inputs(CASE, names=("trapezoid",))["trapezoid"].u
-    for k, change in ((5, 4.0), (39, 0.5)):  # beyond 3 V; the end missed
+    for k, change in ((5, 4.0), (39, 0.5)):  # an input beyond 3 V; an input that misses the end
         bad = u.copy()
         bad[k] += change
         assert violation(inputs, bad) > 1e-3

@@ -1,4 +1,4 @@
-"""The study of designed inputs: the lines of the issue that a short run can hold, and the page."""
+"""The study of designed inputs: the claims that a short run can check, and the page."""
 
 from __future__ import annotations
 

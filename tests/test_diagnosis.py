@@ -1,4 +1,4 @@
-"""The commonest mistakes with a log, each named first in what a refused identification says."""
+"""The commonest mistakes of a log: each comes first in the text of a refused identification."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MACHINES = {
     "sticky": DriveParameters(15.0, 10.0, 12.0, GAIN),
     "light": DriveParameters(0.5, 0.4, 0.3, GAIN),
 }
-FORCES = {"damped": 60.0, "sticky": 60.0, "light": 3.0}  # N
+FORCES = {"damped": 60.0, "sticky": 60.0, "light": 3.0}  # Input forces of the machines [N].
 
 
 @cache
@@ -41,7 +41,7 @@ def motion(machine: str) -> Motion:
 
 
 def logged(machine: str, fault: str) -> Record:
-    """The log of a machine with a fault; `axis_of` reads it as if there were none."""
+    """Return the log of a machine with a fault; `axis_of` reads it as a log without faults."""
     run = motion(machine)
     u, counts = run.u, quantize(run.x, RESOLUTION, phase=1e-5)
     if fault == "reversed":
@@ -67,7 +67,7 @@ def axis_of(output_kind: str = "position", method: str = "auto", **model: object
 
 
 def named(record: Record, axis: Axis) -> str:
-    """What is wrong with the log, as one sentence."""
+    """Return the findings on the log as one sentence."""
     return "; ".join(texts(check_record(record, axis)))
 
 
@@ -123,7 +123,7 @@ def test_the_remedy_for_forgotten_bits_names_the_width() -> None:
 
 @pytest.mark.parametrize("machine", MACHINES)
 def test_what_the_model_lacks_is_no_mistake_of_the_log(machine: str) -> None:
-    """An integral follows the input more easily than a position does: a load or a dead time made it a velocity."""
+    """An integral follows the input more easily than a position: a load or a dead time once made it a velocity."""
     record = logged(machine, "none")
     load = 0.4 * float(np.std(record.u))
     found = named(replace(record, u=record.u + load), axis_of())
@@ -153,7 +153,9 @@ def test_a_counter_reset_once_does_not_wrap(jump: int) -> None:
 
 
 def test_friction_by_the_direction_of_a_velocity_is_refused() -> None:
-    """The direction of a velocity column is that of its change: friction was wrong by factors, without a flag."""
+    """The direction of a velocity column is the direction of its change: friction was wrong by factors without a
+    flag.
+    """
     terms = [
         {"signal": "output", "derivative": 1, "name": "mass"},
         {"signal": "output", "derivative": 0, "name": "drag"},
@@ -166,7 +168,7 @@ def test_friction_by_the_direction_of_a_velocity_is_refused() -> None:
         identify(record, axis)
     with pytest.raises(UsageError, match="'y' is a velocity"):
         compare(record, axis)
-    # a position with a spring is of first order, too
+    # a position with a spring is also of first order
     slow = replace(record, counts=quantize(motion("sticky").x, RESOLUTION))
     assert check_direction(slow, axis) == ""
 
@@ -203,7 +205,7 @@ def test_one_wild_count_is_a_jump_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_step_in_one_direction_is_not_called_a_velocity(late: int) -> None:
-    """A quick motor runs at one speed: its position follows from the input as it stands, but shows no dry friction."""
+    """A fast motor runs at one speed: the input explains its position, which shows no dry friction."""
     dt, resolution = 0.006, 1 / 8192
     u = np.r_[np.zeros(250), np.full(900, 0.25)]
     run = simulate_drive(DriveParameters(1.6e-4, 0.055, 0.003, 1.0), np.r_[np.zeros(late), u[: u.size - late]], dt)

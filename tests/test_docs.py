@@ -1,4 +1,4 @@
-"""What the README shows runs, and gives the truth."""
+"""The examples of the README run and give the true parameters."""
 
 from __future__ import annotations
 

@@ -12,12 +12,12 @@ import pytest
 import pmfid
 
 OPTIONS = doctest.NORMALIZE_WHITESPACE
-#: Packages that users import from, next to pmfid itself.
+#: Packages that users import from, besides pmfid itself.
 PACKAGES = ("pmfid.design", "pmfid.monitor", "pmfid.simulation", "pmfid.testing")
 
 
 def list_names(package: str) -> list[str]:
-    """Public names of a package; constants have comments in place of docstrings."""
+    """Return the public names of a package; constants have comments in place of docstrings."""
     module = import_module(package)
     found = {name: getattr(module, name) for name in module.__all__}
     return [f"{package}.{name}" for name, thing in found.items() if inspect.isclass(thing) or inspect.isroutine(thing)]

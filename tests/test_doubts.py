@@ -1,4 +1,4 @@
-"""Transfer functions: what is refused or said where the numbers of an estimate do not mean what they seem to."""
+"""Transfer functions: refusals and findings for estimates whose numbers mislead."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_feedback_is_seen_by_every_method_and_a_reference_helps_those_that_use_i
 
 
 def test_an_unstable_process_is_named():
-    """1/(s - 1) under proportional control."""
+    """The process is 1/(s - 1) under proportional control."""
     rng, n, dt = np.random.default_rng(2), 2000, 0.02
     r = np.repeat(rng.choice([-1.0, 1.0], n // 20), 20)
     u, y = np.zeros(n), np.zeros(n + 1)

@@ -21,8 +21,10 @@ MILLIMETRE = ("--quantize", "1e-3", "--cutoff", "100", "--order", "2")
 
 
 def identified(*options: str, judged: bool = True) -> dict[str, float]:
-    """The parameters that `pmfid identify DATA_EMPS.mat` prints, by name; judged: with the flags that say how far to
-    trust them, which take most of the time."""
+    """Return the parameters that `pmfid identify DATA_EMPS.mat` prints, by name.
+
+    `judged` includes the status, which takes most of the time.
+    """
     with nullcontext() if judged else unjudged():
         result = CliRunner().invoke(main, ["identify", str(EMPS), "--config", str(AXIS), "--json", *options])
     progress = [line for line in result.stderr.splitlines() if not line.startswith("pmfid: identify: ")]
@@ -69,7 +71,7 @@ def test_a_whole_millimetre_is_compensated_in_the_mass(method: str) -> None:
 
 
 def test_the_intervals_contain_what_was_published_and_both_directions() -> None:
-    """Viscous friction of this axis is 166 N s/m one way and 232 the other."""
+    """Viscous friction of this axis is 166 N s/m in one direction and 232 N s/m in the other."""
     result = CliRunner().invoke(main, ["identify", str(EMPS), "--config", str(AXIS), "--json", "--method", "auto"])
     found = {name: entry["interval_95"] for name, entry in json.loads(result.stdout)["parameters"].items()}
     published = {"mass": (MASS,), "viscous_friction": (166.0, 232.0), "coulomb_friction": (COULOMB_FRICTION,)}

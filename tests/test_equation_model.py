@@ -89,7 +89,7 @@ def test_what_makes_no_equation_is_said(build, message):
 @pytest.mark.parametrize("motion", ["prbs", "stop-and-go"])
 @pytest.mark.parametrize("method", ["iv", "interval"])
 def test_a_load_on_a_spring(method, motion):
-    """The plant is simulated with ten steps of Runge and Kutta per sample, not by the kernel."""
+    """Ten steps of Runge and Kutta per sample simulate the plant, without the kernel."""
     record = wrong_record(Machine(CART, stiffness=STIFFNESS), motion, 3, 4096)
     drive = pmfid.Drive(CART.input_gain, spring=True)
     fit = ESTIMATORS[method](drive, pmfid.Encoder(record.resolution), CART_DT, CUTOFF).fit(record.u, record.counts)
@@ -109,7 +109,7 @@ def test_the_spring_on_line_and_with_directional_friction():
 
 
 def test_a_spring_slack_elsewhere_is_an_offset():
-    """The spring's force at the first count is the offset, wherever the encoder counts from."""
+    """The spring's force at the first count is the offset, for any zero of the encoder."""
     record = wrong_record(Machine(CART, stiffness=STIFFNESS), "prbs", 3, 4096)
     estimator = pmfid.IV(pmfid.Drive(CART.input_gain, spring=True), pmfid.Encoder(record.resolution), CART_DT, CUTOFF)
     late = slice(700, None)

@@ -1,4 +1,4 @@
-"""On-line error bars: those of the batch, those of the scatter, and honest while the estimate is young."""
+"""On-line error bars equal those of the batch and the observed scatter, and hold while the estimate is young."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from pmfid.simulation import (
 )
 from tests.conftest import TRUTH, cart_run
 
-#: A heavy axis, 2 ms, and its position controller.
+#: A heavy axis, its sample period of 2 ms, and its position controller.
 HEAVY, HEAVY_DT = DriveParameters(40.0, 80.0, 15.0, 20.0), 0.002
 HEAVY_TRUTH = np.array([HEAVY.mass, HEAVY.viscous_friction, HEAVY.coulomb_friction])
 HEAVY_CONTROL = {"kp": 1250.0, "kd": 66.0, "u_max": 18.0}
 
 
 def controlled(reference, resolution: float, seed: int):
-    """Input and counts of the heavy axis under position control."""
+    """Return input and counts of the heavy axis under position control."""
     phase = np.random.default_rng(seed).uniform(0, resolution)
     motion, counts = position_control(HEAVY, reference, HEAVY_DT, **HEAVY_CONTROL, resolution=resolution, phase=phase)
     return motion.u, counts
@@ -49,20 +49,22 @@ def heavy_riv(time_constant: float, resolution: float = 1e-5, **options):
 @pytest.mark.parametrize("pair", [(pmfid.LS, pmfid.RLS), (pmfid.BCLS, pmfid.BCRLS)])
 @pytest.mark.parametrize(("cutoff", "samples"), [(5.0, 2500), (10.0, 1000), (30.0, 1500)])
 def test_bars_are_those_of_the_batch_also_on_a_short_record(pair, cutoff, samples, drive):
-    """As long as there are few blocks, innovations count as equal for as long as the filters may make them: bars may be
-    too long, not too short. They were taken for white, and the bars were a quarter of the batch's."""
+    """While blocks are few, innovations count as equal over the memory of the filters: bars may only be too long.
+
+    White innovations, as once assumed, gave bars of a quarter of the batch's.
+    """
     for seed in range(3):
         run = cart_run(seed, samples=samples, increments=1024)
         batch, recursive = (cls(drive, run.encoder, 0.01, cutoff) for cls in pair)
         ratio = recursive.run(run.u, run.counts).theta_std[-1] / batch.fit(run.u, run.counts).theta_std
         assert np.all(ratio > 0.5), ratio
-        assert np.all(ratio < 4.0) or recursive.instrumental, ratio  # bcrls begins with wild innovations
+        assert np.all(ratio < 4.0) or recursive.instrumental, ratio  # bcrls begins with large innovations
 
 
 @pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
 @pytest.mark.parametrize("forgetting", [1.0, 0.995])
 def test_bars_are_the_scatter(cls, forgetting, drive):
-    """Over seeds of input and encoder; P times the variance is twice the covariance where samples are forgotten."""
+    """The seeds vary input and encoder; with forgetting, P times the variance is twice the covariance."""
     tracks = []
     for seed in range(60):
         run = cart_run(seed, samples=2000, increments=512)
@@ -84,7 +86,7 @@ def test_directional_bars_do_not_grow_with_time(drive):
 
 @pytest.mark.parametrize("time_constant", [3, 20])
 def test_the_columns_of_riv_know_that_the_stops_of_the_model_move(time_constant):
-    """sum zeta phi^T is how sum zeta (z - phi^T theta) moves with theta and the model alike, by central differences."""
+    """sum zeta phi^T is the derivative of sum zeta (z - phi^T theta) by theta and the model, by central differences."""
     u, counts = controlled(stop_and_go(6000, HEAVY_DT, 0.15, 0.5, 0.2), 1e-5, 1)
     riv = heavy_riv(time_constant)
     iv = pmfid.IV(riv.model, riv.encoder, riv.dt, riv.cutoff)
@@ -100,7 +102,9 @@ def test_the_columns_of_riv_know_that_the_stops_of_the_model_move(time_constant)
 @pytest.mark.parametrize("forgetting", [1.0, 0.999])
 @pytest.mark.parametrize("time_constant", [3, 10])
 def test_riv_is_right_within_its_bars_under_position_control(forgetting, time_constant):
-    """What the first samples, gathered with a poor model, had wrong fades; no parameter is off by three bars unsaid."""
+    """Errors of the first samples, which come from a poor model, fade; no parameter is off by three bars without a
+    flag.
+    """
     for seed in range(4):
         u, counts = heavy_moves(8000, seed)
         track = heavy_riv(time_constant, forgetting=forgetting).run(u, counts)
@@ -111,7 +115,7 @@ def test_riv_is_right_within_its_bars_under_position_control(forgetting, time_co
 
 @pytest.mark.parametrize("time_constant", [2, 20, 100])
 def test_unmodelled_is_not_said_of_the_right_model_and_is_of_a_wrong_one(time_constant):
-    """Filters that are slow against the record leave a large burst at the start, which no longer counts at its end."""
+    """Filters that are slow against the record leave a large burst at the start, which has no weight at its end."""
     samples = max(6000, 300 * time_constant)
     u, counts = heavy_moves(samples, 7)
     assert not heavy_riv(time_constant, forgetting=0.9995).run(u, counts).status[-1] & Status.UNMODELLED
@@ -120,7 +124,7 @@ def test_unmodelled_is_not_said_of_the_right_model_and_is_of_a_wrong_one(time_co
     wave = prbs(samples, clock=60, amplitude=6.0, rng=np.random.default_rng(2))
     counts = quantize(simulate_drive(loaded, wave, HEAVY_DT).x, 1e-5)
     said = heavy_riv(time_constant, forgetting=0.9995).run(wave, counts).status[-1] & Status.UNMODELLED
-    assert said or time_constant == 2  # there the encoder's own noise hides it
+    assert said or time_constant == 2  # for this time constant the encoder's own noise hides the effect
 
 
 def test_a_borrowed_estimate_has_the_bars_of_its_own_method(drive):
@@ -133,7 +137,7 @@ def test_a_borrowed_estimate_has_the_bars_of_its_own_method(drive):
     assert np.all(np.isfinite(riv.theta_std[-1] / TRUTH))
 
 
-#: Plants in kg, N s/m, N, N/V (or the like of a rotary axis); sample period, stroke, largest input, control bandwidth.
+#: Plants in kg, N s/m, N, N/V (or the units of a rotary axis); sample period, stroke, largest input, control bandwidth.
 AXES = {
     "light": (DriveParameters(0.05, 0.4, 0.06, 0.5), 0.002, 0.1, 4.0, 40.0),
     "cart": (DriveParameters(1.07, 12.8, 0.8, 2.0), 0.01, 0.2, 6.0, 15.0),
@@ -143,7 +147,7 @@ AXES = {
 
 
 def moved(axis: str, motion: str, counts_per_stroke: int, seed: int, samples: int = 5000):
-    """Input, counts and the estimator (without its options) of an axis under one of three motions."""
+    """Return input, counts and the estimator (without its options) of an axis under one of three motions."""
     plant, dt, stroke, largest, bandwidth = AXES[axis]
     resolution, rng = stroke / counts_per_stroke, np.random.default_rng(seed)
     make = partial(
@@ -164,7 +168,7 @@ def moved(axis: str, motion: str, counts_per_stroke: int, seed: int, samples: in
 @pytest.mark.parametrize("counts_per_stroke", [4000, 300, 60])
 @pytest.mark.parametrize("axis", AXES)
 def test_riv_says_feedback_under_position_control_and_never_in_open_loop(axis, counts_per_stroke):
-    """There the noise of the counts comes back through the input: off by up to 46 % with bars of a quarter of that."""
+    """The noise of the counts returns through the input: errors reach 46 % with bars of a quarter of the error."""
     for motion in ("random moves", "stop and go"):
         u, counts, make = moved(axis, motion, counts_per_stroke, 3)
         for options in ({}, {"forgetting": 0.999}, {"precision": "float32"}):
@@ -189,7 +193,7 @@ def test_riv_in_open_loop_is_right_within_its_bars(axis):
 
 @pytest.mark.parametrize("forgetting", [0.99, 0.999, 1.0])
 def test_a_step_of_the_mass_is_noticed(forgetting):
-    """Beyond three bars it says so, but for a tenth of the first three seconds."""
+    """Errors beyond three bars have a flag, except in a tenth of the first three seconds."""
     plant, dt, stroke, largest, _ = AXES["cart"]
     for seed in range(3):
         u = prbs(900, clock=12, amplitude=0.6 * largest, rng=np.random.default_rng(seed))
@@ -204,7 +208,9 @@ def test_a_step_of_the_mass_is_noticed(forgetting):
 
 
 def test_what_riv_left_unexplained_before_it_took_over_is_not_in_its_bars():
-    """Innovations 1e5 times too large on its way, nothing forgotten: bars of 450 to 1700 % on a mass off by 1 %."""
+    """Early innovations were once 1e5 times too large: without forgetting, a mass off by 1 % had bars of 450 to
+    1700 %.
+    """
     u, counts, make = moved("rotary", "random moves", 150, 3)
     track = make().run(u, counts)
     assert np.all(track.theta_std[-1] < 0.3 * track.theta[-1])

@@ -1,4 +1,4 @@
-"""Physics in, physics out: the estimates against the cart's true parameters."""
+"""The estimates against the true physical parameters of the cart."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SEEDS = range(10)
 
 
 def errors(cls, drive, increments, **options):
-    """Mean relative error over the seeds, at the end of a 30 s record."""
+    """Return the mean relative error over the seeds, at the end of a record of 30 s."""
     found = []
     for seed in SEEDS:
         run = cart_run(seed, increments=increments)
@@ -47,7 +47,7 @@ def test_compensation_at_256_increments(cls, drive):
 
 @pytest.mark.parametrize("cls", [pmfid.LS, pmfid.RLS])
 def test_without_compensation_the_mass_is_too_small(cls, drive):
-    """Plain least squares a little; the extended model that the compensation starts from (paper eq. 21) badly."""
+    """Plain least squares has a small bias; the extended model before the compensation (paper eq. 21) a large one."""
     assert errors(cls, drive, 256)[0] < -4e-3
     assert errors(cls, drive, 256, prefilter_zeros=default_zeros(CUTOFF))[0] < -0.1
 
@@ -55,7 +55,7 @@ def test_without_compensation_the_mass_is_too_small(cls, drive):
 @pytest.mark.parametrize("increments", [4096, 1024, 512, 256])
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_bcrls_on_line_never_leaves_the_plausible(increments, precision, drive):
-    """Mass step from 1.07 to 1.44 kg; from 1 s on no sample outside 0.8 to 1.7 kg."""
+    """The mass steps from 1.07 to 1.44 kg; from 1 s on no estimate is outside 0.8 to 1.7 kg."""
     for seed in range(5):
         scenario = make_scenario("mass-step", seed=seed, increments=increments)
         encoder = pmfid.Encoder(scenario.resolution)
@@ -71,7 +71,7 @@ def test_bcrls_on_line_never_leaves_the_plausible(increments, precision, drive):
 
 
 def test_offset_is_found(drive):
-    """A constant load of 0.5 N, in the model and not."""
+    """A constant load of 0.5 N acts, with and without an offset in the model."""
     from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
     from pmfid.simulation.signals import prbs
 
@@ -119,7 +119,7 @@ def test_no_motion_and_no_excitation_are_said(drive):
     ],
 )
 def test_wrong_arguments_say_the_remedy(wrong, remedy, drive):
-    """That every method refuses them is part of the contract."""
+    """The contract covers that every method refuses these arguments."""
     arguments = {"dt": DT, "cutoff": CUTOFF} | wrong
     with pytest.raises(pmfid.UsageError, match=remedy):
         pmfid.BCRLS(drive, pmfid.Encoder(1e-5), **arguments)

@@ -1,4 +1,4 @@
-"""The exact discretisation: no error at all without noise, and the orders of the others."""
+"""The exact discretisation has no error without noise; the other ones have an order of convergence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from studies.discretizations import plant_at_random, record_of
 from tests.conftest import long_unless
 from tests.tuned import set_tuning
 
-ENCODER = Encoder(1.0)  # not used by fit_output
+ENCODER = Encoder(1.0)  # fit_output does not use the encoder
 
 
 @pytest.mark.parametrize("cls", [LS, BCLS])
@@ -54,9 +54,9 @@ def test_offset_and_delay():
 
 @pytest.mark.parametrize(("name", "longest", "order"), [("second-order", 0.1, 4), ("non-minimum-phase", 0.025, 2)])
 def test_matched_converges_with_the_second_power_of_the_period_or_the_fourth(name, longest, order):
-    """Regression of the logarithm of the error on that of the period: second for relative degree 1, else fourth.
+    """The slope of the logarithm of the error is two for relative degree 1, and otherwise four.
 
-    The periods are so short that the terms beyond do not show in the third decimal.
+    The periods are short enough that further terms do not change the third decimal.
     """
     plant = PLANTS[name]
     periods, errors = longest / np.array([1, 2, 4, 8]), []
@@ -72,7 +72,7 @@ def test_matched_converges_with_the_second_power_of_the_period_or_the_fourth(nam
 
 
 def test_exact_with_noise_is_least_squares_still():
-    """The same bias by noise as that of the matched filters: the discretisation changes little else."""
+    """Noise causes the same bias as with the matched filters: the discretisation has little other effect."""
     plant = PLANTS["second-order"]
     y = plant.y + 0.3 * np.std(plant.y) * np.random.default_rng(5).standard_normal(plant.samples)
     matched, refined = (

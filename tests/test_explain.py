@@ -1,4 +1,4 @@
-"""What is said of keys and of words of a status: all of them, from where they are used, and in one page."""
+"""Explanations of all keys and status words, as text and on one page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def said(*arguments: str) -> str:
 
 
 def test_the_page_of_all_keys_is_up_to_date() -> None:
-    """If it is not: pmfid explain --page > docs/axis_toml.md"""
+    """If this fails, run: pmfid explain --page > docs/axis_toml.md"""
     assert (ROOT / "docs" / "axis_toml.md").read_text(encoding="utf-8") == page() == said("--page")
 
 
@@ -58,7 +58,7 @@ def test_a_key_has_its_type_its_unit_its_default_and_its_models() -> None:
 
 
 def test_a_default_may_be_written_down(tmp_path: Path) -> None:
-    """What the page calls the default is TOML, and changes nothing."""
+    """The defaults on the page are valid TOML, and writing them down changes nothing."""
     text = (ROOT / "examples" / "cart.toml").read_text(encoding="utf-8").replace("# [monitor]", "[monitor]")
     plain = tomllib.loads(text)
     for name, entry in KEYS.items():
@@ -70,7 +70,7 @@ def test_a_default_may_be_written_down(tmp_path: Path) -> None:
 
 
 def codes_in(path: Path) -> set[str]:
-    """Names that a module gives to what it finds, but for notes, which are in no status."""
+    """Return the names that a module gives to findings, except for notes, which appear in no status."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         named = (
@@ -135,7 +135,7 @@ def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
 
 
 def test_the_page_of_a_plant_is_up_to_date() -> None:
-    """If it is not: pmfid explain --plant --page > docs/plant_toml.md"""
+    """If this fails, run: pmfid explain --plant --page > docs/plant_toml.md"""
     assert (ROOT / "docs" / "plant_toml.md").read_text(encoding="utf-8") == plant_page() == said("--plant", "--page")
 
 

@@ -1,4 +1,6 @@
-"""The exported C: the same bits, on this computer and on emulated microcontrollers; states, canary, folder, command."""
+"""The exported C has the same bits on this computer and on emulated microcontrollers; its states, folder and
+command.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,7 @@ def make(cls: type[RecursiveEstimator], precision: str = "float32", **options: o
 
 
 def hostile(samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
-    """A cart's run with a bad input, a jump of the counts, a rest, and numbers beyond float32."""
+    """Return a cart's run with a bad input, a jump of the counts, a rest, and numbers beyond float32."""
     run = cart_run(1, samples=samples, increments=512)
     u, counts = run.u.copy(), run.counts.copy()
     u[300], u[301], u[1150], u[1151] = np.nan, np.inf, 1e30, -1e30
@@ -66,7 +68,7 @@ def hostile(samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
 
 
 KERNELS = [(cls, precision) for cls in RECURSIVE for precision in PRECISIONS]
-#: In `make test`: the method with the most code in both precisions, of the others each in one.
+#: Cases of `make test`: the method with the most code in both precisions, the other methods each in one.
 OFTEN = [(pmfid.RIV, "float32"), (pmfid.RIV, "float64"), (pmfid.BCRLS, "float32"), (pmfid.RLS, "float64")]
 OFTEN += [(pmfid.RKnownStep, "float32")]
 BUILDS = {(GCC, "-O3"): OFTEN[2:], (CLANG, "-O2"): OFTEN[2:3], (M4F, "-O2"): OFTEN[:1], (M7, "-O3"): OFTEN[1:2]}
@@ -104,7 +106,7 @@ def test_exported_code_computes_the_bits_of_python(folder: Path, target: Target,
 
 
 FMA = "fma" in Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else False
-#: Options that change the arithmetic.
+#: Compiler options that change the arithmetic.
 SPOILING = (
     ("-ffast-math",),
     *([("-mfma", "-ffp-contract=fast")] if FMA else []),
@@ -128,7 +130,7 @@ VARIANTS = {
 }
 
 
-#: In `make test`: each part of the kernel that an export may leave out.
+#: Variants of `make test`: each part of the kernel that an export may leave out.
 OFTEN_VARIED = ("directional", "offset", "shapes", "late by how much")
 
 
@@ -157,7 +159,7 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
 )
 @pytest.mark.long
 def test_shapes_and_dead_times_have_the_bits_of_python_everywhere(target: Target, variant: str, tmp_path: Path) -> None:
-    """Its two recursions have different sizes: no compiler may find code for a third one."""
+    """The two recursions have different sizes, so that no compiler may assume a common size."""
     estimator = make(pmfid.RIV, "float32", **VARIANTS[variant])
     assert difference(exported(estimator, tmp_path, *hostile()), target, "-O3", *WARNINGS) is None
 
@@ -175,12 +177,12 @@ PROCESSES = {
 }
 
 
-#: Before these samples of `hostile` others were lost: in motion, just after a bad input, in a rest, and twice in a row.
+#: Numbers of the samples of `hostile` that follow a gap: in motion, after a bad input, in a rest, and twice in a row.
 GAPS = (250, 302, 850, 1100, 1101)
 
 
 def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, counts: np.ndarray) -> tuple[bool, bool]:
-    """Whether the exported C has other bits than Python, where it knows the gaps and where it does not."""
+    """Return whether the exported C differs from Python, with the gaps reported to it and without."""
     exported(estimator, folder, u, counts, GAPS)
     reported = f"-DGAPS={','.join(map(str, GAPS))}"
     return difference(folder, GCC, "-O2", reported, *WARNINGS) is not None, difference(folder, GCC, "-O2") is not None
@@ -200,7 +202,7 @@ def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, coun
 def test_lost_samples_have_the_bits_of_python(
     cls: type[RecursiveEstimator], variant: str, precision: str, tmp_path: Path
 ) -> None:
-    """pmf_gap() on the drive is the `gap` of the kernel: the estimates and the whole state, bit by bit."""
+    """pmf_gap() on the drive equals the `gap` of the kernel: the estimates and the whole state have the same bits."""
     u, counts = (np.delete(column, slice(1000, 1090)) for column in hostile())
     estimator = make(cls, precision, **VARIANTS.get(variant, {}))
     assert gaps_differ(estimator, tmp_path, u, counts) == (False, True)
@@ -219,7 +221,7 @@ def test_a_step_that_varies_has_the_bits_of_python(
 ) -> None:
     u, counts = hostile()
     steps = DT * np.random.default_rng(8).uniform(0.1, 1.9, u.size)
-    steps[[400, 900]] = np.nan, 1e9  # no step of a clock
+    steps[[400, 900]] = np.nan, 1e9  # invalid steps of a clock
     estimator = make(cls, precision, steps="given")
     exported(estimator, tmp_path, u, counts, steps=steps)
     assert difference(tmp_path, GCC, "-O2", *WARNINGS) is None
@@ -256,7 +258,9 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
     ),
 )
 def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path) -> None:
-    """The methods in both precisions; their variants, as those of a drive above, in float32 and not optimized."""
+    """The methods have both precisions; their variants have only float32, not optimized, like those of a drive
+    above.
+    """
     optimize = "-O2" if name == PROCESSES[name][0].method else "-O0"
     estimator = process_estimator(name, precision)
     u, counts = (table[0].copy() for table in process_record())
@@ -330,7 +334,7 @@ def test_a_difference_is_found(tmp_path: Path) -> None:
 
 
 def selftest(folder: Path, target: Target, *options: str, optimize: str = "-O2") -> subprocess.CompletedProcess[str]:
-    """Compiles the self-test of an export with further options and runs it."""
+    """Compile the self-test of an export with further options and run it."""
     (config,) = folder.glob("*_config.c")
     prefix = config.name.removesuffix("_config.c")
     return run(compiled(folder, prefix, target, folder / "selftest.c", optimize, *options), target)
@@ -348,7 +352,7 @@ def test_make_selftest_and_example_as_a_stranger_would(options: dict[str, object
 
 @needs(GCC)
 def test_every_export_has_a_self_test_and_an_example_that_run(folder: Path) -> None:
-    """With the objects of the test above."""
+    """The test uses the objects of the test above."""
     assert selftest(folder, GCC, *WARNINGS, optimize="-O3").stdout == "800 samples, the same bits\n"
     example = compiled(folder, PREFIX, GCC, folder / "main.c", "-O3", *WARNINGS)
     assert run(example, GCC).returncode == 0
@@ -391,7 +395,7 @@ def test_the_canary_finds_spoilt_arithmetic(target: Target, precision: str, tmp_
     ],
 )
 def test_every_file_compiles_without_a_warning(target: Target, optimize: str, precision: str, tmp_path: Path) -> None:
-    """The kernel in C with the options with which it computed the same bits above, which did not fail."""
+    """The kernel's C has the options of the test of bits above, which did not fail there."""
     pmfid.export_firmware(make(pmfid.RIV, precision), tmp_path)
     words = [target.compiler, *target.options, *(() if "c++" in target.options else ("-std=c99",))]
     files = [path.name for path in tmp_path.glob("*.c")]
@@ -411,10 +415,15 @@ MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="u
 @pytest.mark.parametrize("kind", ["drive", pytest.param("process", marks=pytest.mark.long)])
 @pytest.mark.long
 def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
-    """The drive with the most code and the process with the most, each with the macros of its export alone."""
+    """The drive and the process with the most code are checked, each with only the macros of its export."""
     pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("window", "float32"), tmp_path)
     files = sorted(path.name for path in tmp_path.glob("*.c") if path.name not in ("main.c", "selftest.c"))
-    options = ["--std=c99", "-UPMF_LANES", "-DONE_CONFIGURATION", "-I."]  # without -D it guesses a dozen others
+    options = [
+        "--std=c99",
+        "-UPMF_LANES",
+        "-DONE_CONFIGURATION",
+        "-I.",
+    ]  # without -D the checker guesses a dozen others
     done = command(["cppcheck", "--addon=misra", *options, *files], tmp_path)
     if "Bailing out from" in done.stderr or "failed to execute" in done.stderr.lower():
         pytest.skip("this cppcheck has no working MISRA addon")
@@ -456,8 +465,9 @@ def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_pa
 
 @needs(M4F)
 def test_a_bcrls_drive_is_small(tmp_path: Path) -> None:
-    """BCRLS, float32, Cortex-M4F, without the guard: flash of 4.1 kB, state under 700 bytes, stack under 400, 1500
-    instructions."""
+    """BCRLS, float32, Cortex-M4F, without the guard: flash 4.1 kB, state under 700 bytes, stack under 400 bytes, 1500
+    instructions.
+    """
     estimator = make(pmfid.BCRLS)
     pmfid.export_firmware(replace(estimator, encoder=replace(estimator.encoder, guard=False)), tmp_path)
     measured = cost(tmp_path, "axis")
@@ -512,7 +522,7 @@ def test_the_header_is_read_as_the_compiler_lays_it_out() -> None:
         assert config["auxiliary"]["dt"] == np.asarray(DT, kernel.dtype)
 
 
-# --- what is written --------------------------------------------------------------------------------------------------
+# --- the written files -----------------------------------------------------------------------------------------------
 
 
 def test_two_exports_are_the_same_bytes_and_the_kernel_is_unchanged(tmp_path: Path) -> None:
@@ -576,7 +586,7 @@ def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
 
 @needs(GCC)
 def test_two_axes_in_one_program(tmp_path: Path) -> None:
-    """Different methods and precisions, each with a kernel of its own."""
+    """The axes have different methods and precisions, each with its own kernel."""
     pmfid.export_firmware(make(pmfid.BCRLS, "float32"), tmp_path / "x", prefix="x")
     pmfid.export_firmware(make(pmfid.RIV, "float64"), tmp_path / "y", prefix="y")
     objects = []

@@ -1,4 +1,4 @@
-"""The alarm of an export: the sums of its formula, an alarm after a change, none before and none without motion."""
+"""The alarm of an export: the sums of its formula, an alarm after a change, and none before it or without motion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNTRUSTED = Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.
 
 
 def watched(estimator: RecursiveEstimator, folder: Path, u: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray:
-    """alarm, up and down after each sample, from the exported C."""
+    """Return alarm, up and down after each sample, from the exported C."""
     exported(estimator, folder, u, counts)
     pmfid.export_firmware(estimator, folder / "c", alarms=[ALARM])
     program = compiled(folder / "c", "axis", GCC, HERE / "watch.c", "-O2", *WARNINGS)
@@ -33,7 +33,7 @@ def watched(estimator: RecursiveEstimator, folder: Path, u: NDArray[np.float64],
 
 
 def oracle(estimator: RecursiveEstimator, u: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(n, 2) up and down: g = max(0, g + s (+-x - s / 2) / v), one estimate in `interval`."""
+    """Return up and down (n, 2): g = max(0, g + s (+-x - s / 2) / v), with one estimate in each `interval`."""
     track, interval = estimator.run(u, counts), ALARM.interval(estimator)
     variance = track.theta_std[:, 0] ** 2
     usable = ((track.status & UNTRUSTED) == 0) & np.isfinite(variance)

@@ -1,4 +1,4 @@
-"""The exported C calls nothing of a library, whatever the compiler makes of loops and assignments."""
+"""The exported C calls no library function, for any code that the compiler makes of loops and assignments."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pmfid
 from tests.firmware.build import CLANG, GCC, M4F, Target, calls, objects
 from tests.test_export import make, needs
 
-#: Of both kinds of processor one in `make test`.
+#: Cases of `make test`: one of each kind of processor.
 OFTEN = [(GCC, "-O3"), (M4F, "-Os")]
 BUILDS = [(GCC, "-O2"), (CLANG, "-O2"), (M4F, "-O3"), *OFTEN]
 
@@ -25,7 +25,7 @@ BUILDS = [(GCC, "-O2"), (CLANG, "-O2"), (M4F, "-O3"), *OFTEN]
     ],
 )
 def test_no_call_of_a_library(target: Target, optimize: str, tmp_path: Path) -> None:
-    """Of the export with the most code; those of all methods: `test_exported_code_computes_the_bits_of_python`."""
+    """The export is the one with the most code; `test_exported_code_computes_the_bits_of_python` covers all methods."""
     pmfid.export_firmware(make(pmfid.RIV, forgetting_scheme="window"), tmp_path)
     called = calls(tmp_path, target, objects(tmp_path, target, optimize))
     assert {name for name in called if not name.startswith("axis_pmf_")} == set()

@@ -1,4 +1,4 @@
-"""Names and units from outside in the exported C: refused, or compiled without a warning and harmless."""
+"""Foreign names and units in the exported C are refused, or compile without a warning and without effect."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_name_that_would_not_compile_is_refused(tmp_path: Path, name: str, sec
 @needs_gcc
 @pytest.mark.parametrize("unit", long_unless(UNITS[1:9:2].__contains__, UNITS))
 def test_a_unit_stays_within_its_comment(tmp_path: Path, unit: str) -> None:
-    """Code in a unit ran in the example once."""
+    """Code in a unit once ran in the example."""
     pmfid.export_firmware(estimator_of("mass", unit), tmp_path, prefix="axis")
     compile_all(tmp_path, "axis")
     line = next(line for line in (tmp_path / "axis.h").read_text("ascii").splitlines() if "AXIS_MASS = 0" in line)

@@ -19,7 +19,7 @@ CUTOFF = 37.0
 
 
 def run_network(network: Network, taps: list, w: np.ndarray) -> np.ndarray:
-    """The network in plain Python on signal 0; w[k] holds for the interval that ends at k."""
+    """Run the network in plain Python on signal 0; w[k] holds for the interval that ends at k."""
     nodes = np.zeros((len(w), SIGNALS + len(network.stages)))
     memory = np.zeros(len(network.stages))
     nodes[:, 0] = w
@@ -66,7 +66,7 @@ def test_tustin_image_is_the_exact_pole():
 
 
 def test_kernel_columns_equal_the_oracle(drive):
-    """Encoder, chain and columns of the drive, against SciPy filters on the same interval signals."""
+    """Encoder, chain and columns of the drive equal SciPy filters on the same interval signals."""
     run = cart_run(3, samples=400)
     estimator = pmfid.LS(drive, run.encoder, DT, CUTOFF)
     columns, status = estimator.make_kernel().filter(run.u, run.counts)
@@ -87,7 +87,7 @@ def test_kernel_columns_equal_the_oracle(drive):
 
 @pytest.mark.parametrize("discretization", ["matched", "paper"])
 def test_order_of_convergence_in_dt(discretization, drive):
-    """Without reversals (no direction error) the parameter error falls with about dt^2."""
+    """Without reversals, and thus without direction errors, the parameter error falls with about dt^2."""
     from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
 
     parameters = DriveParameters(1.07, 12.8, 0.8, 2.0)

@@ -1,5 +1,7 @@
-"""Does the model describe an axis, and do its moves say enough? On segments that are written down, and on motion of an
-integrator that is not the package's own."""
+"""The judge decides whether the model describes an axis and whether the moves suffice.
+
+The segments are given numbers, or motion of an integrator that is not the package's own.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ THETA = np.array([64.0, 10.0, 2.5])
 
 
 def seen(rng: np.random.Generator, status: np.ndarray, factors: Floats | float = 1.0, bar: float = 0.005) -> Series:
-    """Segments with their status (N,), and parameters by factors (N, 3)."""
+    """Return segments with their status (N,), and parameters scaled by factors (N, 3)."""
     std = np.full((N, 3), bar) * THETA
     return replace(series(THETA * factors + std * rng.standard_normal((N, 3)), std), status=status.astype(np.uint32))
 
@@ -50,14 +52,14 @@ def test_an_equation_that_is_off_in_some_moves_is_off_in_all_periods(bit: Status
     one = seen(np.random.default_rng(0), status)
     assert standing(one) == {bit.name.lower()}  # type: ignore[union-attr]
     assert qualities(one) == ["doubt"] * N
-    status[2 * every :] = 0  # as a change does it
+    status[2 * every :] = 0  # a change leaves this status
     assert qualities(seen(np.random.default_rng(0), status)).count("good") == N - 2
 
 
 def test_what_a_second_look_finds_in_some_segments_is_said_of_all() -> None:
     status = np.zeros(N, np.int64)
     status[::10] = LOOKED_AT
-    status[0] |= MOVED  # one of four: a change is in it
+    status[0] |= MOVED  # the status of one in four segments: a change lies within
     assert standing(seen(np.random.default_rng(0), status)) == set()
     status[10] |= MOVED
     one = seen(np.random.default_rng(0), status)
@@ -68,7 +70,7 @@ def test_what_a_second_look_finds_in_some_segments_is_said_of_all() -> None:
 
 @pytest.mark.parametrize(("load", "found"), [(0.0, set()), (0.3, {"one_way"}), (-0.1, {"one_way"})])
 def test_moves_of_one_direction_are_compared_with_those_of_the_other(load: float, found: set[str]) -> None:
-    """Forward and backward alone, a load is friction."""
+    """In forward moves alone, or in backward moves alone, a load looks like friction."""
     status = np.where(np.arange(N) % 3 == 0, FORWARD, BACKWARD)
     factors = np.ones((N, 3))
     factors[:, 2] += np.where(status == FORWARD, load, -load)
@@ -119,7 +121,7 @@ def test_a_step_of_what_would_be_seen_is_seen() -> None:
     "effect", ["stribeck", *(pytest.param(one, marks=pytest.mark.long) for one in ("none", "load"))]
 )
 def test_slow_moves_of_another_integrator_are_good_or_said_to_be_wrong(effect: str) -> None:
-    """One in seven of such minutes had an estimate; single ones were good and 20 % off."""
+    """One in seven of such minutes had an estimate; some of these were called good but were wrong by 20 %."""
     score = run(Kind("moves", effect, dwell=(10.0, 60.0), seconds=1800), axes=2, seed=3)
     assert score.wrong + score.axes_wrong == []
     assert score.false == 0
@@ -131,7 +133,7 @@ def test_slow_moves_of_another_integrator_are_good_or_said_to_be_wrong(effect: s
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler for the integrator of the study")
 @pytest.mark.parametrize(("effect", "good"), [("none", True), ("quadratic", False)])
 def test_friction_that_grows_with_the_square_of_the_speed_is_no_viscous_friction(effect: str, good: bool) -> None:
-    """Moves of one top speed: the mean of what is left passed most minutes, up to 39 % off with bars of 0.1 %."""
+    """With moves of one top speed, the mean residual once passed most minutes, up to 39 % off with bars of 0.1 %."""
     score = run(Kind("shuttle", effect, seconds=300), axes=4, seed=3)
     assert score.wrong + score.axes_wrong == []
     assert (score.good > 0.5 * score.periods) == good

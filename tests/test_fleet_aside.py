@@ -1,4 +1,4 @@
-"""Files that mix their axes row by row: read once, the same bytes, nothing left on the disk."""
+"""Files that mix their axes row by row are read once, with the same bytes and no files left on the disk."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AXES, SAMPLES = 6, 12_000
 
 @pytest.fixture(scope="module")
 def log() -> pl.DataFrame:
-    """By axis."""
+    """Return the rows, ordered by axis."""
     return pl.concat([rows(one, SAMPLES, seed=8) for one in machines(AXES, 0, 1.0, seed=8)])
 
 
@@ -38,13 +38,13 @@ def plain(log: pl.DataFrame, config: Path) -> History:
 
 @pytest.fixture
 def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two files, of a minute each, with rows of all axes in turns; shards of one axis each."""
+    """Write two files, of a minute each, with rows of all axes in turns; each shard has one axis."""
     set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 2000)
     set_tuning(monkeypatch, "pmfid.fleet.rows", aside_batch=5000)
     (tmp_path / "data").mkdir()
     turns = log.sort("t", "machine")
     half = turns.height // 2
-    turns[: half + 600].write_parquet(tmp_path / "data" / "0.parquet")  # some rows in both
+    turns[: half + 600].write_parquet(tmp_path / "data" / "0.parquet")  # some rows are in both files
     turns[half:].write_parquet(tmp_path / "data" / "1.parquet", row_group_size=7000)
     return tmp_path / "data"
 
@@ -52,7 +52,7 @@ def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_mixed_files_are_read_twice_and_leave_the_bytes(
     mixed: Path, config: Path, plain: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once for the survey, and once for the rows, where each of six shards read each file."""
+    """A file is read once for the survey and once for the rows; six shards once read each file."""
     opened: list[str] = []
     plainly = Part.rows
     monkeypatch.setattr(Part, "rows", lambda part, columns: opened.append(part.name) or plainly(part, columns))
@@ -113,7 +113,7 @@ def test_a_damaged_mixed_file_is_named_and_the_other_is_used(mixed: Path, config
     damaged = mixed / "0.parquet"
     data = bytearray(damaged.read_bytes())
     whole = fleet.estimate(mixed / "1.parquet", axis=config, by="machine", period="1min")
-    data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)  # heads of pages, too: Parquet has no checksum of numbers
+    data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)  # this hits heads of pages; Parquet has no checksum of numbers
     damaged.write_bytes(data)
     found = fleet.estimate(mixed, axis=config, by="machine", period="1min")
     assert found.problems.filter(pl.col("file") == "0.parquet")["code"].to_list() == ["unreadable"]

@@ -1,4 +1,4 @@
-"""Where a step is put when something else moves as well, on segments that are written down."""
+"""The place of a step while another parameter moves, on segments of given numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEGMENT, N = 60.0, 16
 
 
 def series(theta: Floats, std: Floats) -> Series:
-    """Of usable segments."""
+    """Return usable segments."""
     n = len(theta)
     start = SEGMENT * np.arange(n)
     counts = np.full(n, 3000)
@@ -23,8 +23,10 @@ def series(theta: Floats, std: Floats) -> Series:
 
 
 def breathing(rng: np.random.Generator, place: int, factor: float, phase: float) -> Series:
-    """Mass and bars of a step, friction that goes up and down by 3 % with the temperature; the segment of the step has
-    some of both sides, and says so."""
+    """Return segments with a step of the mass, and with friction that varies by 3 % with the temperature.
+
+    The segment of the step has samples of both sides, and its status says so.
+    """
     wave = 0.03 * np.sin(2 * np.pi * 1.3 * np.arange(N) / N + phase)
     std = np.tile([5e-3, 0.08, 0.01], (N, 1)) * np.exp(0.3 * rng.standard_normal((N, 1)))
     theta = np.stack([np.full(N, 90.0), 120 * (1 + wave), 18 * (1 + 0.3 * wave)], axis=1)
@@ -36,7 +38,7 @@ def breathing(rng: np.random.Generator, place: int, factor: float, phase: float)
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_step_next_to_friction_that_breathes_is_a_step(seed: int) -> None:
-    """The friction's own motion had been taken for the beginning of the step, and then a drift explained more."""
+    """The variation of the friction was once taken for the beginning of the step, and a drift then fitted better."""
     rng = np.random.default_rng(seed)
     place, factor = int(rng.integers(5, 12)), float(rng.choice([0.85, 1.2]))
     one = breathing(rng, place, factor, rng.uniform(0, 2 * np.pi))
@@ -49,7 +51,7 @@ def test_a_step_next_to_friction_that_breathes_is_a_step(seed: int) -> None:
 
 
 def test_a_step_in_a_segment_that_says_nothing_came_there() -> None:
-    """It was reported for the segment after, in which nothing happened."""
+    """The step was once reported for the following segment, in which nothing happened."""
     rng = np.random.default_rng(5)
     whole = breathing(rng, 9, 1.2, 0.0)
     step = step_of(whole[np.arange(N) != 8], NAMES, 0.02)
@@ -65,7 +67,9 @@ def test_a_drift_of_minutes_is_not_reported_per_day() -> None:
 
 @pytest.mark.parametrize("cause", ["mass", "friction", "input_gain"])
 def test_a_drift_has_its_cause_and_its_size_from_the_begin_on(cause: str) -> None:
-    """One parameter was reported, whichever moved most clearly, and relative to the middle of the history."""
+    """An earlier version named the parameter that moved most clearly, with sizes relative to the middle of the
+    history.
+    """
     rng, n, factor = np.random.default_rng(3), 40, 1.25
     line = np.linspace(1.0, factor, n)
     theta, std = np.tile([90.0, 120.0, 18.0], (n, 1)), np.tile([0.1, 0.5, 0.05], (n, 1))
@@ -78,7 +82,7 @@ def test_a_drift_has_its_cause_and_its_size_from_the_begin_on(cause: str) -> Non
 
 
 def test_a_segment_too_sure_of_itself_is_no_change() -> None:
-    """Estimates that scatter by 5 %, of which a few say 0.01 %: these had been the axis, and named it."""
+    """Estimates scatter by 5 %, and a few have bars of 0.01 %: these few once decided the verdict on the axis."""
     named = 0
     for seed in range(10):
         rng, n = np.random.default_rng(seed), 24

@@ -1,4 +1,4 @@
-"""The history of a fleet: who changed is found, the bytes know nothing of files or threads, and bad parts are named."""
+"""The history of a fleet: changed axes are found, files and threads do not change the bytes, bad parts are named."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.conftest import long_unless
 from tests.tuned import set_tuning
 
 AXES, SAMPLES, HALF = 12, 60_000, 300.0
-#: Axis -> what changes in it, by which factor, and when [s]. Of a third axis everything stays, but it is no machine of
+#: Axis -> its changed parameter, the factor and the time [s]. A third axis does not change, but it is no machine of
 #: this type.
 CHANGES = {
     2: Change("mass", 1.2, 190.0),
@@ -39,7 +39,7 @@ CHANGES = {
 
 @pytest.fixture(scope="module")
 def log() -> pl.DataFrame:
-    """All rows, in order."""
+    """Return all rows in order."""
     made = machines(AXES, 0, SAMPLES * DT, seed=4)
     own = [Machine(one.name, one.number, one.drive, CHANGES.get(one.number)) for one in made]
     return pl.concat([rows(one, SAMPLES, seed=4) for one in own])
@@ -54,11 +54,11 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plain(log: pl.DataFrame, config: Path) -> History:
-    """From one frame, by one thread."""
+    """Estimate from one frame in one thread."""
     return fleet.estimate(log, axis=config, by="machine", period="1min", engine=fleet.Local(1))
 
 
-# --- what is found ----------------------------------------------------------------------------------------------------
+# --- found changes ----------------------------------------------------------------------------------------------------
 
 
 def test_those_that_changed_are_named_with_cause_size_and_time(plain: History) -> None:
@@ -103,7 +103,7 @@ def test_a_period_with_a_change_in_it_is_in_doubt(plain: History) -> None:
 
 
 def test_one_that_differs_from_its_type_is_named_and_another_type_is_not(log: pl.DataFrame, config: Path) -> None:
-    heavy = log.filter(pl.col("machine") == "axis-0002").filter(pl.col("t") > 200)  # after its change
+    heavy = log.filter(pl.col("machine") == "axis-0002").filter(pl.col("t") > 200)  # rows after its change
     few = pl.concat([log.filter(~pl.col("machine").is_in([f"axis-{k:04d}" for k in CHANGES])), heavy])
     double = pl.col("u") * pl.when(pl.col("machine") == "axis-0002").then(0.5).otherwise(1.0)
     typed = few.with_columns(double.alias("u"), pl.lit("a").alias("kind"))
@@ -120,21 +120,21 @@ Layout = Callable[[pl.DataFrame, Path], None]
 
 
 def by_axis(log: pl.DataFrame, folder: Path) -> None:
-    """The axis is in the names of the folders alone."""
+    """Write files whose axis is only in the names of the folders."""
     for (name,), part in log.partition_by("machine", as_dict=True).items():
         (folder / f"machine={name}").mkdir()
         part.drop("machine").write_parquet(folder / f"machine={name}" / "0.parquet")
 
 
 def by_time(log: pl.DataFrame, folder: Path) -> None:
-    """Files of 100 s, in a row of which any axis may be next."""
+    """Write files of 100 s, with the rows of all axes in random order."""
     part = (pl.col("t") / 100).floor()
     for k, rest in enumerate(log.with_columns(part=part).partition_by("part", include_key=False)):
         rest.sample(fraction=1.0, shuffle=True, seed=k).write_parquet(folder / f"[{k}].parquet")
 
 
 def in_arrow(log: pl.DataFrame, folder: Path) -> None:
-    """Two files, of other types, with some rows in both."""
+    """Write two files with different types and with some common rows."""
     log[: log.height // 2 + 1000].cast({"counts": pl.Int64, "u": pl.Float64}).write_ipc(folder / "a.arrow")
     log[log.height // 2 :].with_columns(pl.col("counts").cast(pl.String)).write_parquet(folder / "b.parquet")
 
@@ -169,7 +169,7 @@ def test_shards_leave_the_bytes(
 def test_an_engine_that_brings_the_rows_together_itself_has_the_same_segments(
     log: pl.DataFrame, config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`Work.frame` is what a cluster calls on the rows of some axes, however it has shuffled them."""
+    """A cluster calls `Work.frame` on the rows of some axes, in any order."""
     few = log.filter(pl.col("machine").is_in(["axis-0001", "axis-0002"]))
     works: list[tuple[fleet.Work, fleet.Segments]] = []
     plainly = fleet.Work.shard
@@ -184,7 +184,7 @@ def test_an_engine_that_brings_the_rows_together_itself_has_the_same_segments(
     assert again.rows.height == 20
 
 
-# --- what is done is not done again -----------------------------------------------------------------------------------
+# --- no work is repeated ---------------------------------------------------------------------------------------------
 
 
 def test_a_second_call_does_what_is_new_alone(log: pl.DataFrame, config: Path, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_a_second_call_does_what_is_new_alone(log: pl.DataFrame, config: Path, t
     assert both.periods.height == 2 * first.periods.height
     damaged = next((out / "work").glob("*.parquet"))
     damaged.write_bytes(b"PAR1 no more")
-    half = damaged.with_name(f"{damaged.name}.1.part")  # as a call leaves it that is killed
+    half = damaged.with_name(f"{damaged.name}.1.part")  # a killed call leaves such a file
     half.write_bytes(b"PAR1")
     assert whole().periods.equals(both.periods)
     assert not half.exists()
@@ -213,7 +213,7 @@ def test_a_second_call_does_what_is_new_alone(log: pl.DataFrame, config: Path, t
 def test_another_frame_is_not_taken_for_the_one_before(
     log: pl.DataFrame, config: Path, tmp_path: Path, lazy: bool
 ) -> None:
-    """A frame has no date that tells it from another of the same axes and times."""
+    """A frame has no date that would distinguish it from another frame of the same axes and times."""
     few = log.head(SAMPLES // 4)
     for factor, reused in ((1.0, 0), (1.0, 1), (0.5, 0)):
         frame = few.with_columns(pl.col("u") * factor)
@@ -241,14 +241,14 @@ def test_a_folder_with_other_files_is_left_alone(log: pl.DataFrame, config: Path
 
 @pytest.fixture(scope="module")
 def spoilt(log: pl.DataFrame, config: Path, tmp_path_factory: pytest.TempPathFactory) -> History:
-    """A data set with one fault of each kind, each in an axis of its own."""
+    """Estimate a data set with one fault of each kind, each in its own axis."""
     folder = tmp_path_factory.mktemp("spoilt")
     parts = {f"p{k}": log[k * SAMPLES : (k + 1) * SAMPLES] for k in range(AXES)}
     row, t = pl.int_range(pl.len()), pl.col("t")
     half = pl.col("machine").is_not_null() & ((t < HALF) | (row % 2 == 0))
-    parts["p0"] = parts["p0"].filter(half)  # sampled at half the rate from then on
+    parts["p0"] = parts["p0"].filter(half)  # half the sampling rate after this time
     parts["p1"] = parts["p1"].filter(~t.is_between(100, 170) & ~t.is_between(400, 400.05))  # gaps
-    parts["p3"] = pl.concat([parts["p3"], parts["p3"][1000:2000]])  # rows twice
+    parts["p3"] = pl.concat([parts["p3"], parts["p3"][1000:2000]])  # repeated rows
     wrong = parts["p4"][5000:5020].with_columns(pl.col("counts") + 99)
     parts["p4"] = pl.concat([parts["p4"], wrong])  # rows that contradict others
     parts["p6"] = parts["p6"].head(10)
@@ -258,7 +258,7 @@ def spoilt(log: pl.DataFrame, config: Path, tmp_path_factory: pytest.TempPathFac
         part.write_parquet(folder / f"{name}.parquet")
     damaged = folder / "p10.parquet"
     data = bytearray(damaged.read_bytes())
-    data[len(data) // 3 : 2 * len(data) // 3] = bytes(len(data) // 3)  # its footer is whole
+    data[len(data) // 3 : 2 * len(data) // 3] = bytes(len(data) // 3)  # the footer of the file stays whole
     damaged.write_bytes(data)
     shutil.copy(config, folder / "notes.txt")
     (folder / "p11.parquet").write_bytes(b"PAR1")
@@ -295,7 +295,7 @@ def test_the_rest_is_done(spoilt: History, plain: History) -> None:
     known = {axis: spoilt.periods.filter(pl.col("axis") == axis) for axis in spoilt.axes["axis"].to_list()}
     for axis in ("axis-0002", "axis-0003", "axis-0005", "axis-0007", "axis-0008"):
         own = plain.periods.filter(pl.col("axis") == axis).drop("findings")
-        if axis != "axis-0008":  # of which the input has fewer digits
+        if axis != "axis-0008":  # the input of this axis has fewer digits
             assert known[axis].drop("findings").equals(own), axis
         assert known[axis]["quality"].is_in(["good", "doubt"]).all()
     assert known["axis-0006"]["quality"].to_list() == ["none"]
@@ -339,7 +339,7 @@ def test_a_stamp_of_another_century_does_not_stop_it(log: pl.DataFrame, config: 
 
 
 def test_the_command_prints_and_writes(log: pl.DataFrame, plain: History, tmp_path: Path) -> None:
-    """The filters are chosen by the record, once."""
+    """The record chooses the filters once."""
     config = tmp_path / "axis.toml"
     config.write_text(AXIS_TOML)
     log.write_parquet(tmp_path / "log.parquet")
@@ -357,7 +357,7 @@ def test_the_command_prints_and_writes(log: pl.DataFrame, plain: History, tmp_pa
 
 
 def test_the_report_draws_any_name_and_has_the_trends(plain: History, tmp_path: Path) -> None:
-    """Control characters, formulas and names of any length had reached the figures and the terminal."""
+    """Control characters, formulas and long names once reached the figures and the terminal."""
     names = {"axis-0002": "<b>$x_{\x1b[31m", "axis-0005": "x" * 400}
     axes, periods = (
         one.with_columns(pl.col("axis").replace(names).alias("axis")) for one in (plain.axes, plain.periods)

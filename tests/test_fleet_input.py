@@ -1,4 +1,4 @@
-"""What a data set may have that is none: named, the rest is done, and the other axes keep every bit."""
+"""Faults of a data set: each is named, all other data are processed, and the other axes keep every bit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ AXES, SAMPLES = 9, 6000
 
 @pytest.fixture(scope="module")
 def logs() -> list[pl.DataFrame]:
-    """Of March 2026."""
+    """Return logs of March 2026."""
     plain = [rows(one, SAMPLES, seed=8) for one in machines(AXES, 0, 1.0, seed=8)]
     return [log.with_columns(pl.col("t") + 1_772_323_200.0) for log in plain]
 
@@ -59,7 +59,7 @@ def named(log: pl.DataFrame, value: object) -> pl.DataFrame:
 
 @pytest.fixture(scope="module")
 def mixed(logs: list[pl.DataFrame], config: Path, tmp_path_factory: pytest.TempPathFactory) -> History:
-    """An axis for each case, in files of their own."""
+    """Estimate a data set with an axis for each case, each in its own files."""
     folder = tmp_path_factory.mktemp("mixed")
     decimal = {"u": pl.Decimal(12, 4), "counts": pl.Decimal(12, 0)}
     frames = {
@@ -104,7 +104,7 @@ def test_what_is_odd_is_named(mixed: History, where: str, code: str) -> None:
 
 
 def test_axes_whose_names_are_numbers_are_not_put_together(mixed: History) -> None:
-    """7.25 and 7.75 had both become 7."""
+    """7.25 and 7.75 once both became 7."""
     known = set(mixed.axes["axis"].to_list())
     assert {"7.25", "7.75", "7", "<b>Ü\x1b/../$x_{"} <= known
     assert "" not in known
@@ -131,7 +131,7 @@ def test_a_file_that_grows_while_it_is_read_is_named_and_done_again(
 
 
 def _grows(path: Path, more: pl.DataFrame) -> Callable[[Part], bool]:
-    """Another writer, just before the look."""
+    """Let another writer extend the file just before the look."""
     plainly = Part.rewritten.fget  # type: ignore[attr-defined]
 
     def look(part: Part) -> bool:
@@ -155,7 +155,7 @@ def test_text_of_iso_8601_is_a_time(ahead: str, ending: str) -> None:
 
 
 def test_a_long_text_is_no_time() -> None:
-    """A packed file of 5 kB repeated one of 20 kB in 400 000 rows: its parts took 6 GB."""
+    """A compressed file of 5 kB repeated a text of 20 kB in 400 000 rows: splitting it took 6 GB."""
     stamp = "2026-03-01 00:00:00.25"
     frame = pl.DataFrame({"t": [stamp, stamp + " " * LONGEST_CELL]})
     assert frame.select(seconds_of(pl.col("t"), "t", pl.String(), 1.0))["t"].to_list() == [1_772_323_200.25, None]
@@ -192,7 +192,7 @@ def test_an_axis_of_two_types_is_named(logs: list[pl.DataFrame], config: Path, t
 
 @pytest.fixture(scope="module")
 def lake(logs: list[pl.DataFrame], config: Path, tmp_path_factory: pytest.TempPathFactory) -> History:
-    """What is no file, or hangs on links, next to files."""
+    """Estimate a folder with links and entries that are no files, besides files."""
     folder, other = tmp_path_factory.mktemp("lake"), tmp_path_factory.mktemp("other")
     logs[0].write_parquet(folder / "a.parquet")
     logs[1].write_parquet(other / "b.parquet")
@@ -210,7 +210,7 @@ def lake(logs: list[pl.DataFrame], config: Path, tmp_path_factory: pytest.TempPa
         pl.col("short").alias("t")
     ).write_parquet(folder / "short.parquet")
     logs[6].with_columns(pl.concat_list("machine")).write_parquet(folder / "list.parquet")
-    for name in RESULTS:  # of a history that wrote there
+    for name in RESULTS:  # files of a history that was written there
         (folder / "results" / name).mkdir(parents=True)
     logs[7].write_parquet(folder / "results" / "work" / "e.parquet")
     return estimated(folder, config)
@@ -247,7 +247,7 @@ def test_one_call_at_a_time_has_a_folder(logs: list[pl.DataFrame], config: Path,
 
 
 def test_a_disk_that_fills_up_is_said(tmp_path: Path) -> None:
-    """What polars raises then is no OSError."""
+    """Polars then raises an error that is no OSError."""
 
     def write(part: Path) -> None:
         part.write_text("half")
@@ -279,7 +279,7 @@ def test_numbers_that_are_none_are_refused(logs: list[pl.DataFrame], config: Pat
 
 
 def test_a_delta_table_is_read_by_its_log(logs: list[pl.DataFrame], config: Path, tmp_path: Path) -> None:
-    """What is overwritten lies there still, and a name of a partition may have any letters."""
+    """Overwritten files still exist, and a name of a partition may have any letters."""
     deltalake = pytest.importorskip("deltalake", reason="deltalake is not installed: pip install 'pmfid[delta]'")
     wanted = pl.concat([named(logs[0], "a b/ü"), named(logs[1], "2")])
     deltalake.write_deltalake(tmp_path / "table", pl.concat(logs[2:4]), partition_by=["machine"])

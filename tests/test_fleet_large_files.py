@@ -1,4 +1,4 @@
-"""A file whose row group is larger than the memory may be: read in windows, each shard its own rows, the same bytes."""
+"""A file with a row group larger than the memory is read in windows, each shard its own rows, with the same bytes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AXES, SAMPLES, WINDOW = 4, 7000, 3000
 
 @pytest.fixture(scope="module")
 def log() -> pl.DataFrame:
-    """By axis, over midnight."""
+    """Return rows ordered by axis, across midnight."""
     return pl.concat([rows(one, SAMPLES, seed=8) for one in machines(AXES, 0, 1.0, seed=8)]).with_columns(
         pl.col("t") + 86_370.0
     )
@@ -37,7 +37,7 @@ def config(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def large(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """One file of one row group, windows of less than an axis, shards of one axis."""
+    """Write one file of one row group; windows are shorter than an axis, and each shard has one axis."""
     set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 500)
     set_tuning(monkeypatch, "pmfid.fleet.source", source_window=WINDOW)
     path = tmp_path / "data" / "all.parquet"
@@ -63,7 +63,7 @@ def test_windows_say_the_same_of_a_file_as_one_look(large: Path, config: Path, m
 def test_a_shard_reads_its_own_rows_of_a_large_file_and_the_bytes_are_the_same(
     large: Path, log: pl.DataFrame, config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each shard had read all of the file: the square of the size in time."""
+    """Each shard once read the whole file: the time grew with the square of the size."""
     read: list[int] = []
     plainly = Part.rows
 
@@ -76,7 +76,7 @@ def test_a_shard_reads_its_own_rows_of_a_large_file_and_the_bytes_are_the_same(
         found = estimated(large, config)
     assert found.shards >= AXES
     assert max(read) == WINDOW
-    looks = found.shards + TRIED  # of one axis each
+    looks = found.shards + TRIED  # each shard has one axis
     assert sum(read) <= log.height + looks * SAMPLES
     plain = estimated(log, config)
     assert found.periods.equals(plain.periods)

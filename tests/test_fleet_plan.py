@@ -1,4 +1,4 @@
-"""Shards fit the memory, whatever the axes, files and processors."""
+"""Shards fit the memory for any number of axes, files and processors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the report on a fleet says where it knows little, and how it is read on a narrow screen."""
+"""The report on a fleet with little knowledge, and its layout on a narrow screen."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.test_fleet_changes import NAMES, N, series
 
 
 def alike(axes: int) -> list[AxisVerdict]:
-    """Of N axes whose segments have the same numbers: a spread of zero."""
+    """Return the verdicts on axes whose segments have the same numbers: a spread of zero."""
     one = series(np.tile([1.0, 10.0, 2.0], (N, 1)), np.tile([0.01, 0.1, 0.02], (N, 1)))
     return judge_axes([follow_axis(f"a{k}", "", one, NAMES, 0.02) for k in range(axes)], NAMES, 0.02)
 
@@ -43,14 +43,14 @@ def history(axes: int, deviation: float) -> History:
 
 
 def test_few_axes_of_a_type_are_said_to_be_judged_by_their_past_alone(tmp_path: Path) -> None:
-    """They had been drawn at the median of their type without a word."""
+    """These axes were once drawn at the median of their type without a notice."""
     write_fleet(tmp_path, history(3, float("nan")), "lake")
 
     assert "3 axes are of a type with fewer than 8" in (tmp_path / "fleet.html").read_text(encoding="utf-8")
 
 
 def test_why_an_axis_needs_attention_can_be_read_on_a_narrow_screen(tmp_path: Path) -> None:
-    """What is long goes over several lines, where it had been cut off."""
+    """Long text goes over several lines; it was once cut off."""
     write_fleet(tmp_path, history(3, 0.1), "lake")
     page = (tmp_path / "fleet.html").read_text(encoding="utf-8")
 
@@ -70,7 +70,7 @@ def with_kinds(found: History, kinds: list[str]) -> History:
 
 
 def test_axes_without_an_estimate_are_listed_and_counted_in_the_title(tmp_path: Path) -> None:
-    """The page had pointed to a table in which they did not stand."""
+    """The page once pointed to a table that did not list them."""
     page = page_of(tmp_path, with_kinds(history(3, 0.1), ["no estimate", "", ""]))
     assert "<h1>lake: 0 of 3 axes need attention, 1 has no estimate</h1>" in page
     assert "<td>a0</td>" in page.partition("<h2>No estimate</h2>")[2].partition("<h2>")[0]
@@ -87,7 +87,7 @@ def test_axes_that_wander_are_distinguished_from_those_that_need_attention(tmp_p
 
 
 def test_one_name_that_is_a_number_does_not_push_the_reasons_off_the_page(tmp_path: Path) -> None:
-    """It had made a column of numbers of all names, and the longest of them went over one line."""
+    """The number once made a numeric column of all names, and the longest name stayed on one line."""
     found = history(3, 0.1)
     names = pl.Series("axis", ["007", "<b>" + "long" * 40, "漢字"])
     periods = found.periods.with_columns(names)
@@ -98,7 +98,7 @@ def test_one_name_that_is_a_number_does_not_push_the_reasons_off_the_page(tmp_pa
 
 
 def test_trends_are_drawn_of_what_moves() -> None:
-    """The largest distances from the others had taken all the room."""
+    """The largest distances from other axes once took all the space."""
     found = with_kinds(history(4, 0.1), ["differs", "changed", "drifts", ""])
     assert moving(found)["axis"].to_list() == ["a1", "a2"]
 
@@ -112,5 +112,5 @@ def test_trends_are_drawn_of_what_moves() -> None:
     ],
 )
 def test_times_of_hours_and_of_months_are_distinguished(times: list[float], texts: list[str]) -> None:
-    """Of a history of hours every label had been the same date."""
+    """All labels of a short history once showed the same date."""
     assert ticks_of(np.array(times)) == texts

@@ -1,4 +1,4 @@
-"""Which samples make a segment: rests take no place, and a few moves may follow themselves."""
+"""The choice of samples for a segment: rests do not count, and a few moves may follow one another."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SETTLED, QUARTER, SPAN = 20, 250, 20_000
 
 
 def moves(rests: list[int], length: int = 100) -> Counts:
-    """Counts of moves to and fro, after each of the rests [samples]."""
+    """Return counts of moves in alternating directions, each after its rest [samples]."""
     steps = np.concatenate([np.r_[np.zeros(rest, int), np.full(length, (-1) ** k)] for k, rest in enumerate(rests)])
     return np.r_[0, np.cumsum(steps), np.full(5 * TUNING.segments_long * SETTLED, steps.sum())]
 
@@ -39,7 +39,7 @@ def test_every_move_is_in_one_segment_with_as_much_rest_as_settles(rest: int) ->
     places = np.concatenate([one.places for one in found])
     assert np.unique(places).size == places.size
     moving = np.flatnonzero(np.diff(counts)) + 1
-    assert np.isin(moving, places).all() or rest == 500  # of whole segments the last samples may be too few
+    assert np.isin(moving, places).all() or rest == 500  # the last samples of whole segments may also be too few
     assert places.size < moving.size + 40 * 2 * (SETTLED + 1) + 5 * SETTLED
     assert all(one.places[-1] - one.places[0] < SPAN for one in found)
 
@@ -66,7 +66,7 @@ def test_an_axis_at_rest_has_a_segment_that_says_nothing() -> None:
 
 
 def tracks(theta: np.ndarray, status: np.ndarray, std: float) -> Tracks:
-    """Of one axis and one parameter: theta, status (m,)."""
+    """Return tracks of one axis and one parameter from theta and status (m,)."""
     m = theta.size
     ones = np.ones((1, m, 1))
     variance = np.full((1, m), std**2)

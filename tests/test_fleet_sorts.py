@@ -1,4 +1,4 @@
-"""Two versions of a machine under one name: neither half is named, and nobody hides among them."""
+"""Two versions of a machine under one name: neither half is named, but an odd axis within a half is."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BARS = np.array([0.002, 0.005, 0.008])
 
 
 def fleet(masses: Floats, seed: int = 0) -> list[Follow]:
-    """Axes of one type with these masses, each machine 5 % its own way."""
+    """Return axes of one type with these masses; the parameters of each machine scatter by 5 %."""
     rng = np.random.default_rng(seed)
     theta = np.stack([masses, np.full(masses.size, 10.0), np.full(masses.size, 2.5)], axis=1)
     theta *= np.exp(0.05 * rng.standard_normal(theta.shape))
@@ -40,7 +40,7 @@ def test_two_versions_are_reported_and_neither_is_named(second: int, factor: flo
 
 @pytest.mark.parametrize("odd", [0.6, 1.4, 2.8])
 def test_who_differs_from_his_own_version_is_named(odd: float) -> None:
-    """The spread over both versions had hidden him."""
+    """The spread over both versions once hid the odd axis."""
     masses = np.r_[np.full(30, 1.0), np.full(30, 2.0)]
     masses[7] = odd
     found = judge_axes(fleet(masses), NAMES, 0.02)

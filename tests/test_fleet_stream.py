@@ -1,4 +1,4 @@
-"""A shard of a stream: the bits of a monitor alone, whatever batches there are; its state on the way."""
+"""A shard of a stream has the bits of a single monitor for any batches, and its state can move."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rows() -> list[tuple[str, bytes]]:
 
 
 def restarted(plan: StreamPlan, batches: list[list[tuple[str, bytes]]]) -> tuple[dict[int, bytes], pl.DataFrame]:
-    """As `in_one_process`, with a new shard from the bytes for each batch, whose blocks come in any order."""
+    """Return the output of `in_one_process` with a new shard for each batch, whose blocks come in any order."""
     bodies, tables = dict[int, bytes](), list[pl.DataFrame]()
     for k, batch in enumerate(batches):
         mixed = Random(k).sample(batch, len(batch))
@@ -56,8 +56,10 @@ def test_restarts_and_other_batches_give_the_same_bits(prepared: Prepared, rows:
 
 
 def test_what_a_wrong_order_of_files_loses_is_counted(prepared: Prepared) -> None:
-    """Spark takes files of one age in any order: in one batch that changes nothing, in a batch for each of them what
-    is out of order by more than the window is counted as late."""
+    """Spark reads files of the same age in any order, which does not matter within one batch.
+
+    With a batch for each file, blocks out of order by more than the window count as late.
+    """
     plan = StreamPlan(prepared, PACE, 1)
     data = [encode(replace(block_of("x1", 1.0), first=first)) for first in (0, 100, 200)]
     mixed = [data[0], data[2], data[1]]
@@ -123,7 +125,7 @@ def test_numbers_of_axes_are_those_of_no_other_shard(prepared: Prepared) -> None
 def test_states_go_through_a_service_and_back(
     prepared: Prepared, rows: list[tuple[str, bytes]], tmp_path: Path
 ) -> None:
-    """Out of 3 shards into the folder of a service, from there into 2 others, and on: as without the moves."""
+    """A state moves from 3 shards into the folder of a service and into 2 other shards without an effect."""
     before, after = parts_of(rows, 2)
     straight, _ = in_one_process(StreamPlan(prepared, PACE, 1), [before, after])
     bodies, _ = in_one_process(StreamPlan(prepared, PACE, 3), [before])
@@ -199,7 +201,7 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
 
 
 def test_a_failure_of_spark_is_said_with_what_helps(tmp_path: Path) -> None:
-    (tmp_path / "spark.log").write_text("java.lang.OutOfMemoryError: Java heap space\n")  # of a run before
+    (tmp_path / "spark.log").write_text("java.lang.OutOfMemoryError: Java heap space\n")  # of an earlier run
     log = SparkLog(tmp_path)
     assert "put back a copy" in log.problem(ValueError("Incomplete log file in the offset commit log"))
     said = log.problem(ValueError("[FAILED_READ_FILE] a.parquet\n  File x\njava.io.IOException: no such file\n  at y"))

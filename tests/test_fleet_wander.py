@@ -1,4 +1,4 @@
-"""Friction that goes up and down neither steps nor drifts, and does not hide what does."""
+"""Friction that varies slowly is no step or drift, and it does not hide steps and drifts."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ THETA, BARS = np.array([64.0, 10.0, 2.5]), np.array([0.002, 0.006, 0.008])
 
 
 def seen(rng: np.random.Generator, factors: Floats) -> Series:
-    """Segments of an axis whose parameters go with factors (n, p)."""
+    """Return segments of an axis whose parameters are scaled by factors (n, p)."""
     std = THETA * BARS * np.exp(0.3 * rng.standard_normal((len(factors), 1)))
     return series(THETA * factors + std * rng.standard_normal(factors.shape), std)
 
 
 def friction(wave: Floats) -> Floats:
-    """(n, p) factors: viscous friction goes with the wave, Coulomb friction with a part of it, the mass stays."""
+    """Return factors (n, p): viscous friction follows the wave, Coulomb friction a part of it, the mass stays."""
     return 1 + wave[:, None] * [0.0, 1.0, 0.7]
 
 
@@ -38,14 +38,14 @@ def walk(rng: np.random.Generator, n: int = N) -> Floats:
 
 
 def verdicts(fleet: list[Series]) -> list[AxisVerdict]:
-    """Each axis is of a type of its own, so that its past alone counts."""
+    """Judge axes that each have their own type, so that only their past counts."""
     follows = [follow_axis(f"a{k}", str(k), one, NAMES, 0.02) for k, one in enumerate(fleet)]
     return judge_axes(follows, NAMES, 0.02)
 
 
 @pytest.mark.parametrize("wave", [sinusoid, walk])
 def test_friction_that_breathes_is_not_named(wave: object) -> None:
-    """Two in five of such walks had been called steps or drifts; three in a hundred jump or go straight enough."""
+    """Two in five of such walks were once called steps or drifts; three in a hundred look like a step or a drift."""
     rng = np.random.default_rng(8)
     found = verdicts([seen(rng, friction(wave(rng))) for _ in range(30)])  # type: ignore[operator]
     assert sum(one.named for one in found) <= 2
@@ -71,7 +71,7 @@ def test_a_step_of_the_mass_next_to_it_keeps_cause_and_time(wave: object, factor
     for k, one in enumerate(factors):
         one[10 + 2 * k :, 0] *= factor
     found = verdicts([seen(rng, factor) for factor in factors])
-    assert sum(one.cause == "mass" for one in found) >= 9  # friction may happen to go along
+    assert sum(one.cause == "mass" for one in found) >= 9  # friction may vary in the same way by chance
     for k, one in enumerate(found):
         assert one.kind == CHANGED
         assert abs(one.since - SEGMENT * (10 + 2 * k)) <= SEGMENT

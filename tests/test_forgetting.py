@@ -1,4 +1,4 @@
-"""Forgetting schemes: what each keeps and drops, against sums over the same samples."""
+"""Forgetting schemes against sums over the samples that each scheme keeps."""
 
 from dataclasses import replace
 
@@ -20,7 +20,10 @@ CASES = [(cls, scheme) for cls in RECURSIVE for scheme in FORGETTING_SCHEMES if 
 
 
 def gap_record(increments=4096, still=3000, coast=3000, head=2000):
-    """PRBS, rest, constant speed, and PRBS with another mass; u, counts, resolution and where the last begins."""
+    """Return u, counts, resolution and the start of the last part.
+
+    The parts are a PRBS, a rest, constant speed, and a PRBS with another mass.
+    """
     moves = prbs(2 * head, clock=10, amplitude=3.0, rng=np.random.default_rng(3))
     u = np.r_[moves[:head], np.zeros(still), np.ones(coast), moves[head:]]
     change = head + still + coast
@@ -55,7 +58,7 @@ def test_step_by_step_gives_the_bits_of_run(cls, scheme):
 
 
 def test_the_window_is_the_least_squares_solution_of_its_samples():
-    """7 full blocks and the one that is being filled, of ceil(100 / 7.5) = 14 samples each."""
+    """The window holds 7 full blocks and a partial one, of ceil(100 / 7.5) = 14 samples each."""
     u, counts, resolution, _ = gap_record(still=0, coast=0, head=400)
     estimator = make(pmfid.RLS, "window", resolution)
     track = estimator.run(u, counts)
@@ -64,7 +67,9 @@ def test_the_window_is_the_least_squares_solution_of_its_samples():
     samples = 7 * block + n % block
     assert n > 8 * block
     theta = np.linalg.lstsq(columns.phi[-samples:], columns.z[-samples:])[0]
-    np.testing.assert_allclose(track.theta[-1], theta, rtol=2e-6)  # the regularisation lags behind by so much
+    np.testing.assert_allclose(
+        track.theta[-1], theta, rtol=2e-6
+    )  # the delay of the regularisation causes this difference
     assert not np.allclose(theta, np.linalg.lstsq(columns.phi, columns.z)[0], rtol=1e-5)
 
 

@@ -1,4 +1,4 @@
-"""Files of machines, robots and laboratories: the same record in all of them, and what is theirs alone."""
+"""Files of machines, robots and laboratories: the same record in all formats, and the features of each format."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_objects_are_never_unpickled(tmp_path: Path) -> None:
 
 
 def test_lists_of_a_robot_data_set_are_columns(tmp_path: Path) -> None:
-    """As LeRobot has them: a folder with one file of data, lists of states and actions."""
+    """A data set of LeRobot is a folder with one file of data, with lists of states and actions."""
     folder = tmp_path / "lerobot"
     (folder / "data/chunk-000").mkdir(parents=True)
     (folder / "meta").mkdir()
@@ -102,7 +102,7 @@ def test_lists_of_a_robot_data_set_are_columns(tmp_path: Path) -> None:
 
 
 def test_a_sheet_with_a_preamble_has_all_digits(tmp_path: Path) -> None:
-    """Text of a cell has nine digits: an epoch in s, read so, would stand still."""
+    """The text of a cell has nine digits: an epoch in s would be constant in this text."""
     epoch = 1_772_582_400.0 + RUN["t"]
     rows = [["Scope", "", ""], ["", "", ""], ["t", "u", "y"], ["s", "V", "m"]]
     rows += [list(row) for row in zip(epoch, RUN["u"], RUN["y"], strict=True)]
@@ -134,7 +134,7 @@ def test_messages_have_paths_and_stamps(tmp_path: Path) -> None:
         for k in range(N):
             stamp = {"sec": 1_772_582_400 + k // 250, "nsec": k % 250 * 4_000_000}
             message = {"stamp": stamp, "position": [0.0, RUN["y"][k]], "effort": [RUN["u"][k]], "name": "axis"}
-            late = int(1e6 * (k % 3))  # the recorder's clock is not that of the joint
+            late = int(1e6 * (k % 3))  # the recorder's clock differs from the joint's clock
             writer.add_message(channel, int(k * DT * 1e9) + late, json.dumps(message).encode(), 0)
         writer.finish()
     same(read(path, input="/joint.effort.0", output="/joint.position.1", time="/joint.stamp"))
@@ -158,7 +158,7 @@ def entry(number: int, name: str) -> bytes:
 
 
 def test_signals_with_clocks_of_their_own_stand_side_by_side(tmp_path: Path) -> None:
-    """An input that is logged where it changes holds its value; one of the same cycle is taken as it stands."""
+    """An input that is logged at its changes holds its value; an input of the same cycle is used directly."""
     log = b"WPILOG\x00\x01" + struct.pack("<I", 0) + entry(1, "drive/u") + entry(2, "drive/y") + entry(3, "late")
     held, last = np.repeat(RUN["u"][::5], 5), None
     for k in range(N):
@@ -210,7 +210,7 @@ def test_a_library_that_is_not_there_is_named_with_what_installs_it(
 
 @pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != ".csv"])
 def test_damage_is_reported_or_harmless(tmp_path: Path, suffix: str) -> None:
-    """A few bytes changed at a time: a sentence, or a table."""
+    """A few bytes change at a time: the result is a sentence or a table."""
     path = tmp_path / f"run{suffix}"
     WRITERS[suffix](path, RUN)
     data, draw = path.read_bytes(), np.random.default_rng(5)
@@ -231,7 +231,7 @@ def test_damage_is_reported_or_harmless(tmp_path: Path, suffix: str) -> None:
     ("suffix", "good", "bad"), [(".tdms", b"/'run'/'u'", b"/'\xffun'/'u'"), (".mf4", b"##CN", b"##XN")]
 )
 def test_damage_is_reported_by_the_error_alone(tmp_path: Path, suffix: str, good: bytes, bad: bytes) -> None:
-    """The libraries write their logs on standard error by handlers of their own."""
+    """The libraries write their logs to standard error with their own handlers."""
     path = tmp_path / f"run{suffix}"
     WRITERS[suffix](path, {name: np.arange(50.0) for name in ("t", "u", "y")})
     data = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Records that are frames: pandas, Polars, Arrow and dicts of arrays, by an AXIS.toml."""
+"""Records as frames (pandas, Polars, Arrow, dicts of arrays) with an AXIS.toml."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ COLUMNS = {"t": np.arange(800) * 0.01, "u": RUN.u, "counts": RUN.counts}
 
 
 class Capsule:
-    """Another owner of Arrow data."""
+    """A foreign owner of Arrow data."""
 
     def __init__(self, frame: pl.DataFrame) -> None:
         self.frame = frame

@@ -1,4 +1,4 @@
-"""Friction over velocity with no law assumed: machines whose law is known."""
+"""Friction over velocity without an assumed law, on machines with a known law."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from studies.machines import Axis, _control, record_of
 from studies.paper.truth import CartRecord
 from tests.conftest import long_unless
 
-#: None of the study's: a lift of 120 kg, slow at the ends of its moves, and an indexing table.
+#: Machines that are not in the study: a lift of 120 kg, slow at the ends of its moves, and an indexing table.
 LIFT = Axis(
     DriveParameters(120.0, 400.0, 40.0, 10.0),
     0.005,
@@ -41,7 +41,7 @@ TABLE = Axis(DriveParameters(0.3, 1.1, 0.5, 2.0), 0.004, 5000, 2.0, 40, _control
 
 
 def law(machine: Machine, v: Floats) -> Floats:
-    """Friction [N] of a machine at velocities (n,), as `Machine` says."""
+    """Return the friction [N] of a machine at velocities (n,), by the law of `Machine`."""
     drive, side = machine.drive, np.sign(v)
     dry = drive.coulomb_friction + machine.stribeck * np.exp(-((v / machine.stribeck_speed) ** 2))
     force = drive.viscous_friction * v + side * dry + machine.quadratic * v * np.abs(v)
@@ -80,13 +80,12 @@ def test_the_law_is_within_the_band(friction: str, cell: str) -> None:
     assert found.mass == pytest.approx(axis.drive.mass, rel=0.01)
     assert abs(found.mass - axis.drive.mass) < 5 * found.mass_std
     known = np.median(found.std) / axis.drive.coulomb_friction
-    assert known < 0.15  # a band that says something
+    assert known < 0.15  # a narrow band
 
 
 @pytest.mark.parametrize("friction", ["nothing", "Stribeck 50 %", "quadratic 20 %", "directional 15 %"])
 def test_nothing_but_the_encoder_is_between_the_curve_and_the_law(friction: str) -> None:
-    """Through a fine encoder the nodes are on the law, but for the straight lines between them, which a minimum within
-    20 mm/s shows."""
+    """Through a fine encoder the nodes follow the law, except for straight lines near a minimum within 20 mm/s."""
     axis = BENCHES["stage"]
     machine = FRICTIONS[friction](axis)
     found = curve(axis, record_of(axis, machine, "multisine", 400_000, 3), nodes=16)
@@ -208,7 +207,7 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 def test_a_curve_without_a_mass_is_refused() -> None:
-    """After filters of a hundred samples it was -0.65 +- 0.95 kg, and a curve next to it."""
+    """With filters of a hundred samples the mass was once -0.65 +- 0.95 kg, and a curve was still shown."""
     axis = TABLE
     record = record_of(axis, FRICTIONS["quadratic 20 %"](axis), "prbs", 1024, 6)
     with pytest.raises(NotIdentifiableError, match="higher cutoff"):

@@ -1,4 +1,4 @@
-"""What a user meets first: help, names, the demo's files, keys that have no effect, and progress."""
+"""A user's first contact: help, names, the demo's files, keys without effect, and progress."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def test_progress_without_a_terminal_is_sparse_and_short_work_is_silent(
 
 
 def run_on_terminal(work: str, *, interrupt: bool) -> tuple[int, str]:
-    """The exit code of the command whose group is replaced by Python lines, and what it wrote on its terminal."""
+    """Run Python lines in place of the command's group; return the exit code and the text on the terminal."""
     lines = (
         # a job in the background ignores interrupts
         "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -211,7 +211,7 @@ def run_on_terminal(work: str, *, interrupt: bool) -> tuple[int, str]:
     process = subprocess.Popen([sys.executable, "-c", lines], stderr=theirs, stdout=theirs, stdin=subprocess.DEVNULL)
     os.close(theirs)
     text = b""
-    with suppress(OSError):  # at the end of the process
+    with suppress(OSError):  # raised at the end of the process
         while part := os.read(ours, 1000):
             text += part
             if interrupt and re.search(rb"after \d+ s", text):
@@ -249,7 +249,7 @@ def test_reproduce_tells_how_far_it_is(tmp_path: Path) -> None:
 
 
 def test_small_matrices_get_one_thread_before_numpy_is_there():
-    """`pmfid terms` took 18 s with two threads where one took 4."""
+    """`pmfid terms` took 18 s with two threads and 4 s with one."""
     code = "import os, sys; from pmfid.cli.main import main; main.callback(); print('numpy' in sys.modules, "
     code += "os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'])"
     clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}

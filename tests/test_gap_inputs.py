@@ -1,4 +1,4 @@
-"""Inputs that nobody saw: what stands in their place where a controller made them, and where they switched."""
+"""Unseen inputs: the values that replace them under a controller, and at a switch of the input."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def wave(samples: int = 6000) -> Floats:
 
 
 def waving(samples: int = 6000) -> Floats:
-    """As from a controller with a coarse encoder: smooth, with noise on top."""
+    """Return an input like that of a controller with a coarse encoder: smooth, with added noise."""
     return wave(samples) + 0.003 * np.random.default_rng(2).standard_normal(samples)
 
 
@@ -82,7 +82,7 @@ def test_samples_beyond_another_gap_hardly_count() -> None:
 
 
 def test_an_input_that_rests_now_and_then_is_not_held() -> None:
-    """It was taken for one, and every single missing sample of it for a gap after which all restarts."""
+    """The input was once taken for a held one, and each missing sample for a gap after which all filters restart."""
     u, there = waving(3000), kept(3000, 0.01)
     u[1000:2800] = 0.0
     assert not is_held(u, there)
@@ -92,7 +92,9 @@ def test_an_input_that_rests_now_and_then_is_not_held() -> None:
 
 
 def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> None:
-    """Filled, the mass was 0.06 % off, and after gaps of 50 samples 1.1 %. The note says what became of them."""
+    """Filled gaps gave an error of the mass of 0.06 %, and of 1.1 % with gaps of 50 samples. A note reports the
+    gaps.
+    """
     axis, run = AXES["heavy"], machine_record(AXES["heavy"], "nothing", "stop-and-go", 4096, 40)
     there = kept(run.u.size, 0.1, 20)[:2500]
     line, counts, _ = fill_gaps(run.u[:2500][there], run.counts[:2500][there], np.flatnonzero(there))
@@ -124,14 +126,14 @@ def test_a_short_gap_of_a_smooth_input_is_filled() -> None:
     found = fill_by_motion(method, *fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there)))
     assert found is not None
     assert np.all(np.isfinite(found[0]))
-    assert abs(method.settle_iteration(*found)[1][0] / truth(axis)[0] - 1) < 3e-4  # of lines 8e-4
+    assert abs(method.settle_iteration(*found)[1][0] / truth(axis)[0] - 1) < 3e-4  # with lines the error is 8e-4
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------
 
 
 def online(there: Flags, u: Floats, counts: Counts) -> tuple[Floats, np.ndarray]:
-    """theta (m, 3) and status (m,) at the samples that are there."""
+    """Return theta (m, 3) and status (m,) at the present samples."""
     riv, found, last = RIV(**SETTINGS), [], -1
     inputs = Inputs()
     for k in np.flatnonzero(there).tolist():
@@ -148,7 +150,7 @@ def online(there: Flags, u: Floats, counts: Counts) -> tuple[Floats, np.ndarray]
 
 @pytest.mark.parametrize(("part", "used"), [(0.1, 0.7), (0.3, 0.4)])
 def test_on_line_a_hidden_switch_costs_some_samples_and_no_spike(part: float, used: float) -> None:
-    """With filters that restarted half of the samples were lost at 10 %, and all but a tenth at 30 %."""
+    """Filters that restart lost half of the samples at 10 %, and all but a tenth at 30 %."""
     u, counts = held(4000)
     theta, status = online(kept(4000, part), u, counts)
     settled, own = (status & int(Status.SETTLING)) == 0, (status & int(Status.FALLBACK | Status.STARTING)) == 0
@@ -175,7 +177,7 @@ def test_where_a_held_input_switched_nothing_is_learnt_for_a_while(missing: int)
 
 
 def test_a_gap_that_is_short_for_the_filters_is_stepped_through_however_many_samples_it_has() -> None:
-    """At 4 kHz the filters never settled between bursts of 12 ms: the estimate was left to the fallback, and wild."""
+    """At 4 kHz the filters once never settled between bursts of 12 ms, and the fallback gave wild estimates."""
     assert (longest(CUTOFF / 4000), longest(RATE)) == (50, 8)
     fast = Inputs()
     for k in range(300):
@@ -201,7 +203,7 @@ def test_a_doubt_leaves_out_samples_and_the_filters_go_on() -> None:
     assert np.ptp(track.theta[:19], axis=0).max() == 0.0
     np.testing.assert_allclose(track.theta[-1], other.theta[-1], rtol=0.01)
     doubted.doubt(10**6)
-    doubted.set_state(doubted.get_state())  # a state that may be
+    doubted.set_state(doubted.get_state())  # the state is valid
     for wrong in (-1, 1.5, True):
         with pytest.raises(UsageError, match="whole number"):
             doubted.doubt(wrong)

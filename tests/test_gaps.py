@@ -1,4 +1,4 @@
-"""Records of a drive with gaps: samples that are missing, parts that are left out, several records in one estimate."""
+"""Records of a drive with gaps: missing samples, parts that are left out, several records in one estimate."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def axis(method: str = "iv", **record: object) -> Axis:
     )
 
 
-# --- what stands in place of what is missing --------------------------------------------------------------------------
+# --- values in place of missing samples -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("part", [0.01, 0.3])
@@ -76,7 +76,7 @@ def test_the_motion_tells_when_a_held_input_changed(part: float) -> None:
     u, counts = run()
     there = kept(u.size, part)
     line, whole, own = fill_gaps(u[there], counts[there], np.flatnonzero(there))
-    assert np.any(line != u)  # the line between the neighbours does not know it
+    assert np.any(line != u)  # the line between the neighbours does not know the switch
     found = fill_by_motion(IV(**SETTINGS), line, whole, own)
     assert found is not None
     np.testing.assert_allclose(found[0], u, atol=1e-9)
@@ -162,7 +162,7 @@ def test_a_gap_leaves_what_was_gathered(precision: str) -> None:
 
 
 def test_a_gap_is_forgotten_by_the_filters() -> None:
-    """Least squares go on as if the samples after were a record of their own, with the sums of both."""
+    """Least squares treats the samples after a gap as a second record and adds the sums of both."""
     u, counts = run(3000)
     rls = RLS(**SETTINGS)
     rls.run(u[:1500], counts[:1500])
@@ -253,7 +253,7 @@ def test_what_looks_at_one_motion_takes_the_part_without_gaps_that_moves_most_an
 
 
 def test_a_start_after_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:
-    """From rest a speed moves little, beyond friction much: steps by the effect at rest ran away, and overflowed."""
+    """A speed moves the axis little from rest and much beyond friction: steps by the effect at rest once overflowed."""
     t = np.linspace(0.0, 1.0, 50)
 
     def motion(parameters: Floats, speed: float, force: Floats | None) -> tuple[Floats, Floats]:
@@ -268,7 +268,9 @@ def test_a_start_after_a_gap_is_found_though_the_axis_moves_otherwise_there() ->
 
 
 def test_a_row_right_after_another_costs_no_record() -> None:
-    """As a logger starts: a real record with two rows 0.1 ms apart and 6.7 ms between all others was refused."""
+    """A logger often starts so: a real record with two rows 0.1 ms apart, and 6.7 ms between all others, was
+    refused.
+    """
     time = np.r_[0.0, 1e-4 + DT * np.arange(300)]
     config = Axis.model_validate(
         {

@@ -1,4 +1,4 @@
-"""A gain of the input that nobody knows, found by a force that somebody does; values that are given, and priors."""
+"""An unknown gain of the input, found by a known force; given values, and priors."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def truth(axis: Axis) -> dict[str, float]:
 
 
 def some_estimate(seed: int = 4) -> tuple[Floats, Floats]:
-    """Of four parameters, the last one no force, with any covariance."""
+    """Return an estimate of four parameters with a random covariance; the last parameter is no force."""
     rng = np.random.default_rng(seed)
     size = np.array([0.03, 0.4, 0.05, 0.002])
     root = rng.normal(size=(4, 4)) * 0.02
@@ -72,7 +72,7 @@ FORCES = np.array([True, True, True, False])
 def test_the_map_is_the_maximum_a_posteriori(
     index: list[int], value: list[float], std: list[float], free: bool
 ) -> None:
-    """Against a search for it, with its curvature for the covariance."""
+    """A search gives the same maximum, and its curvature gives the covariance."""
     theta, covariance = some_estimate()
     whiten = np.linalg.cholesky(np.linalg.inv(covariance)).T
 
@@ -91,7 +91,7 @@ def test_the_map_is_the_maximum_a_posteriori(
     assert found.theta[0] == pytest.approx(best.x, rel=1e-6)
     deviation = np.sqrt(np.diagonal(np.linalg.inv(best.jac.T @ best.jac)))
     kept = 5 if free else 4
-    # second derivatives are in neither, and differences of derivatives in the search's
+    # neither side has second derivatives, and the search has differences of derivatives
     assert np.sqrt(np.diagonal(found.noise[0]))[:kept] == pytest.approx(deviation[:kept], rel=0.02, abs=2e-9)
 
 
@@ -105,7 +105,7 @@ def known(find_gain: bool = False, gain: float = 1.0, **facts: Mapping[str, obje
 
 
 def test_a_prior_is_weighed_by_both_error_bars() -> None:
-    """Two independent measurements of one number, by hand."""
+    """The expected values are two independent measurements of one number, combined by hand."""
     alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([0.04, 0.01, 0.01]))
     found = known(prior={"mass": (1.3, 0.1)}).combine(alone)
     weight = 0.04 / (0.04 + 0.01)
@@ -116,7 +116,7 @@ def test_a_prior_is_weighed_by_both_error_bars() -> None:
 
 
 def test_what_goes_with_the_mass_follows_it() -> None:
-    """The others move along the covariance, as if the mass had been held in the estimation."""
+    """The other parameters move along the covariance, as if the mass had been fixed in the estimate."""
     covariance = np.array([[0.04, 0.03, 0.0], [0.03, 0.09, 0.0], [0.0, 0.0, 0.01]])
     found = known(given={"mass": 1.2}).combine(posterior(np.array([1.0, 5.0, 2.0]), covariance))
     assert found.theta == pytest.approx([1.2, 5.0 + 0.03 / 0.04 * 0.2, 2.0])
@@ -308,7 +308,9 @@ def test_a_dead_time_that_is_found_next_to_the_gain() -> None:
 
 
 def test_a_friction_that_a_record_does_not_show_is_said_as_such(records: dict[str, CartRecord]) -> None:
-    """Before, the search for a mistake in the columns raised, as it was made with an equation it cannot take."""
+    """The search for a mistake in the columns once raised an error here, because its method does not take this
+    equation.
+    """
     axis, record = BENCHES["slide"], records["slide"]
     model = pmfid.Drive(axis.drive.input_gain, stribeck="estimate")
     with pytest.raises(NotIdentifiableError):
@@ -405,7 +407,9 @@ def slipping(axis: Axis, part: float, at: float, ramp: float = 0.0, seed: int = 
     ),
 )
 def test_a_slipping_belt_is_followed(name: str, near: float, ramp: float) -> None:
-    """Within 1 % where the memory tells as much, and within the bar where half a second of a small motor does not."""
+    """The estimate is within 1 % if the memory suffices, and otherwise, as for half a second of a small motor,
+    within its bar.
+    """
     axis = BENCHES[name]
     n, memory = 3 * axis.samples, 0.06 * 3 * axis.samples * axis.dt
     at = n * axis.dt / 3
@@ -446,7 +450,7 @@ def calibration() -> Calibration:
 
 
 def test_the_monitor_names_the_gain_and_keeps_the_mass(calibration: Calibration) -> None:
-    """A mass that is given is no cause, whatever changed."""
+    """A given mass is no cause, whatever changes."""
     theta = calibration.theta
     schedule = Schedule(((0.0, CART), (8.0, DriveParameters(1.07, 12.8, 0.8, 1.7))))
     u, counts = changing(schedule, 5, 1024, 30.0)

@@ -1,4 +1,4 @@
-"""Samples that no motion explains: flagged there, kept out, survived; and everything else left as it is."""
+"""Samples that no motion explains are flagged and kept out, and all other samples stay unchanged."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def the_same(a: Any, b: Any) -> bool:
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
-# --- line 2 of the promise, small: `python -m studies.glitches` has all of it -----------------------------------
+# --- a short form of `python -m studies.glitches` --------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -83,8 +83,9 @@ def test_a_wrong_input_does_not_turn_directional_forgetting_over() -> None:
 
 @pytest.mark.parametrize("place", [120, 250])
 def test_a_wrong_count_early_in_a_smooth_motion_hides_no_later_ones(place: int) -> None:
-    """All of a smooth motion is foreseen, so there was nothing to learn from: the first wrong count was let in, and
-    with it any other."""
+    """A smooth motion is fully predicted, so that the guard learned nothing: the first wrong count passed, then all
+    others.
+    """
     t = np.arange(4000) * 0.005
     u = 1.2 * np.sin(1.4 * t) + 0.8 * np.sin(3.8 * t + 1.0) + 0.5 * np.sin(8.2 * t + 2.0)
     resolution = 2 * np.pi / 4096
@@ -108,7 +109,7 @@ def test_a_narrow_counter_wraps_through_it(bits: int) -> None:
     assert the_same(whole, narrow)
 
 
-# --- what is healthy stays as it is -----------------------------------------------------------------------------------
+# --- valid samples stay unchanged ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -129,7 +130,7 @@ def test_no_machine_is_suspected(axis: str) -> None:
 @pytest.mark.parametrize("factor", [0.01, 0.1, 10.0, 100.0])
 @pytest.mark.parametrize("increments", [4096, 256])
 def test_another_amplitude_of_the_input_passes(factor: float, increments: int) -> None:
-    """At most a few samples are left out, and nothing of the motion is."""
+    """At most a few samples are left out, but no motion is lost."""
     u = prbs(4000, clock=10, amplitude=1.0, rng=np.random.default_rng(4)) * np.r_[np.ones(2000), np.full(2000, factor)]
     u *= 3.0 / min(1.0, factor)
     counts = quantize(simulate_drive(CART, u, DT).x, resolution_of(increments))
@@ -139,8 +140,9 @@ def test_another_amplitude_of_the_input_passes(factor: float, increments: int) -
 
 
 def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
-    """The velocity jumps: the sample and the next are suspicious, for two wrong readings look the same; the third one
-    confirms it."""
+    """The velocity jumps: the sample and the next one are suspicious, like two wrong readings, and the third
+    confirms the jump.
+    """
     u = prbs(4000, clock=10, amplitude=3.0, rng=np.random.default_rng(4))
     late = (np.arange(4000) - 2500) * DT
     after_blow = np.where(late > 0, 0.5 / 12 * (1 - np.exp(-12 * np.maximum(late, 0.0))), 0.0)
@@ -156,7 +158,7 @@ def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
 
 
 def test_a_step_of_a_process_is_put_back() -> None:
-    """The zero of a process cannot move: what was held back comes with the next sample."""
+    """The zero of a process cannot move, so that the held-back motion comes with the next sample."""
     u = np.random.default_rng(2).choice([-1.0, 1.0], 300).repeat(10)
     y = np.zeros(u.size)
     for k in range(1, u.size):
@@ -300,7 +302,7 @@ def calibration() -> Calibration:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_monitor_watches_on(calibration: Calibration, kind: str) -> None:
-    """No alarm but that of the mass, ten seconds later."""
+    """The only alarm is the alarm on the mass, ten seconds later."""
     step = Schedule(((0.0, CART), (25.0, replace(CART, mass=1.2 * CART.mass))))
     u, counts = changing(step, 4, 1024, 40.0)
     spoiled = spoil(kind, u[:3500], counts[:3500], np.random.default_rng(6))
@@ -337,7 +339,7 @@ def test_a_monitor_is_homed_to_whole_counts_alone(calibration: Calibration) -> N
 
 
 def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibration):
-    """Nobody knows in which it did: a line through a switch led Coulomb friction below zero."""
+    """The instant of the switch is unknown: a line through a switch led to Coulomb friction below zero."""
     u, counts = normal_work(3, 1024, 0.02)
     for jump, settles in ((0.0, False), (20.0, True)):
         monitor = Monitor(make_riv(1024, TRUTH), calibration, Watch())
@@ -349,7 +351,7 @@ def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibratio
 
 
 def test_a_held_input_that_switched_in_lost_samples_is_not_drawn_as_a_line_either(calibration: Calibration) -> None:
-    """Over four samples it changes by no more than usual in as many; the line was learnt from."""
+    """The change over four samples is no larger than usual; an earlier version learned from the line."""
     rng = np.random.default_rng(5)
     u = prbs(1700, clock=10, amplitude=3.0, rng=rng)
     counts = quantize(simulate_drive(CART, u, CART_DT).x, resolution_of(1024)).tolist()

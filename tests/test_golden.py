@@ -1,4 +1,4 @@
-"""Every method still computes what it did: `make golden` writes new outputs, and their diff says what has changed."""
+"""Every method computes its kept outputs; `make golden` writes new outputs, whose diff shows the changes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from pmfid.simulation import SCENARIOS
 from tests.golden.make import DIGITS_OFF_LINE, HEADER, INCREMENTS, PLACE, rows
 
-#: Each scenario with one of the encoders by turns, and all processes; the rest takes as long again.
+#: Each scenario with one of the encoders by turns, and all processes; all other cases would double the time.
 OFTEN = {f"{name} {INCREMENTS[k % len(INCREMENTS)]}" for k, name in enumerate(SCENARIOS)}
 
 
@@ -31,7 +31,7 @@ def test_outputs_are_those_of_the_file(often: bool) -> None:
 
 
 def _close(before: list[str], now: tuple[str, ...], method: str) -> bool:
-    """Equal text; of an off-line method, equal but for the order in which a library adds."""
+    """Compare as text; for an off-line method, allow the rounding of a library's order of addition."""
     if before == list(now):
         return True
     values = [np.array(" ".join(part).split(), float) for part in (before, now)]

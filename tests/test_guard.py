@@ -1,4 +1,4 @@
-"""What stands in place of a wrong count: no reversal, no stop that was not one, and no count too many."""
+"""The values in place of a wrong count cause no false reversal, no false stop and no additional count."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def moving_record(axis: Axis, increments: int) -> CartRecord:
 
 
 def position(estimator: RLS, u: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """What the filters had of the motion (p,), summed up."""
+    """Return the sum of the motion in the filters (p,)."""
     return np.asarray(estimator.make_kernel().filter(u, counts)[0].sum(axis=0)[:2])
 
 
 @pytest.mark.parametrize("apart", [1, 2, 3])
 @pytest.mark.parametrize("name", ["cart", "spindle"])
 def test_wrong_counts_close_to_each_other_are_flagged_alone_and_lose_nothing(name: str, apart: int) -> None:
-    """The second one was predicted from a velocity that had the whole error of the first in one sample."""
+    """The second wrong count was once predicted from a velocity with the whole error of the first."""
     axis = AXES[name]
     record = moving_record(axis, 4096)
     one = make("rls", axis, record.resolution)
@@ -54,7 +54,7 @@ def test_wrong_counts_close_to_each_other_are_flagged_alone_and_lose_nothing(nam
 @pytest.mark.parametrize("ratio", [1.6, 1.9, 3.0])
 @pytest.mark.parametrize("name", ["rotary", "gantry"])
 def test_two_wrong_counts_in_a_row_are_no_blow(name: str, ratio: float) -> None:
-    """The second one goes on from the first as a blow does: it was let in, and 1500 counts came back at once."""
+    """The second one continues the first, like a blow: it once passed, and 1500 counts returned at once."""
     record = moving_record(AXES[name], 1024)
     one = make("rls", AXES[name], record.resolution)
     clean, whole = one.run(record.u, record.counts), position(one, record.u, record.counts)
@@ -71,7 +71,7 @@ def test_two_wrong_counts_in_a_row_are_no_blow(name: str, ratio: float) -> None:
 
 @pytest.mark.parametrize("method", ["bcrls", "rls"])
 def test_a_wrong_count_as_the_axis_comes_to_rest_is_no_reversal(method: str) -> None:
-    """What is foreseen goes on, so what puts it right goes back: the direction at rest was the wrong one."""
+    """The prediction continues the motion, and its correction goes back: the direction at rest was once wrong."""
     axis = AXES["gantry"]
     record = moving_record(axis, 4096)
     one = make(method, axis, record.resolution)
@@ -115,8 +115,8 @@ def test_one_wrong_count_of_a_hundred(axis: str) -> None:
 @pytest.mark.parametrize("largest", [30, 1000, 5000])
 @pytest.mark.parametrize("method", glitch_sizes.METHODS)
 def test_wrong_counts_of_like_sizes_do_not_widen_the_limit(method: str, largest: int, kind: str) -> None:
-    """Each one that was believed let a larger one in: 82 to 89 % off, and nothing flagged."""
-    for seed, precision in ((3, "float64"), (6, "float32")):  # through 4096 and 1024 increments
+    """Each accepted wrong count let a larger one in: errors of 82 to 89 % without a flag."""
+    for seed, precision in ((3, "float64"), (6, "float32")):  # encoders of 4096 and 1024 increments
         case = glitch_sizes.case_of("cart", method, seed, precision)
         assert case is not None
         found = glitch_sizes.harm_of(case, kind, 0.01, largest, seed)
@@ -127,7 +127,7 @@ def test_wrong_counts_of_like_sizes_do_not_widen_the_limit(method: str, largest:
 @pytest.mark.parametrize("seed", [1, 7])
 @pytest.mark.parametrize("method", glitch_sizes.METHODS)
 def test_wrong_counts_from_the_start_do_not_keep_it_learning(method: str, seed: int) -> None:
-    """Each wrong count that was found let it begin from the first sample: with 3 % it never came to an end."""
+    """Each found wrong count once restarted the learning from the first sample: with 3 % it never ended."""
     case = glitch_sizes.case_of("cart", method, seed, start=True)
     assert case is not None
     for kind in ("uniform", "log-uniform"):
@@ -135,7 +135,7 @@ def test_wrong_counts_from_the_start_do_not_keep_it_learning(method: str, seed: 
 
 
 def wrong_record(axis: str, seed: int, largest: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Clusters of wrong counts, and 60 samples that are nothing but wrong."""
+    """Return clusters of wrong counts, and 60 samples that are all wrong."""
     case = glitch_sizes.case_of(axis, "riv", seed)
     assert case is not None
     rng = np.random.default_rng([seed, largest])
@@ -196,7 +196,9 @@ def test_wrong_readings_are_no_velocity() -> None:
 def test_what_wrong_counts_taught_is_put_right_before_it_counts(
     method: str, largest: int, kind: str, precision: str
 ) -> None:
-    """While it learns it believes almost all: the limit stayed wide, and the mass was up to 28 times itself, silent."""
+    """While the guard learns, it accepts nearly all counts: the limit once stayed wide, and a mass 28 times too
+    large had no flag.
+    """
     for axis, seed in product(("heavy", "spindle", "stage"), (1, 2)):
         case = glitch_sizes.case_of(axis, method, seed, precision, start=True)
         if case is not None:

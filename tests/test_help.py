@@ -1,4 +1,4 @@
-"""`help` of what a user makes: every argument is explained, numbers with their unit."""
+"""`help` of a user's objects explains every argument, and gives the unit of numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pmfid
 from pmfid.estimators.iv import IV
 from pmfid.estimators.registry import ESTIMATORS
 
-#: What is configured by hand, next to the estimators.
+#: Objects that a user configures by hand, besides the estimators.
 OBJECTS = [
     "Along",
     "Drive",
@@ -42,7 +42,7 @@ UNITS |= {"noise_std": "unit of y"}
 
 
 def explanation(doc: str, name: str) -> str:
-    """What a docstring says wherever an argument is explained, each up to the next one."""
+    """Return all explanations of an argument in a docstring, each up to the next argument."""
     return " ".join(re.findall(rf"(?:^|[^\w`]){name} ?: (.*?)(?=\s\w+ ?: |\Z)", doc, re.DOTALL))
 
 

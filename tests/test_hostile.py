@@ -1,4 +1,4 @@
-"""Random calls of every command, broken and not: no traceback, no warning, no number that is not finite.
+"""Random calls of every command, valid and broken: no traceback, no warning, no number that is not finite.
 
 `python -m tests.hostile.study` tries thousands.
 """
@@ -63,7 +63,7 @@ def called(folder: Path, command: str, plant: str, axis: str, *further: str, **c
 
 
 def test_calls_that_ended_in_a_traceback(tmp_path: Path) -> None:
-    """A drive by a method for processes compared, a reference of 1e200, a cutoff of 1e-320."""
+    """The calls are a method for processes on a drive, a reference of 1e200, and a cutoff of 1e-320."""
     assert called(tmp_path, "identify", "rotary", ROTARY + 'method = "rsrivc"\n', "--method", "all") == ()
     assert called(tmp_path, "identify", "process", PROCESS, r=np.full(120, 1e200)) == ()
     assert called(tmp_path, "identify", "rotary", ROTARY.replace("100.0", "1e-320") + 'method = "rknown-step"') == ()

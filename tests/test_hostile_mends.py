@@ -1,4 +1,4 @@
-"""What generated calls found, each at its cause: `python -m tests.hostile.study`."""
+"""Faults that generated calls found, each tested at its cause: `python -m tests.hostile.study`."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def slow() -> RKnownStep:
 
 
 def test_a_low_cutoff_takes_no_memory() -> None:
-    """Responses of millions of samples once took gigabytes, whatever the record."""
+    """Responses of millions of samples once took gigabytes for any record."""
     tracemalloc.start()
     try:
         slow().make_kernel()
@@ -146,7 +146,7 @@ def test_the_worst_of_cases_that_tell_nothing_tells_nothing() -> None:
 
 
 def test_a_design_from_rest_for_the_worst_case_ends_in_numbers(tmp_path: Path) -> None:
-    """Standard inputs that tell nothing once gave a gain of inf."""
+    """Standard inputs without information once gave a gain of inf."""
     lines = ["[drive]", "input_gain = 2.0", "mass = 1.5", "viscous_friction = 6.0", "coulomb_friction = 0.6"]
     lines += ["[encoder]", "resolution = 1e-5", "[experiment]", 'unknown = ["mass", "viscous_friction"]']
     lines += ['criterion = "E"', "[motion]", "duration = 1.0", "intervals = 3", "[limits]", "input = 3.0"]
@@ -178,7 +178,7 @@ def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_directional_forgetting_takes_no_information_below_zero() -> None:
-    """A state from elsewhere may be no sum of squares: the variance became negative."""
+    """A foreign state may be no sum of squares: the variance once became negative."""
     estimator = used("directional", "float32")
     parameters = int(configuration(estimator.runner.kernel, "float32")["direct"]["n_parameters"])
     for element in range(1, parameters * parameters):

@@ -1,4 +1,4 @@
-"""`pmfid.identify` gives from arrays and objects what the command gives from files."""
+"""`pmfid.identify` gives the same from arrays and objects as the command gives from files."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_result_prints_what_a_person_needs() -> None:
 
 
 def test_an_equation_with_a_factor_keeps_it() -> None:
-    """An unknown term's coefficient, as -1 for the other side, had no key in AXIS.toml."""
+    """AXIS.toml once had no key for an unknown term's coefficient, such as -1 for the other side."""
     signal = pmfid.Term
     terms = (signal("output", 2, "m"), signal("output", 1, "d", coefficient=2.0), signal("direction", 0, "F"))
     model = pmfid.EquationModel(pmfid.Equation(terms, (signal("input", 0, coefficient=2.0),)))
@@ -118,7 +118,7 @@ def test_wrong_arguments_are_one_clear_error(arguments: dict[str, object], words
 
 
 def test_auto_looks_for_the_motion_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The choice, its fit and the judgement share one search for the motion that fits."""
+    """The choice of the method, its fit and the judgement share one search for the motion."""
     searches: list[int] = []
     whole = Following.best
 

@@ -1,4 +1,4 @@
-"""`pmfid init`: columns, units, step and wrap guessed from a record alone, and what it writes is good to go on with."""
+"""`pmfid init` guesses columns, units, step and wrap from a record alone, and its output suffices for `identify`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def position() -> np.ndarray:
     return run().counts * RESOLUTION
 
 
-#: A log -> its columns, and the mass that init and identify find in it, of the cart's.
+#: Each log with its columns, and the mass that init and identify find in it, relative to the cart's.
 LOGS: dict[str, tuple[Callable[[], Frame], float]] = {
     "counts": (lambda: {"t": run().motion.t, "u": run().motion.u, "counts": run().counts}, RESOLUTION / 2),
     "German": (
@@ -82,7 +82,7 @@ def saved(name: str, folder: Path) -> Path:
 
 
 def guess_axis(path: Path) -> Axis:
-    """What init writes, read again."""
+    """Return the axis from the text that `pmfid init` writes."""
     place = path.with_suffix(".toml")
     place.write_text(guess(path).text, encoding="utf-8")
     return load_axis(place)
@@ -164,7 +164,7 @@ def test_names_in_english_and_german(name: str) -> None:
 
 
 def test_a_column_that_may_number_the_samples_is_no_time(tmp_path: Path) -> None:
-    """It was taken for ms, and the mass was 94 % off without a word."""
+    """The column was once taken for ms, and the mass was 94 % off without a warning."""
     frame = {"t": np.arange(run().counts.size), "u": run().motion.u, "counts": run().counts}
     pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
     text = guess(tmp_path / "log.csv").text
@@ -181,7 +181,7 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
 
 
 def _swing(n: int, dt: float, gravity: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Torque and angle of a pendulum of 0.05 kg m2 that a random torque drives."""
+    """Return torque and angle of a pendulum of 0.05 kg m2 that a random torque drives."""
     torque = np.repeat(rng.choice([-0.6, -0.3, 0.3, 0.6], n // 40 + 1), 40)[:n]
     angle, speed, seen = 0.0, 0.0, np.empty(n)
     for k in range(n):
@@ -195,7 +195,7 @@ def _swing(n: int, dt: float, gravity: float, rng: np.random.Generator) -> tuple
 
 @pytest.mark.parametrize("gravity", [0.0, 0.5])
 def test_a_pendulum_is_written_with_its_gravity_and_no_other_axis(tmp_path: Path, gravity: float) -> None:
-    """Of two joints the one that moves by its own torque; the command is not its torque."""
+    """Of two joints, the axis is the one that moves by its own torque; the command is not its torque."""
     rng, dt, n = np.random.default_rng(5), 0.005, 2000
     torque, angle = _swing(n, dt, gravity, rng)
     frame = {
@@ -212,7 +212,7 @@ def test_a_pendulum_is_written_with_its_gravity_and_no_other_axis(tmp_path: Path
 
 
 def test_two_topics_in_one_table_are_one_record(tmp_path: Path) -> None:
-    """Rows of a command and rows of a state, 2 ms apart: the input was taken for missing."""
+    """The rows of a command and of a state are 2 ms apart: the input was once taken for missing."""
     t, u, y = run().motion.t, run().motion.u, position()
     rows = np.full((2 * t.size, 3), np.nan)
     rows[::2], rows[1::2] = np.c_[t, u, t * np.nan], np.c_[t + 0.002, t * np.nan, np.interp(t + 0.002, t, y)]
@@ -253,8 +253,10 @@ def test_a_servo_without_a_torque_is_refused_with_what_its_controller_gives(tmp_
 
 
 def _relay_log(path: Path, seed: int, step: float) -> None:
-    """A cart under a relay, as a rig logs it without a header: time, current, position with a few decimals, velocity by
-    differences."""
+    """Write the log of a cart under a relay, as a test rig without a header writes it.
+
+    The columns are time, current, position with a few decimals, and velocity by differences.
+    """
     rng, dt, n = np.random.default_rng(seed), 1 / 150, 3000
     x, v, u, rows, before = 0.0, 0.0, 2.0, [], 0.0
     for k in range(n):
@@ -270,7 +272,9 @@ def _relay_log(path: Path, seed: int, step: float) -> None:
 
 @pytest.mark.parametrize(("seed", "step"), [(1, 8.8e-5), (2, 2.3e-4), (3, 1.47e-4)])
 def test_a_relay_is_an_input_and_the_rounding_of_a_log_no_encoder(tmp_path: Path, seed: int, step: float) -> None:
-    """A relay that the position switches would fit as a velocity; and five decimals are finer than the step."""
+    """The input of a relay that the position switches also fits as a velocity; five decimals are finer than the
+    step.
+    """
     _relay_log(tmp_path / "log.csv", seed, step)
     text = guess(tmp_path / "log.csv").text
     said = tomllib.loads(text)
@@ -280,7 +284,7 @@ def test_a_relay_is_an_input_and_the_rounding_of_a_log_no_encoder(tmp_path: Path
 
 
 def test_a_column_in_turns_is_no_velocity(tmp_path: Path) -> None:
-    """Though one explains the input as it does here: its unit says what it is, and another kind would be refused."""
+    """A velocity would also explain the input, but the unit decides, and another kind would be refused."""
     columns = {"t [s]": run().motion.t, "voltage [V]": run().motion.u, "position [turns]": run().motion.v}
     pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
     assert tomllib.loads(guess(tmp_path / "log.csv").text)["record"]["output_kind"] == "position"

@@ -21,7 +21,7 @@ START = {"mass": 0.8, "viscous_friction": 10.0, "coulomb_friction": 0.3}
 @pytest.mark.parametrize("time_constant", [2, 5])
 @pytest.mark.parametrize("increments", [None, 256])
 def test_no_discretisation_error(time_constant, increments, drive):
-    """Reversals inside samples included: the mean over seeds is the truth."""
+    """With reversals inside samples, the mean over the seeds equals the truth."""
     cutoff = 1 / (time_constant * DT)
     found = [
         pmfid.IV(drive, run.encoder, DT, cutoff).fit(run.u, run.counts).theta
@@ -45,7 +45,9 @@ def test_stop_and_go_through_the_encoder(increments, drive):
 
 
 def test_riv_falls_back_and_recovers(drive):
-    """A start so wrong that the model leaves the plant: said, bridged by BCRLS, and over after some seconds."""
+    """The start is so wrong that the model leaves the plant: a flag says so, BCRLS takes over, and `riv` returns
+    after seconds.
+    """
     run = cart_run(1, increments=1024)
     lost = {"mass": 40.0, "viscous_friction": 1.0, "coulomb_friction": 5.5}
     track = pmfid.RIV(drive, run.encoder, DT, 100 / 3, forgetting=0.99, initial=lost).run(run.u, run.counts)
@@ -66,7 +68,7 @@ def test_riv_tracks_a_mass_step(drive):
 
 @pytest.mark.long
 def test_error_bars_of_iv(drive):
-    """The claimed standard deviation of the mass is the observed one within a third."""
+    """The claimed standard deviation of the mass is within a third of the observed one."""
     fits = [
         pmfid.IV(drive, run.encoder, DT, 100 / 3).fit(run.u, run.counts)
         for run in (cart_run(seed, increments=512) for seed in range(40))
@@ -95,7 +97,7 @@ def test_judge_knows_feedback_and_the_bias_of_the_others(drive):
     [(5e-8, 100.0, (0.01, 0.02, 0.02)), (1e-3, 100.0, (0.02, 0.04, 0.04)), (2e-3, 20.0, (0.03, 0.06, 0.06))],
 )
 def test_emps(step, cutoff, within):
-    """Direction and standstill from the model alone; published 95.11, 203.5, 20.39."""
+    """Direction and standstill come from the model alone; published values are 95.11, 203.5, 20.39."""
     u, q = emps_record()
     fit = pmfid.IV(pmfid.Drive(1.0, offset=True), pmfid.Encoder(step), 1e-3, cutoff).fit(u, quantize(q, step))
     np.testing.assert_allclose(fit.theta[:3] / [95.1089, 203.5034, 20.3935], np.ones(3), atol=max(within))
@@ -111,7 +113,7 @@ def test_emps_recursive():
 
 @needs_emps
 def test_emps_friction_by_direction():
-    """Published: 95.15, 166.7, 240.4, 20.14, 20.63; at 200 rad/s all within 3 %."""
+    """Published values are 95.15, 166.7, 240.4, 20.14, 20.63; at 200 rad/s all are within 3 %."""
     u, q = emps_record()
     drive = pmfid.Drive(1.0, friction="directional")
     fit = pmfid.IV(drive, pmfid.Encoder(5e-8), 1e-3, 200.0).fit(u, quantize(q + 1e-12, 5e-8))
@@ -132,7 +134,7 @@ def emps_record() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("increments", [4096, 256])
 @pytest.mark.parametrize("time_constant", [2, 5])
 def test_riv_never_spikes(name, increments, time_constant, drive):
-    """From 1 s on, but for the second after the mass step, no sample outside 0.7 to 1.5 of the true mass."""
+    """From 1 s on, no estimate is outside 0.7 to 1.5 of the true mass, except in the second after the mass step."""
     for seed in range(4):
         scenario = make_scenario(name, seed=seed, increments=increments)
         n = scenario.counts.size
@@ -146,7 +148,7 @@ def test_riv_never_spikes(name, increments, time_constant, drive):
 
 
 def test_judge_knows_what_the_encoder_explains(drive):
-    """The error of the equation is that of the encoder's step, and not where the input comes 2 ms late."""
+    """The error of the equation is that of the encoder's step, unless the input is 2 ms late."""
     from pmfid.simulation.drive import simulate_drive
     from pmfid.simulation.scenarios import CART, resolution_of
 

@@ -24,13 +24,13 @@ from tests.conftest import long_unless
 from tests.test_dead_time import AXES, CART, truth
 
 THETA = np.array(CART[1:4])
-#: Of the integration per sample: fewer leave more in the position than a count's edges hide.
+#: Steps of the integration per sample: with fewer, the error of the position would show in the counts.
 STEPS = 80
 
 
 @cache
 def run_lagged(axis: str, lag: float, dead_time: float = 0.0, switches: int = 250) -> MachineRun:
-    """Random steps after a lag and a dead time [samples]."""
+    """Simulate random steps after a lag and a dead time [samples]."""
     gain, mass, viscous, coulomb, dt, size, step, _ = AXES[axis]
     rng = np.random.default_rng(7)
     u = size * np.repeat(rng.choice([-1.0, 1.0], switches), 6)
@@ -99,7 +99,7 @@ def test_next_to_a_dead_time() -> None:
 
 @pytest.mark.long
 def test_the_body_is_not_taken_for_its_lag() -> None:
-    """In the linear part of the motion the two poles may change places; the drive is the faster one."""
+    """In the linear part of the motion the two poles are interchangeable; here the drive has the faster pole."""
     axis = AXES_OF_STUDIES["cart"]
     run = late_record(axis, 1.7, "stop-and-go", 1024, 1, "lag")
     fit = IV(Drive(2.0, lag="estimate"), Encoder(run.resolution), axis.dt, 20.0).fit(run.u, run.counts)

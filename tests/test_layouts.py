@@ -1,4 +1,4 @@
-"""Logs as drives and spreadsheets write them: each holds the same record."""
+"""Logs as drives and spreadsheets write them: all hold the same record."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_without_a_header_columns_have_numbers(tmp_path: Path) -> None:
 
 
 def test_thousands_are_refused_and_never_taken_for_decimals(tmp_path: Path) -> None:
-    """1.234,5 in a file with decimal commas is a thousand and more; without its comma it would be one."""
+    """In a file with decimal commas, 1.234,5 is more than a thousand; without its comma it would be about one."""
     with pytest.raises(UsageError, match=r"'1\.234\.5 \(with a point for thousands\)' in row 3"):
         read(tmp_path, text(";", ",").replace("\n0,008;", "\n1.234,5;"))
 
@@ -163,7 +163,7 @@ def test_a_unit_for_dates_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("scatter", [0.15, 0.5])
 def test_stamps_that_scatter_around_an_even_grid(tmp_path: Path, scatter: float) -> None:
-    """Of a cyclic task they do: 2 ms late or early in 4 ms."""
+    """The stamps of a cyclic task scatter by 2 ms in 4 ms."""
     late = np.random.default_rng(5).uniform(-scatter, scatter, N) * DT
     stamps = [f"{k * DT + late[k]:.6f}" for k in range(N)]
     record = read(tmp_path, text(time=stamps))
@@ -184,7 +184,7 @@ def test_a_missing_sample_is_no_scatter(tmp_path: Path, scatter: float) -> None:
     where = np.arange(N) + (np.arange(N) >= N // 2)
     stamps = [f"{(k + x) * DT:.7f}" for k, x in zip(where, late, strict=True)]
     record = read(tmp_path, text(time=stamps))
-    if scatter > 0.25:  # who is missing, and who late?
+    if scatter > 0.25:  # with more scatter, missing samples cannot be distinguished from late ones
         assert record.u.size == N
         return
     assert record.u.size == N + 1
@@ -192,7 +192,7 @@ def test_a_missing_sample_is_no_scatter(tmp_path: Path, scatter: float) -> None:
 
 
 def test_no_lines_make_the_program_wait() -> None:
-    """A line of anything is a few splits."""
+    """A line of any text needs only a few splits."""
     assert layout_of(["a,b", "1,2"] + ["1,2"] * 300).names == ("a", "b")
     with pytest.raises(UsageError, match="no lines of numbers"):
         layout_of(["x" * 100_000] * 400)
@@ -231,18 +231,18 @@ def test_units_of_the_file_are_said(tmp_path: Path) -> None:
 
 
 def test_a_layout_that_is_stated_is_kept(tmp_path: Path) -> None:
-    """A text of one reading alone needs no statement, and contradicts a wrong one."""
+    """A text with one possible reading needs no statement, and contradicts a wrong one."""
     same(read(tmp_path, text(";", ","), more='separator = ";"\ndecimal = ","'))
     with pytest.raises(UsageError, match=r"no lines of numbers|no such column"):
         read(tmp_path, text(";", ","), more='separator = "|"')
-    # 1,234 is a number of thousands or of parts, which no text tells by itself
+    # 1,234 is a number of thousands or of parts, and the text alone does not say which
     whole = "t;u;y\n" + "".join(f"{k * DT:.3f};1.000;{k / 4:.3f}\n".replace(".", ",") for k in range(N))
     record = read(tmp_path, whole, more='decimal = ","')
     assert record.u[0] == 1.0
 
 
 def test_an_export_of_twincat_scope(tmp_path: Path) -> None:
-    """Settings of a channel each in pairs of key and value, then a column of stamps in ms before every channel."""
+    """The settings of each channel are pairs of key and value; then a column of stamps in ms precedes every channel."""
     settings = {"Name": ("drive.u", "drive.y"), "SampleTime[ms]": ("4", "4"), "Unit": ("V", "m"), "Offset": ("0", "0")}
     lines = ["Name\trun", "File\tC:\\run.svdx", "Starttime of export\t133238090039920000", ""]
     lines += ["\t".join(f"{key}\t{value}" for value in values) for key, values in settings.items()] + [""]
@@ -253,7 +253,7 @@ def test_an_export_of_twincat_scope(tmp_path: Path) -> None:
 
 
 def test_a_trace_of_codesys(tmp_path: Path) -> None:
-    """Its first column counts the cycles, so it says nothing of the period."""
+    """The first column counts the cycles, and does not give the sample period."""
     rows = "\n".join(f"{k} {U[k]:.6g} {Y[k]:.6g}" for k in range(N))
     trace = f"BODAS Trace\nD:\\PROJECTS\\RUN.PRO\nCycle u y\n{rows}\n"
     (tmp_path / "run.txt").write_text(trace)
@@ -270,7 +270,9 @@ def test_a_trace_of_codesys(tmp_path: Path) -> None:
 
 
 def test_a_line_of_missing_numbers_is_no_header(tmp_path: Path) -> None:
-    """As a logger begins before it has any; the row of units above it names turns per second and a number."""
+    """A logger writes such a line before its first values; the row of units above it has turns per second and a
+    number.
+    """
     head = "%Motor data\n\n%timestep,voltage,position,speed\n%[#],[V],[turns],[turns/s]\nnan,nan,nan,nan;\n"
     (tmp_path / "log.csv").write_text(head + "".join(f"{k},{k % 3}.5,{k / 8},0.0;\n" for k in range(40)))
     assert list(read_table(tmp_path / "log.csv"))[:3] == ["timestep [#]", "voltage [V]", "position [turns]"]

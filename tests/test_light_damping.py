@@ -1,4 +1,4 @@
-"""Recursive refined instrumental variables of a process that rings for long: in charge, near the optimum, honest."""
+"""Recursive refined instrumental variables of a process that rings for long: active, near the optimum, honest."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pmfid.simulation.process import simulate_process
 from tests.conftest import long_unless
 
 DT, CUTOFF, RATE = 0.03, 9.0, 6.0
-#: Samples that a record has been going on for before it begins, or none.
+#: Samples before the record: an odd seed begins in motion.
 BEFORE = 1500
 
 
 def record(damping: float, samples: int, seed: int, snr: float) -> Experiment:
-    """A resonance of 6 rad/s under a random binary input; snr [dB]; every other record begins in motion."""
+    """Simulate a resonance of 6 rad/s under a random binary input; `snr` is in dB, and odd seeds begin in motion."""
     rng = np.random.default_rng([seed, round(1e4 * damping)])
     before = BEFORE * (seed % 2)
     u = rng.choice([-1.0, 1.0], (samples + before) // 4 + 1).repeat(4)[: samples + before]
@@ -28,7 +28,7 @@ def record(damping: float, samples: int, seed: int, snr: float) -> Experiment:
 
 
 def last(run: Experiment, damping: float, **options):
-    """Errors, error bars, and the status at the end."""
+    """Return errors, error bars, and the status at the end."""
     encoder, counts = fine_counts(run.y)
     estimator = RSRIVC(TransferFunction(2, 0), encoder, DT, CUTOFF, **options)
     zeros = choose_prefilter_zeros(estimator, run.u, counts)
@@ -45,14 +45,14 @@ def last(run: Experiment, damping: float, **options):
     ),
 )
 def test_light_damping_is_no_reason_to_fall_back(damping, samples):
-    """1500 samples are less than three decay times at 1 %."""
+    """At a damping of 1 %, 1500 samples are less than three decay times."""
     runs = [last(record(damping, samples, seed, 20.0), damping) for seed in range(5)]
     assert sum(bool(status & Status.FALLBACK) for *_, status in runs) <= 1
     assert all(np.all(np.abs(error) < 4 * bar) for error, bar, _ in runs)
 
 
 def test_filters_of_their_own_cost_data_little():
-    """Errors against those of the best estimate off-line; no more than twice in the median."""
+    """The errors are at most twice those of the best off-line estimate, in the median."""
     damping, ratios = 0.03, []
     for seed in range(8):
         run = record(damping, 4000, seed, 20.0)
@@ -63,7 +63,7 @@ def test_filters_of_their_own_cost_data_little():
 
 @pytest.mark.parametrize(("precision", "within"), [("float64", 1e-6), ("float32", 1e-3)])
 def test_without_noise_those_filters_make_no_error_of_the_discretisation(precision, within):
-    """A decay of 560 samples after filters of 20: what the discrete equation is for the one, it is for the other."""
+    """The decay takes 560 samples, the filters 20: the discrete equation treats both alike."""
     run = record(0.01, 6000, 1, 200.0)
     error, _, status = last(run, 0.01, forgetting=0.997, precision=precision)
     assert status == 0

@@ -1,4 +1,4 @@
-"""The study of logs as they come, over some of them, and what it asks of a remedy."""
+"""The study of logs on some of them, and its conditions on a remedy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from studies.log_folder import logs
 from studies.logs import SAME, Outcome, outcomes
 from tests.conftest import unjudged
 
-#: Of each part of the folder one, two of them with a remedy.
+#: One log of each part of the folder; two of them have a remedy.
 CHOSEN = ("format .mcap", "row of units", "time in us, unsaid", "50 lines missing", "TDMS, mA, deg and wrap")
 
 

@@ -1,4 +1,4 @@
-"""Forgetting nothing in float32: after millions of samples the estimate still takes in new ones."""
+"""Without forgetting in float32, the estimate still uses new samples after millions of samples."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HEAVY = replace(CART, mass=1.3)
 
 @cache
 def motion(heavy: bool) -> tuple[np.ndarray, np.ndarray]:
-    """u, counts (1, n): a cart's run over and over."""
+    """Return u, counts (1, n): a cart's run, repeated."""
     run = cart_run(3, samples=SAMPLES, increments=1024)
     moved = quantize(simulate_drive(HEAVY if heavy else CART, run.u, CART_DT).x, run.encoder.resolution)
     distance = int(moved[-1] - moved[0])
@@ -34,7 +34,7 @@ def motion(heavy: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def after_millions(cls: type[RecursiveEstimator], precision: str) -> RecursiveEstimator:
-    """The estimator as it is when it has gathered what 20 million samples like the first ones give."""
+    """Return the estimator with the sums of 20 million samples like the first ones."""
     run = cart_run(3, samples=SAMPLES, increments=1024)
     estimator = cls(pmfid.Drive(2.0), run.encoder, 0.01, 30.0, precision=precision)
     estimator.run(run.u, run.counts)
@@ -101,7 +101,7 @@ def test_export_says_how_long_float32_remembers(forgetting: str, reported: bool,
 
 @pytest.mark.long
 def test_parameters_that_float32_never_forgets_agree_with_float64_after_eight_million_samples() -> None:
-    """While the mass is forgotten: the sums of the others are full at different samples, if nothing fades them."""
+    """The mass is forgotten; the sums of the other parameters would fill up at different samples without a fade."""
     u, counts = motion(heavy=False)
     never = {"coulomb_friction": 1.0, "viscous_friction": 1.0}
     fleets = [
@@ -121,7 +121,7 @@ def test_parameters_that_float32_never_forgets_agree_with_float64_after_eight_mi
     ]
     for k in range(8):
         ends = [fleet.run(u, counts + k * counts[0, -1]) for fleet in fleets]
-    # the sums of float32 wander by up to 1.3e-3 of the friction on the way
+    # the sums of float32 vary by up to 1.3e-3 of the friction on the way
     np.testing.assert_allclose(ends[0].theta[0, -1], ends[1].theta[0, -1], rtol=2e-3)
     bars = [end.theta_std[0, -1] for end in ends]
     assert np.all(bars[0] > 0.95 * bars[1]), "float32 knows less, never more"

@@ -1,4 +1,4 @@
-"""Many axes side by side: each has the bits that it has alone, whatever happens to its neighbours."""
+"""Many axes at once: each has the bits of a separate run, whatever happens to its neighbours."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ PROCESSES: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
 
 @cache
 def fleet_record() -> tuple[np.ndarray, np.ndarray]:
-    """u, counts (axes, n): each axis moves on its own, and most suffer something at their own time."""
+    """Return u, counts (axes, n): each axis moves independently, and most have a fault at a time of their own."""
     rng = np.random.default_rng(5)
     run = cart_run(3, increments=1024, samples=4 * SAMPLES)
     starts = rng.integers(0, 3 * SAMPLES, AXES)
@@ -70,17 +70,20 @@ def fleet_record() -> tuple[np.ndarray, np.ndarray]:
             u[axis, at : at + 100], counts[axis, at : at + 100] = 0.0, counts[axis, at]  # held by its stiction
             counts[axis, at + 100 :] += counts[axis, at] - counts[axis, at + 100]
         elif event == 4:
-            u[axis, at], u[axis, at + 40] = 1e200, 1e30  # no drive's: refused, the second in float32 alone
+            u[axis, at], u[axis, at + 40] = (
+                1e200,
+                1e30,
+            )  # impossible inputs of a drive: refused, the second one only in float32
         elif event == 5:
             u[axis, at:] *= -1.0  # the model no longer follows
         elif event == 6:
-            u[axis], counts[axis] = 0.0, 0  # never moves
+            u[axis], counts[axis] = 0.0, 0  # an axis at rest
     return u, counts
 
 
 @cache
 def process_record() -> tuple[np.ndarray, np.ndarray]:
-    """u, counts (axes, n) of two lags, 2 and 0.5 s^-1, which the rsrivc of some axes follows by the end."""
+    """Return u, counts (axes, n) of two lags, 2 and 0.5 s^-1; at the end the rsrivc of some axes is active."""
     rng = np.random.default_rng(6)
     u = rng.choice([-1.0, 1.0], (AXES, 300)).repeat(10, axis=1)
     y, slow, fast = np.zeros(u.shape), np.zeros(AXES), np.zeros(AXES)
@@ -112,7 +115,7 @@ def assert_equal_tracks(fleet: pmfid.Track, single: pmfid.Track) -> None:
 
 @dataclass(frozen=True)
 class Alone:
-    """What an axis gives that runs by itself."""
+    """The output of an axis in a separate run."""
 
     track: pmfid.Track
     state: bytes
@@ -120,8 +123,10 @@ class Alone:
 
 @lru_cache(maxsize=1)
 def each_alone(kind: str, number: int, precision: str) -> tuple[Alone, ...]:
-    """Every axis of its record, for one of VARIANTS or PROCESSES: the same for all ways side by side, which come one
-    after the other."""
+    """Return the separate run of every axis, for one of VARIANTS or PROCESSES.
+
+    The cached result serves all ways at once, which follow one another.
+    """
     found = []
     for inputs, counts in zip(*RECORDS[kind](), strict=True):
         estimator = one_of(kind, number, precision)
@@ -141,8 +146,12 @@ def one_of(kind: str, number: int, precision: str) -> RecursiveEstimator:
 
 
 def in_ways(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> list[Any]:
-    """Number, precision and way: in `make test` the methods in both precisions, their options in one by turns, each in
-    the widest way and in one of the others by turns."""
+    """Return number, precision and way of the cases.
+
+    `make test` has the methods in both precisions and their options in one by turns. Each case has the widest way and,
+    by
+    turns, one of the others.
+    """
     return [
         pytest.param(
             k,
@@ -384,7 +393,7 @@ def test_the_kernel_writes_only_where_there_is_room():
         wide = [np.zeros((rows, kept, parameters)) for _ in range(3)]
         return [*wide, np.zeros((rows, kept)), np.zeros((rows, kept)), np.zeros((rows, kept), np.uint32)]
 
-    kernel.run(u, counts, 0, axes, 3, results(), 0)  # 2, 5, 8 and the last
+    kernel.run(u, counts, 0, axes, 3, results(), 0)  # samples 2, 5, 8 and the last
     short = [*results()[:5], np.zeros((axes, 3), np.uint32)]
     for wrong in (results(kept=3), results(kept=5), results(rows=2), results(parameters=2), short):
         with pytest.raises(ValueError, match="must have shapes"):
@@ -433,7 +442,7 @@ def test_lanes_compile_without_a_warning(size, precision):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_a_gap_of_one_axis_is_that_of_its_runner(precision):
-    """The others do not notice; the counter may have wrapped meanwhile."""
+    """The gap has no effect on other axes, and the counter may have wrapped meanwhile."""
     u, counts = fleet_record()
     estimator = make(pmfid.RIV, precision)
     fleet = pmfid.Fleet(estimator, AXES)

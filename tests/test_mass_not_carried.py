@@ -1,4 +1,4 @@
-"""A record that does not carry the mass: no method that simulates the whole of it may make one up."""
+"""If a record does not show the mass, no method that simulates the whole record may invent one."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,10 @@ INERTIA, DT = 1.6e-4, 0.01
 
 
 def chirp(viscous: float, top: float, increments: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Input, counts and resolution of a small rotary axis under a slow chirp, its inertia hidden by friction, and
-    the input logged one sample late."""
+    """Return input, counts and resolution of a small rotary axis under a slow chirp.
+
+    Friction hides its inertia, and the input is logged one sample late.
+    """
     t = np.arange(600) * DT
     u = 0.3 * np.sin(2 * np.pi * (0.05 * t + (top - 0.05) * t**2 / 2 / t[-1]))
     step = 2 * np.pi / increments
@@ -26,7 +28,7 @@ def chirp(viscous: float, top: float, increments: int) -> tuple[np.ndarray, np.n
 def test_a_mass_at_its_bound_is_no_estimate(cls, viscous, top, increments):
     u, counts, step = chirp(viscous, top, increments)
     method = cls(pmfid.Drive(0.4), pmfid.Encoder(step), DT, 20.0)
-    start = np.array([60.0 * INERTIA, viscous, 0.02])  # instrumental variables do not settle here and leave any start
+    start = np.array([60.0 * INERTIA, viscous, 0.02])  # instrumental variables do not converge here and leave any start
     with pytest.raises(NotIdentifiableError, match="mass"):
         method.make_least_squares_fit(method.best(u, counts, start)) if cls is OE else method.fit_of(
             method.best(u, counts, start)

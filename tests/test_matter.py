@@ -1,4 +1,4 @@
-"""What is found becomes a status where it matters, and is a note where it does not. Machines of no study."""
+"""A finding becomes a status if it matters and a note if not, on machines of no study."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def codes(result: DriveResult, severity: str) -> set[str]:
 @pytest.mark.parametrize("axis", [TABLE, LIFT, TURRET], ids=["table", "lift", "turret"])
 @pytest.mark.parametrize("motion", ["stop-and-go", "multisine"])
 def test_the_right_model_has_no_status(axis: Axis, motion: str) -> None:
-    """Each had model_spread and feedback, at errors of 0.05 % at most."""
+    """Each case once had model_spread and feedback, at errors of at most 0.05 %."""
     record = record_of(axis, Machine(axis.drive), motion, 1024, 21)
     result = identified(axis, record)
     assert np.max(np.abs(result.theta / truth(axis) - 1)) < 0.005
@@ -64,7 +64,7 @@ def test_a_large_tolerance_leaves_a_note_of_it() -> None:
 
 
 def test_an_error_of_a_load_that_is_not_there_is_held_against_friction() -> None:
-    """A clean record at 1 kHz was unmodelled, for a load of 3e-7 +- 5e-7."""
+    """A clean record at 1 kHz was once called unmodelled, because of a load of 3e-7 +- 5e-7."""
     method = IV(pmfid.Drive(2.0, offset=True), pmfid.Encoder(1e-4), 0.001, 300.0)
     theta, nothing = np.array([1.0, 2.0, 4.0, 3e-7]), np.zeros(4)
     assert sizes(method, theta).tolist() == [1.0, 2.0, 4.0, 4.0]
@@ -83,7 +83,7 @@ def test_noise_alone_does_not_matter_and_the_unknown_does() -> None:
 @pytest.mark.parametrize("zone", [0.03, 0.05])
 @pytest.mark.parametrize("axis", [TABLE, TURRET], ids=["table", "turret"])
 def test_a_dead_zone_under_a_binary_input_is_in_the_interval(axis: Axis, zone: float) -> None:
-    """Every parameter is off by it, no motion shows it, and the interval was 0.01 % wide."""
+    """The dead zone changes every parameter, and no motion shows it: the interval was once 0.01 % wide."""
     right = record_of(axis, Machine(axis.drive), "prbs", 1024, 21)
     acts = np.sign(right.u) * (np.abs(right.u) - zone * np.max(np.abs(right.u)))
     counts = quantize(simulate_drive(axis.drive, acts, axis.dt).x, right.resolution, 0.3 * right.resolution)
@@ -96,7 +96,7 @@ def test_a_dead_zone_under_a_binary_input_is_in_the_interval(axis: Axis, zone: f
 
 
 def test_where_no_motion_can_be_fitted_the_interval_is_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It was NaN for every parameter."""
+    """The interval was once NaN for every parameter."""
 
     def refused(*_: object, **__: object) -> None:
         raise NotIdentifiableError("no motion")
@@ -111,7 +111,7 @@ def test_where_no_motion_can_be_fitted_the_interval_is_a_number(monkeypatch: pyt
 
 
 def test_a_machine_at_the_edge_of_rest_has_error_bars() -> None:
-    """The model moved where it rested at parameters a millionth off, and the arrays of both did not fit together."""
+    """At parameters a millionth off, the model moved where it had rested, and the two arrays had different sizes."""
     rng, what = np.random.default_rng([8101, 18]), Wrong(_load, ("levels",), most=0.75)
     axis = random_axis(rng)
     rng.integers(len(what.motions))
@@ -132,7 +132,7 @@ def doubts(findings: Iterable[Finding]) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("friction", [pytest.param("nothing", marks=pytest.mark.long), "quadratic 20 %"])
 def test_every_face_says_the_same(friction: str, tmp_path: Path) -> None:
-    """Four commands gave four verdicts on one record."""
+    """Four commands once gave four verdicts on one record."""
     record = record_of(TURRET, FRICTIONS[friction](TURRET), "multisine", 1024, 23)
     own = {"model": pmfid.Drive(TURRET.drive.input_gain), "encoder": pmfid.Encoder(record.resolution), "dt": TURRET.dt}
     result = pmfid.identify(record.u, record.counts, **own)

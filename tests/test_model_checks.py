@@ -1,4 +1,4 @@
-"""Model checks: calm where the model is right, clear where it is not, and labelled."""
+"""Model checks are quiet for a right model and clear for a wrong one, and the figures have labels."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def balance_of(result: DriveResult) -> Balance | None:
 
 
 def result_of(u: np.ndarray, counts: np.ndarray, resolution: float, method: str = "iv") -> DriveResult:
-    """Without the flags and sentences of `judge`, which the checks do not look at."""
+    """Identify without the status and sentences of `judge`, which the checks do not use."""
     record = Record(u, counts, CART_DT, resolution, (), "cart")
     axis = load_axis(EXAMPLES / "cart.toml", {"estimator.method": method, "estimator.forgetting": 1.0})
     with unjudged():
@@ -60,7 +60,7 @@ def clean(method: str = "iv", increments: int = 4096, seed: int = 1) -> DriveRes
 
 
 def other_drive(friction: Friction, spring: float = 0.0, load: float = 0.0, seed: int = 3) -> DriveResult:
-    """The cart with another friction [N] over speed, by Runge-Kutta; a step through rest ends there."""
+    """Simulate the cart with another friction [N] over speed, by Runge-Kutta; a step through rest ends at rest."""
     rng = np.random.default_rng(seed)
     u = prbs(3000, clock=20, amplitude=3.0, rng=rng) * rng.choice([0.5, 0.75, 1.0], 3000 // 20).repeat(20)
     x = v = 0.0
@@ -179,7 +179,7 @@ def test_the_residual_is_that_of_the_estimator_and_the_velocities_lie_on_each_ot
     assert result.fit is not None
     np.testing.assert_allclose(balance.residual, result.fit.residual, atol=1e-6)
     assert 99.0 < balance.fit <= 100.0
-    # the columns are as late as the velocity: the viscous force is d times it
+    # the columns have the delay of the velocity: the viscous force is d times it
     viscous = balance.part(VISCOUS_FORWARD)
     np.testing.assert_allclose(viscous, result.theta[1] * balance.measured, atol=1e-9)
 
@@ -200,7 +200,7 @@ def test_with_a_coarse_encoder_the_velocity_is_that_of_the_model() -> None:
 
 
 def test_the_encoder_response_is_that_of_the_balance() -> None:
-    """One wrong count in the record moves the residual by the response."""
+    """One wrong count in the record changes the residual by the response."""
     run = cart_run(1, increments=None)
     result = result_of(run.u, run.counts, run.encoder.resolution)
     wrong = run.counts.copy()

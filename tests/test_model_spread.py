@@ -1,5 +1,7 @@
-"""The second error bar: by how much what the model lacks may move the parameters. Machines, motions and encoders that
-no constant was chosen on."""
+"""The second error bar: the effect of unmodelled forces on the parameters.
+
+No constant was chosen on these machines, motions and encoders.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ from studies.machines import Axis, _control, record_of, truth
 from studies.paper.truth import CartRecord
 from tests.conftest import long_unless
 
-#: None of the study's: an indexing table, 0.3 kg m2, and a lift of 120 kg.
+#: Machines that are not in the study: an indexing table, 0.3 kg m2, and a lift of 120 kg.
 TABLE = Axis(DriveParameters(0.3, 1.1, 0.5, 2.0), 0.004, 4000, 2.0, 15, _control(60, 6, 12), 1.2, 0.5, 0.25, 3e-4, 0.05)
 LIFT = Axis(
     DriveParameters(120.0, 400.0, 40.0, 10.0),
@@ -76,7 +78,7 @@ def test_the_interval_contains_what_the_machine_has(friction: str, cell: str) ->
 
 
 def test_the_standard_deviation_alone_does_not() -> None:
-    """Else the cases above would say nothing on the spread."""
+    """Otherwise the cases above would prove nothing about the spread."""
     result = identified(LIFT, record_of(LIFT, FRICTIONS["quadratic 20 %"](LIFT), "stop-and-go", 512, 11))
     std, spread = bars(result)
     assert np.max(np.abs(result.theta - truth(LIFT)) / std) > 5
@@ -85,7 +87,7 @@ def test_the_standard_deviation_alone_does_not() -> None:
 
 @pytest.mark.parametrize(("axis", "motion"), [(TABLE, "prbs"), (LIFT, "stop-and-go"), (TABLE, "multisine")])
 def test_little_is_added_where_the_model_is_right(axis: Axis, motion: str) -> None:
-    """Next to a dead zone, which an input of one size does not show."""
+    """A dead zone is allowed for in addition, because an input of one size does not show it."""
     result = identified(axis, record_of(axis, Machine(axis.drive), motion, 1024, 11))
     std, spread = bars(result)
     unseen = ESTIMATOR_TUNING.dead_zone * result.theta if motion == "prbs" else np.zeros(3)
@@ -100,7 +102,7 @@ def test_a_friction_is_not_below_nothing() -> None:
 
 
 def test_a_method_with_an_error_of_its_own_has_it_in_the_interval() -> None:
-    """Least squares of coarse counts: the mass is small by far more than its standard deviation."""
+    """Least squares of coarse counts gives a mass that is too small by far more than its standard deviation."""
     record = record_of(TABLE, Machine(TABLE.drive), "multisine", 512, 11)
     result = identified(TABLE, record, method="ls")
     off = np.abs(result.theta - truth(TABLE))
@@ -110,8 +112,10 @@ def test_a_method_with_an_error_of_its_own_has_it_in_the_interval() -> None:
 
 @pytest.mark.long
 def test_squares_that_a_parked_axis_misleads_have_it_in_the_interval() -> None:
-    """Of four seeds this one: viscous friction 1.6 % off by output error, with an error bar of 0.07 %; the interval
-    likelihood of the same motion knows better."""
+    """For one of four seeds, output error gave viscous friction 1.6 % off with an error bar of 0.07 %.
+
+    The interval likelihood of the same motion is more accurate.
+    """
     gantry = BENCHES["gantry"]
     result = identified(
         gantry, record_of(gantry, Machine(gantry.drive), "stop-and-go", 128, 103), method="output-error"
@@ -134,11 +138,11 @@ def test_a_recursive_run_has_it_at_its_end(settings: dict[str, object]) -> None:
     assert wrong[1] > 0.05 * LIFT.drive.viscous_friction > 5 * np.sqrt(max(right[1] ** 2 - unseen**2, 0.0))
 
 
-# --- what the record says of a force ---------------------------------------------------------------------------------
+# --- forces that the record supports ----------------------------------------------------------------------------------
 
 
 def cart_at(stribeck: float) -> Adequacy:
-    """What the counts say of the cart under a random input: its velocity passes the Stribeck speed within a sample."""
+    """Return the adequacy for the cart under a random input; its velocity passes the Stribeck speed within a sample."""
     rng, resolution = np.random.default_rng(5), 91e-6
     u = prbs(3000, clock=10, amplitude=3.0, rng=rng)
     machine = Machine(CART, stribeck=stribeck * CART.coulomb_friction, stribeck_speed=0.02)
@@ -152,8 +156,10 @@ def right() -> Adequacy:
 
 
 def test_friction_that_comes_and_goes_within_a_sample_is_found() -> None:
-    """Taken at the mean velocity of a sample it was another force, of which the counts showed nothing: mass 0.12 % off
-    with an error bar of 0.014 %, and the model was called enough."""
+    """At the mean velocity of a sample this friction looked like another force, which the counts did not show.
+
+    The mass was 0.12 % off with an error bar of 0.014 %, and the model was called adequate.
+    """
     found = cart_at(0.5)
     missed = [found.forces[k].name for k in found.missed]
     assert "stribeck" in missed
@@ -162,14 +168,14 @@ def test_friction_that_comes_and_goes_within_a_sample_is_found() -> None:
 
 
 def test_no_more_is_claimed_of_that_friction_than_the_counts_show(right: Adequacy) -> None:
-    """A tenth of a per mille of Coulomb friction, it was."""
+    """The deviation was once a tenth of a per mille of Coulomb friction."""
     std = [size for candidate, size in zip(right.forces, right.size_std, strict=True) if candidate.name == "stribeck"]
     assert min(std) > 1e-3 * CART.coulomb_friction
     assert right.adequate
 
 
 def with_sizes(found: Adequacy, size: float, std: float) -> Adequacy:
-    """The same with each plausible force of `size` +- `std` of what is plausible, and none of the others."""
+    """Return the adequacy with each plausible force of `size` +- `std` of the plausible size, and no other forces."""
     plausible = np.array([candidate.plausible for candidate in found.forces])
     other = np.where(plausible > 0, plausible, 1.0)
     there = np.where(plausible > 0, size, 0.0)
@@ -185,8 +191,8 @@ def with_sizes(found: Adequacy, size: float, std: float) -> Adequacy:
             0.0,
             1e3,
             pytest.approx(np.sqrt(DIAGNOSTIC_TUNING.verdict_odds / (1 + DIAGNOSTIC_TUNING.verdict_odds)), rel=1e-2),
-        ),  # cannot be shown
-        (0.6, 1e-2, pytest.approx(0.6, rel=1e-2)),  # asked for
+        ),  # this size cannot be shown
+        (0.6, 1e-2, pytest.approx(0.6, rel=1e-2)),  # a finding asks for it
     ],
     ids=["ruled out", "hidden", "asked for"],
 )
@@ -214,7 +220,7 @@ def test_of_a_wrong_model_the_clearest_force_counts_most(right: Adequacy) -> Non
     assert believed[stribeck] == pytest.approx(alone[stribeck] / 4)
 
 
-# --- where it is shown -----------------------------------------------------------------------------------------------
+# --- output of the interval ------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -276,7 +282,7 @@ def test_a_transfer_function_has_none() -> None:
 
 
 def test_an_interval_has_the_digits_of_its_width() -> None:
-    """It was 1.07 to 1.07."""
+    """The interval was once printed as 1.07 to 1.07."""
     assert format_interval(1.0699875, 1.0700126) == "1.069988 to 1.070013"
     assert format_interval(-3.2, 20.0) == "-3.2 to 20"
     assert format_interval(2.0, 2.0) == "2 to 2"

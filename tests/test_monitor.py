@@ -1,4 +1,4 @@
-"""Block scores, detectors, thresholds and the monitor, against oracles and against what the cart really did."""
+"""Block scores, detectors, thresholds and the monitor, against oracles and against the cart's true behaviour."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def random_blocks(seed: int, runs: int = 3, n: int = 200) -> tuple[Floats, Float
 
 
 def test_scores_are_the_information_times_the_deviation() -> None:
-    """E S = W (theta - theta0), here without noise; the model's own stops make the rest."""
+    """Without noise E S = W (theta - theta0), apart from the effect of the model's own stops."""
     u, counts = normal_work(1, 100_000, 0.05)
     away = THETA * [1.002, 1.0, 1.0]
     blocks = scores(front(100_000), away, u, counts)[5:]
@@ -84,7 +84,7 @@ def test_the_scale_makes_normal_work_standard() -> None:
     assert np.mean(x**2, axis=0) == pytest.approx(np.ones(3))
     assert np.mean(w, axis=0) == pytest.approx(np.ones(3))
     lag_two = np.mean(x[2:] * x[:-2], axis=0)
-    assert np.abs(lag_two).max() < 0.15  # the detectors' blocks are not the memory of an estimate
+    assert np.abs(lag_two).max() < 0.15  # the detectors' blocks do not have the memory of an estimate
 
 
 # --- detectors --------------------------------------------------------------------------------------------------------
@@ -100,12 +100,12 @@ def test_cusum_is_pages_sum() -> None:
 
 
 def test_page_hinkley_is_the_excess_over_the_smallest_sum() -> None:
-    """U_n - min U, U the sum of x minus mean minus drift (Hinkley 1971)."""
+    """The expected statistic is U_n - min U, where U is the sum of x minus mean minus drift (Hinkley 1971)."""
     x, _ = random_blocks(1, 1, 80)
     w, memory = np.ones_like(x), 1e12
     found = statistics(PageHinkley(0.3, memory), x, w, np.zeros(3))[0]
     for sign in (1.0, -1.0):
-        total = np.cumsum(sign * x[0] - 0.3, axis=0)  # so long a memory keeps the mean at zero
+        total = np.cumsum(sign * x[0] - 0.3, axis=0)  # with this long memory the mean stays zero
         excess = total - np.minimum.accumulate(np.vstack([np.zeros(3), total]), axis=0)[1:]
         assert np.all(found >= excess.max(axis=1) - 1e-6)
     assert PageHinkley().start((3,))[3] == pytest.approx(100.0)
@@ -138,7 +138,10 @@ def test_chi_square_has_the_mean_of_its_degrees() -> None:
 
 @pytest.mark.parametrize("name", DETECTORS)
 def test_every_detector(name: str) -> None:
-    """Sees both directions alike, many runs as one, nothing in a block without information, and less with tolerance."""
+    """Each detector sees both directions alike, ignores a block without information, and sees less with tolerance.
+
+    Many runs at once give the same as single ones.
+    """
     detector = make_detectors(0.9)[name]
     x, w = random_blocks(4)
     tolerance = np.zeros(3)
@@ -158,7 +161,7 @@ def test_every_detector(name: str) -> None:
 
 
 def test_a_tail_is_read_off_beyond_what_was_seen() -> None:
-    """Exponential peaks: the threshold for a rate is known."""
+    """The peaks are exponential, so that the threshold for a rate is known."""
     rng = np.random.default_rng(5)
     statistic = rng.exponential(2.0, (40, 36_000))  # blocks of 0.1 s: 40 h
     tail = fit_tail(statistic, 0.1)
@@ -170,7 +173,7 @@ def test_a_tail_is_read_off_beyond_what_was_seen() -> None:
 
 @pytest.mark.long
 def test_alarms_are_as_rare_as_asked() -> None:
-    """A small version of the study: a false alarm in a quarter of an hour, over nine hours under control."""
+    """This is a small form of the study: one false alarm in a quarter of an hour, over nine hours under control."""
     u, counts = normal_work(7, INCREMENTS, 0.5)
     riv = make_riv(INCREMENTS)
     found = calibrate(riv, THETA, u, counts, hours=10.0)
@@ -217,12 +220,12 @@ def test_opening_keeps_the_estimate_and_lets_go_of_the_past(cls: Any, parameter:
 
 
 def test_opening_one_parameter_leaves_the_others() -> None:
-    """R - (1 - keep) r r^T / R_ii: what is known of the others, whatever the parameter, stays."""
+    """R - (1 - keep) r r^T / R_ii keeps the information on the other parameters."""
     u, counts = normal_work(4, INCREMENTS, 0.01)
     estimator = make_riv(INCREMENTS, THETA)
     estimator.run(u[:-1], counts[:-1])
     closed = estimator.get_state()
-    estimator.open_memory(1.0)  # without what the blocks say of the error bars
+    estimator.open_memory(1.0)  # without the correction of the error bars by the blocks
     estimator.run(u[-1:], counts[-1:])
     before = np.linalg.inv(estimator.estimate.theta_cov / estimator.estimate.innovation_variance)
     estimator.set_state(closed)
@@ -251,7 +254,7 @@ def test_what_cannot_be_opened_is_said() -> None:
         estimator.open_memory(0.0)
     with pytest.raises(UsageError, match="parameter must be one of"):
         estimator.open_memory(0.5, "inertia")
-    estimator.open_memory(0.5)  # before the first sample there is nothing to open
+    estimator.open_memory(0.5)  # before the first sample the memory is empty
     assert estimator.estimate.status == 0
 
 
@@ -367,7 +370,7 @@ def test_wrong_wishes_are_refused(options: dict[str, Any], message: str) -> None
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_change_of_mass_is_reported_after_five_seconds_at_24_volt(calibration: Calibration, seed: int) -> None:
-    """What a violent motion showed does not make it deaf to the normal one, which begins two seconds later."""
+    """After a violent motion the monitor still sees the normal one, which begins two seconds later."""
     rng = np.random.default_rng((seed, 24))
     violent = np.where(np.arange(500) // 25 % 2 == 0, 3.0, -3.0)
     reference = np.concatenate([violent, np.zeros(200), random_stop_and_go(3700, rng)])

@@ -1,4 +1,4 @@
-"""What the commands write stays: restarts with the same name, kill -9, full disks, hang-ups, files in the way."""
+"""Output of the commands survives: restarts with the same name, kill -9, full disks, hang-ups, existing files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def watch(folder: Path, *arguments: str) -> Any:
-    """`pmfid monitor -` on N samples in this process."""
+    """Run `pmfid monitor -` on N samples in this process."""
     command = ["monitor", "-", "--config", str(folder / "axis.toml"), "--json", *arguments]
     return CliRunner().invoke(main, command, input=b"".join(lines(N * CART_DT)))
 
@@ -53,7 +53,7 @@ def watch(folder: Path, *arguments: str) -> Any:
 def start(
     folder: Path, *arguments: str, before: Callable[[], None] | None = None, samples: int = N, **pipes: Any
 ) -> Any:
-    """`pmfid monitor -` on N samples, which have been written to it; its input stays open."""
+    """Start `pmfid monitor -` and write `samples` samples to it; its input stays open."""
     command = [sys.executable, "-c", START, "monitor", "-", "--config", str(folder / "axis.toml"), "--json", *arguments]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **pipes}
     process = subprocess.Popen(command, stdin=subprocess.PIPE, preexec_fn=before, **pipes)
@@ -146,7 +146,7 @@ def test_a_device_without_room(folder: Path) -> None:
     (folder / "device.csv").symlink_to("/dev/full")
     process = start(folder, "--out", str(folder / "device.csv"))
     text, error = end(process)
-    assert json.loads(text.splitlines()[-1])["rows_lost"] == N + 1  # with the header
+    assert json.loads(text.splitlines()[-1])["rows_lost"] == N + 1  # one of them is the header
     assert "No space left on device" in text
     assert process.returncode == 2
     assert "rows could not be written" in error
@@ -185,7 +185,7 @@ def test_a_hang_up_that_is_ignored_stays_so() -> None:
 
 
 class Disk:
-    """os.write with `room` bytes left."""
+    """A stand-in for os.write with `room` bytes left."""
 
     def __init__(self, room: int) -> None:
         self.room = room
@@ -229,7 +229,7 @@ def test_what_never_finds_room_is_counted(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_numbers_of_files(tmp_path: Path) -> None:
     assert fresh(tmp_path / "a.csv").name == "a.csv"
-    (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")  # a link to nothing is there, too
+    (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")  # a link without a target also exists
     (tmp_path / "a-2.csv").write_text("")
     assert fresh(tmp_path / "a.csv").name == "a-3.csv"
     with pytest.raises(FileExistsError):

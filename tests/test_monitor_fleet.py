@@ -1,4 +1,4 @@
-"""Many monitored axes in one process: the bits of a monitor alone, whatever the pieces; states saved and moved."""
+"""Many monitored axes in one process have the bits of a single monitor for any pieces; states are saved and moved."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def normal() -> tuple[Floats, Counts]:
 
 
 def calibrated(of: RecursiveEstimator, normal: tuple[Floats, Counts]) -> Calibration:
-    """The scale of a record, and thresholds as they come: what is compared here needs none that are right."""
+    """Return a calibration with the scale of a record and arbitrary thresholds, which suffice for the comparison."""
     theta = reference(of)
     front = like(IV, of, prefilter_zeros=None)
     blocks = scores(front, theta, *normal)[20:]
@@ -88,8 +88,12 @@ def monitor(normal: tuple[Floats, Counts]) -> Monitor:
 
 @pytest.fixture(scope="module")
 def records() -> tuple[Floats, Counts]:
-    """(axes, n): an axis whose mass grows, one that stops, one with lost samples and glitches, one whose counter wraps
-    and whose friction grows."""
+    """Return records (axes, n) of four axes.
+
+    The mass of the first grows, and the second stops. The third has lost samples and glitches. The counter of the
+    fourth
+    wraps, and its friction grows.
+    """
     heavier = Schedule(((0.0, CART), (6.0, replace(CART, mass=1.3 * CART.mass))))
     rougher = Schedule(((0.0, CART), (9.0, replace(CART, coulomb_friction=1.8 * CART.coulomb_friction))))
     schedules = (heavier, Schedule(((0.0, CART),)), Schedule(((0.0, CART),)), rougher)
@@ -107,15 +111,17 @@ def records() -> tuple[Floats, Counts]:
 
 @dataclass
 class Turn:
-    """What happens to one axis: samples from a place on, or something else."""
+    """An event of one axis: samples from a place on, or another call."""
 
     name: str
     values: tuple[Any, ...]
 
 
 def turns(u: Floats, counts: Counts, seed: int) -> tuple[list[Any], list[list[Turn]]]:
-    """Calls of a fleet with random axes in any order, with pieces of any length, and something else in between: and the
-    same for each axis."""
+    """Return random calls of a fleet, and the same events for each axis.
+
+    The axes come in any order, with pieces of any length and other calls in between.
+    """
     rng, done = np.random.default_rng(seed), np.zeros(len(u), int)
     calls: list[Any] = []
     single: list[list[Turn]] = [[] for _ in u]
@@ -142,7 +148,7 @@ def turns(u: Floats, counts: Counts, seed: int) -> tuple[list[Any], list[list[Tu
 
 
 def alone(monitor: Monitor, history: list[Turn]) -> Report:
-    """What a monitor by itself says, sample by sample."""
+    """Return the reports of a single monitor, sample by sample."""
     reported: Report = []
     for turn in history:
         if turn.name != "run":
@@ -157,7 +163,7 @@ def alone(monitor: Monitor, history: list[Turn]) -> Report:
 
 
 def together(fleet: MonitorFleet, calls: list[Any]) -> list[Report]:
-    """The same of a fleet."""
+    """Return the reports of a fleet."""
     reported: list[Report] = [[] for _ in range(fleet.axes)]
     for call in calls:
         if call[0] != "run":
@@ -210,7 +216,7 @@ def test_what_is_known_is_reported_next_to_each_estimate(
 def test_quiet_axes_are_not_run_one_by_one(
     monitor: Monitor, records: tuple[Floats, Counts], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Axes that start, stand, move, and lose samples; and one again that has settled on a new reference."""
+    """The axes start, stand, move and lose samples; one axis has settled again on a new reference."""
     u, counts = records
     fleet, index = MonitorFleet(monitor, AXES), np.arange(AXES)
     fleet.run(index, u[:, :400], counts[:, :400])
@@ -325,7 +331,7 @@ def test_implausible_numbers_are_refused_whatever_their_checksum(
     assert fleet.statistics()[1] == 0.5
 
 
-# --- what else a fleet is asked ---------------------------------------------------------------------------------------
+# --- other methods of a fleet -----------------------------------------------------------------------------------------
 
 
 def test_axes_come_and_go(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
@@ -358,7 +364,9 @@ def test_what_does_not_fit_is_refused(monitor: Monitor, index: Any, u: Any, coun
 
 
 def test_a_new_reference_on_demand(monitor: Monitor, records: tuple[Floats, Counts]) -> None:
-    """In the middle of a change: what is now is normal, no alarm follows, and the estimates go on."""
+    """The call comes in the middle of a change: the present state becomes normal, no alarm follows, the estimates
+    continue.
+    """
     u, counts = records[0][0], records[1][0]
     single = MonitorFleet(monitor, 1).monitor(0)
     with pytest.raises(UsageError, match="no estimate yet"):

@@ -1,4 +1,4 @@
-"""Thresholds where normal work is not what the simulation knows: the reference record's own deviations count."""
+"""If normal work differs from the simulation, the deviations of the reference record set the thresholds."""
 
 from __future__ import annotations
 
@@ -35,14 +35,16 @@ BLOCK = 0.2
 
 
 def encoder_like(shape: tuple[int, int, int], rng: np.random.Generator) -> np.ndarray:
-    """Blocks of unit variance that balance their neighbours."""
+    """Return blocks of unit variance in which neighbours compensate each other."""
     white = rng.standard_normal((shape[0], shape[1] + 1, shape[2]))
     return (white[:, 1:] - 0.6 * white[:, :-1]) / np.sqrt(1.36)
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_deviations_that_add_up_are_noisier(seed: int) -> None:
-    """Blocks of the same size, but independent, as of a white force: their sums grow as an encoder's do not."""
+    """Independent blocks of the same size, as of a white force: their sums grow, unlike the sums of an encoder's
+    error.
+    """
     rng = np.random.default_rng(seed)
     w = np.abs(rng.standard_normal((40, 3000, 3)))
     simulated = (np.sqrt(w) * encoder_like(w.shape, rng), w)
@@ -52,7 +54,7 @@ def test_deviations_that_add_up_are_noisier(seed: int) -> None:
 
 
 def test_pieces_of_a_record() -> None:
-    """Pieces are runs of neighbours from anywhere; mean and size of each run err as those of the record may."""
+    """Pieces are runs of neighbours from any place; mean and size of each run have the errors of the record's."""
     rng = np.random.default_rng(0)
     x, w = rng.standard_normal((500, 2)), np.ones((500, 2))
     drawn, reported = resample_units(x, w, (400, 64), 4, rng)
@@ -99,7 +101,7 @@ MACHINES = {
 @pytest.mark.parametrize("name", MACHINES)
 @pytest.mark.long
 def test_false_alarms_of_another_machine(name: str) -> None:
-    """One alarm an hour is asked; with the simulation's thresholds nearly every detector gave more than ten."""
+    """One alarm an hour is requested; with the simulation's thresholds nearly every detector gave more than ten."""
     machine, riv = MACHINES[name], make_riv(INCREMENTS)
     u, counts = normal(machine, 1, 0.4)
     theta = IV(riv.model, riv.encoder, CART_DT, 50.0).fit(u, counts).theta
@@ -121,7 +123,7 @@ def alarms_of(calibration: Calibration, kind: str, pair: Any, riv: Any) -> int:
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_friction_that_grows_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of it grows by a fifth: with much Coulomb friction this was reported as a loss of force."""
+    """All friction grows by a fifth: with much Coulomb friction this was once reported as a loss of force."""
     machine, riv = MACHINES[name], make_riv(INCREMENTS)
     u, counts = normal(machine, 1, 0.25)
     theta = IV(riv.model, riv.encoder, CART_DT, 50.0).fit(u, counts).theta
@@ -185,8 +187,9 @@ SEQUENCES = {
 @pytest.mark.parametrize("name", SEQUENCES)
 @pytest.mark.long
 def test_the_run_length_is_the_one_asked(name: str) -> None:
-    """Blocks of known laws, all with the same information: an hour of them gives the thresholds, and other hours
-    have about as many alarms as asked."""
+    """Blocks of known laws have the same information; thresholds from one hour give about the requested alarms in
+    others.
+    """
     rng, ratios = np.random.default_rng(7), []
     for _ in range(3):
         own = known_blocks(SEQUENCES[name](rng, 20_000))
@@ -208,7 +211,7 @@ def known_blocks(x: Any) -> Blocks:
 
 
 def test_a_short_record_with_a_change_gives_no_thresholds() -> None:
-    """Units drawn from a few may all be the same one: the threshold was not a number."""
+    """Units drawn from a few may all be the same one: the threshold was once not a number."""
     run = make_scenario("mass-step", seed=0)
     theta = np.array([1.25, 12.7, 0.86])
     estimator = make_riv(4096, theta)
@@ -217,7 +220,7 @@ def test_a_short_record_with_a_change_gives_no_thresholds() -> None:
 
 
 def test_what_is_off_all_the_time_is_normal() -> None:
-    """A mean that the model cannot explain is no change, and a few wild blocks hardly move what is learned."""
+    """A mean that the model cannot explain is no change, and a few wild blocks hardly change the learned values."""
     rng = np.random.default_rng(5)
     x = rng.standard_normal((20_000, 3)) + 0.5
     calm = learn(known_blocks(x), np.ones(len(x)))

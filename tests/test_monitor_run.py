@@ -36,7 +36,7 @@ from studies.monitoring.pipe import lines, resident, write_axis
 from tests.processes import run_process
 
 CHANGE = 15.0
-#: A calibration of N hours is enough here, and the same for the command in a process of its own.
+#: Hours of a calibration that is enough here, also for the command in its own process.
 HOURS = 4.0
 START = (
     f"import pmfid.pipeline.monitored.setup as m; m.simulated_hours = lambda h: {HOURS}; "
@@ -47,7 +47,9 @@ SKIPPED = ("bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """axis.toml, its reference, and run.csv, in which the mass grows by a fifth; one calibration for all tests."""
+    """Write axis.toml, its reference, and run.csv, in which the mass grows by a fifth; all tests share one
+    calibration.
+    """
     place = tmp_path_factory.mktemp("monitor")
     write_axis(place, 300.0)
     heavier = Schedule(((0.0, CART), (CHANGE, replace(CART, mass=1.2 * CART.mass))))
@@ -71,16 +73,16 @@ def invoke(folder: Path, *arguments: str, stdin: bytes | None = None, code: int 
 
 @pytest.fixture(scope="module")
 def read(folder: Path) -> str:
-    """What the command says of run.csv; it has written page.html and out.parquet."""
+    """Return the output of the command for run.csv; it also writes page.html and out.parquet."""
     return invoke(folder, "--json", "--report", str(folder / "page.html"), "--out", str(folder / "out.parquet"))
 
 
-#: As much of a pipe as shows what the command starts with.
+#: The shortest pipe that shows the first output of the command.
 TWO_LINES = b"t,u,counts\n0,1,2\n0.01,1,2\n"
 
 
 def command(axis: Path, *arguments: str) -> list[str]:
-    """`pmfid monitor -` in a process of its own."""
+    """Return the words that start `pmfid monitor -` in its own process."""
     return [sys.executable, "-c", START, "monitor", "-", "--config", str(axis), *arguments]
 
 
@@ -108,7 +110,7 @@ def test_a_record_with_a_heavier_load(folder: Path, read: str) -> None:
     assert {"watching", "suspicious", "settling"} <= set(table["state"])
     page = (folder / "page.html").read_text()
     assert "mass +" in page
-    assert "mathdefault" not in page  # formulas are not typeset, for units may have a $
+    assert "mathdefault" not in page  # formulas are not typeset, because units may contain a $
     assert "<svg" in page
     assert not re.search(r"(src|href)=\"http", page)
 
@@ -276,7 +278,7 @@ def test_positions_and_scales_in_a_pipe(folder: Path) -> None:
 
 
 def test_estimates_come_out_one_by_one(folder: Path) -> None:
-    """A real pipe: each line is answered before the next one is sent. How soon is measured by the study."""
+    """The test uses a real pipe: each line is answered before the next one is sent. A study measures the delay."""
     words = command(folder / "axis.toml", "--out", "-")
     with run_process(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         for k, line in enumerate(lines(2.0)):

@@ -1,4 +1,4 @@
-"""The size of an alarm and its bar: the truth lies within as often as the bar says."""
+"""The size of an alarm and its bar: the bar contains the truth as often as it promises."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def first_alarm(calibration: Calibration, name: str, factor: float, seed: int) -
 
 @pytest.mark.parametrize(("name", "factor"), [("mass", 1.35), ("mass", 0.75), ("viscous_friction", 1.2)])
 def test_the_bar_contains_the_truth(calibration: Calibration, name: str, factor: float) -> None:
-    """Before, half of the sizes were further off than two bars, some 45."""
+    """Half of the sizes were once further off than two bars, some of them than 45."""
     truth = (factor - 1) * getattr(CART, name)
     alarms = [first_alarm(calibration, name, factor, seed) for seed in range(SEEDS)]
     reported = [alarm for alarm in alarms if alarm is not None and alarm.parameter == name]
@@ -57,7 +57,7 @@ def test_the_bar_contains_the_truth(calibration: Calibration, name: str, factor:
 
 
 def changed(direction: np.ndarray, partly: float) -> tuple[Blocks, Scale]:
-    """Normal work whose blocks from 200 on show a change, the first of them only a part of it."""
+    """Return normal work whose blocks from 200 on show a change, the first of them only a part."""
     u, counts = normal_work(5, INCREMENTS, 0.02)
     blocks = scores(make_riv(INCREMENTS), THETA, u, counts)[6:]
     score = blocks.score.copy()
@@ -83,7 +83,10 @@ def test_a_change_did_not_begin_after_it_was_noticed() -> None:
 
 
 def test_reversals_that_come_at_other_instants_are_no_part_of_the_change() -> None:
-    """With much dry friction, +20 % were reported as +13 %, with a bar of 0.6 %: the reversals were the reference's."""
+    """With much dry friction, a change of +20 % was once reported as +13 % with a bar of 0.6 %.
+
+    The reversals were taken from the reference.
+    """
     axis = replace(CART, mass=1.5, viscous_friction=6.0, coulomb_friction=0.5)
     theta, dt, when = np.array([1.5, 6.0, 0.5]), 0.01, 12.0
     drive, encoder = Drive(CART.input_gain), Encoder(2e-5)
@@ -102,7 +105,7 @@ def test_reversals_that_come_at_other_instants_are_no_part_of_the_change() -> No
 
 
 def test_friction_that_grows_as_a_whole_is_one_cause() -> None:
-    """Viscous and Coulomb friction grow alike: before, a mass that is small next to them made it a loss of force."""
+    """Viscous and Coulomb friction grow alike: with a relatively small mass this was once called a loss of force."""
     direction = 0.2 * np.array([0.0, THETA[1], THETA[2]])
     blocks, scale = changed(direction, 1.0)
     friction = np.array([0.0, THETA[1], THETA[2]])
@@ -118,7 +121,7 @@ def test_friction_that_grows_as_a_whole_is_one_cause() -> None:
 
 
 def test_causes_that_the_estimate_does_not_exclude_are_named() -> None:
-    """A mass, by the blocks; an estimate that knows little leaves the gain of the input possible as well."""
+    """The blocks suggest the mass, but a vague estimate does not exclude the gain of the input."""
     direction = 0.2 * np.array([THETA[0], 0.0, 0.0])
     blocks, scale = changed(direction, 1.0)
     vague = np.diag((np.array([0.02, 0.5, 0.5]) * THETA) ** 2)
@@ -132,7 +135,7 @@ def test_causes_that_the_estimate_does_not_exclude_are_named() -> None:
 
 
 def test_after_a_weaker_motor_the_gain_leads_and_no_mass_has_grown() -> None:
-    """Before, the line and the page had a mass of +17.6 %, which nobody had put on."""
+    """The line and the page once reported a mass of +17.6 %, which did not exist."""
     gain = new_gain(ChangeEvidence(THETA / 0.85, np.diag((0.001 * THETA) ** 2)), THETA, 2.0)
     assert gain == pytest.approx((1.7, gain[1], 2.0))
     assert 0.0 < gain[1] < 0.002

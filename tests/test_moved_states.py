@@ -1,5 +1,7 @@
-"""A state on its way through firmware, an estimator, a watched fleet, a service and a fleet, back into firmware: what
-is estimated is what it is without the moves."""
+"""A state moves through firmware, an estimator, a watched fleet, a service and a fleet back into firmware.
+
+The estimates equal those without the moves.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ LEG = 500
 
 
 def fresh(prepared: Prepared) -> RecursiveEstimator:
-    """The estimator of the watch, at its start."""
+    """Return the estimator of the watch at its start."""
     estimator = prepared.setup.monitor.estimator
     return construct_estimator(type(estimator), configuration_of(estimator))
 
@@ -44,7 +46,7 @@ class Firmware:
         self._program = compiled(folder, PREFIX, target, HERE / "moved.c", "-O2")
 
     def run(self, state: bytes | None, u: Floats, counts: Counts) -> tuple[np.ndarray, bytes]:
-        """theta (n, p), and the saved state."""
+        """Return theta (n, p), and the saved state."""
         samples = np.zeros(u.size, np.dtype([("u", self._real), ("count", np.uint32)], align=True))
         samples["u"], samples["count"] = u, counts.astype(np.uint32)
         (self._folder / "in").write_bytes(samples.tobytes())
@@ -97,8 +99,9 @@ def test_a_state_goes_from_firmware_through_everything_and_back(
 def watched(
     prepared: Prepared, estimator: RecursiveEstimator, legs: list[tuple[Floats, Counts]], folder: Path
 ) -> np.ndarray:
-    """theta of the first leg in a shard whose state ends in the folder of a service, and of the second in a shard that
-    goes on from there."""
+    """Return theta of both legs: the first in a shard, the second in another shard that resumes from the service's
+    folder.
+    """
     monitor = monitor_of(prepared, estimator)
     states, found, plan = (
         States.from_monitors({"x1": monitor}, prepared, PACE),
@@ -116,6 +119,6 @@ def watched(
 
 
 def monitor_of(prepared: Prepared, estimator: RecursiveEstimator) -> Monitor:
-    """The watch restarts, the estimator goes on."""
+    """Return a restarted watch with the running estimator."""
     like = prepared.setup.monitor
     return Monitor(estimator, like.calibration, like.watch, like.known)

@@ -1,5 +1,7 @@
-"""Names: a function is a verb, or a verb and its object; a class name stands for one thing; words that hide the subject
-stay away (docs/glossary.md)."""
+"""Names: a function is a verb or a verb with its object, and a class name stands for one thing.
+
+Words that hide the subject stay out (docs/glossary.md).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ PROJECT = Path(__file__).parents[1]
 SOURCE = PROJECT / "src" / "pmfid"
 PREPOSITIONS = {"of", "by", "in", "at", "between", "apart", "behind", "beside", "within", "along", "about", "beyond"}
 PREPOSITIONS |= {"around", "through", "after", "before", "above", "below", "without", "over", "against", "since", "off"}
-#: Participles without -ed that have stood as names of functions here.
+#: Participles without -ed that were once names of functions here.
 IRREGULAR = {
     "told",
     "said",
@@ -33,7 +35,7 @@ IRREGULAR |= {"written", "hidden", "drawn", "shown", "built", "begun", "spent", 
 #: Verbs and nouns that only look like participles.
 VERBS = {"feed", "need", "seed", "speed", "embed", "proceed", "exceed"}
 WORDS = re.compile(r"\b(told|anew|behind|beside|so many)\b", re.IGNORECASE)
-#: The same as parts of names, and what these words are literally: an event, a button, a path, a column, a key.
+#: These words in parts of names, and the literals that contain them: an event, a button, a path, a column, a key.
 PARTS = re.compile(r"(?<![a-z])(told|anew|behind|beside|so[ _]many)(?![a-z])", re.IGNORECASE)
 LITERAL = re.compile(r"Begin anew|/anew|\banew: |([\"'])(told|anew|behind)\1|time, told:|found\.anew")
 ELSEWHERE = ["tests", "studies", "examples", "benchmarks", "docs", "csrc", "deploy"]
@@ -81,7 +83,7 @@ def test_words_that_hide_the_subject_stay_away() -> None:
 
 
 def read_prose(path: Path) -> str:
-    """The text of a file; of the kernel its comments, as its names are those of states that are saved."""
+    """Return the text of a file; of the kernel only its comments, because saved states use its names."""
     text = path.read_text(encoding="utf-8")
     return " ".join(re.findall(r"/\*.*?\*/", text, re.DOTALL)) if "csrc" in path.parts else LITERAL.sub("", text)
 
@@ -108,7 +110,7 @@ def is_number(value: ast.expr) -> bool:
 
 
 def count_numbers(tree: ast.Module) -> int:
-    """Constants at module level that are numbers or tuples of numbers."""
+    """Count the constants at module level that are numbers or tuples of numbers."""
     count = 0
     for node in tree.body:
         if not isinstance(node, (ast.Assign, ast.AnnAssign)) or node.value is None:

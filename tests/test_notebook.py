@@ -1,4 +1,4 @@
-"""The notebook of the examples runs from its first cell to its last, and shows what it says."""
+"""The example notebook runs from its first cell to its last and shows the outputs that its text promises."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CELLS = ["".join(cell["source"]) for cell in NOTEBOOK["cells"] if cell["cell_typ
 
 
 def shown(cells: list[str]) -> Iterator[object]:
-    """What each cell shows: the value of its last line, as in a notebook."""
+    """Yield the output of each cell: the value of its last line, as in a notebook."""
     names: dict[str, object] = {}
     for cell in cells:
         *before, last = ast.parse(cell).body

@@ -1,4 +1,4 @@
-"""Where numbers end: singular equations, diverged tracks and simulations are refused, without a warning."""
+"""Singular equations, diverged tracks and diverged simulations are refused without a warning."""
 
 from __future__ import annotations
 
@@ -34,14 +34,16 @@ def axis_of(method: str = "auto", resolution: float = 0.01, **more: dict[str, ob
 
 
 def coarse_cart() -> Record:
-    """The cart at a count per centimetre."""
+    """Return a record of the cart with one count per centimetre."""
     run = make_scenario("prbs", seed=1, duration=20.0)
     return Record(run.motion.u, quantize(run.motion.x, 0.01), 0.01, 0.01, (), "cart")
 
 
 @pytest.mark.parametrize("model", [{"offset": True}, {}, {"spring": True}])
 def test_a_track_that_diverges_is_refused_without_a_warning(model: dict[str, object]) -> None:
-    """Below a count per sample the known step takes away more than there is; NumPy's overflow showed in `compare`."""
+    """Below a count per sample, the bias of the known step exceeds the information; NumPy's overflow showed in
+    `compare`.
+    """
     with pytest.raises(
         NotIdentifiableError, match=r"beyond numbers|cannot identify|comes out as .* with a standard deviation of"
     ):
@@ -56,7 +58,7 @@ def test_equations_without_one_solution_are_refused() -> None:
 
 
 def test_a_counter_of_one_bit_is_refused() -> None:
-    """Its motion only falls: the instruments are a combination of each other."""
+    """The position only falls: the instruments are linear combinations of each other."""
     counts = -np.cumsum(np.ones(300, np.int64))
     record = Record(np.sin(np.arange(300.0)), counts, 0.01, 1e-4, (), "one bit")
     with pytest.raises(NotIdentifiableError):

@@ -1,6 +1,7 @@
-"""Estimators as objects: a configuration that is a value, a state that is apart from it, and copies that share nothing.
+"""Estimators as objects: a configuration that is a value, a separate state, and independent copies.
 
-What holds for every estimator is in `pmfid.testing`, and runs in the tests of the contract."""
+The contract of every estimator is in `pmfid.testing`, and other tests check it.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ FIRST, LAST = (RUN.u[:SAMPLES], RUN.counts[:SAMPLES]), (RUN.u[SAMPLES:], RUN.cou
 
 
 def recursive(precision: str) -> list[RecursiveEstimator]:
-    """Every recursive estimator on every model that it takes, and one for which `forgetting_of` is given."""
+    """Return every recursive estimator on every model that it takes, and one with `forgetting_of`."""
     made = [
         ESTIMATORS[method](model, RUN.encoder, DT, CUTOFF, forgetting=0.995, precision=precision)
         for model in MODELS.values()
@@ -41,7 +42,7 @@ def recursive(precision: str) -> list[RecursiveEstimator]:
 
 
 def bits(estimator: RecursiveEstimator | Runner) -> bytes:
-    """What the last samples make of it, and the state after them."""
+    """Return the output of the last samples and the state after them, as bytes."""
     track = estimator.run(*LAST)
     return track.theta.tobytes() + track.theta_std.tobytes() + track.status.tobytes() + estimator.get_state()
 
@@ -96,7 +97,7 @@ def test_a_copy_of_a_fleet_goes_on_with_the_bits_and_has_its_beginning(precision
     estimator.run(*FIRST)
     fleet = pmfid.Fleet(estimator, 2)
     fleet.run(first, counts)
-    estimator.run(*LAST)  # the fleet's beginning is its own
+    estimator.run(*LAST)  # the beginning of the fleet is independent
     other = again(fleet)
     before = fleet.get_state()
     moved = other.run(last, later).theta
@@ -163,7 +164,7 @@ def test_like_keeps_all_that_the_other_method_has_a_use_for(source, options, tar
 
 
 def test_like_leaves_the_names_of_another_model_out() -> None:
-    """The numbers stay."""
+    """The numbers stay the same."""
     directional = pmfid.Drive(2.0, friction="directional")
     method = pmfid.RIV(directional, RUN.encoder, DT, CUTOFF, forgetting=0.99, forgetting_of={"mass": 1.0})
     other = like(pmfid.RIV, method, model=directional.symmetric)

@@ -1,4 +1,4 @@
-"""Numbers of odd sizes and kinds, and files that are not what they were."""
+"""Numbers of odd sizes and kinds, and files that have changed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_what_is_masked_is_missing() -> None:
 
 
 def test_a_reference_beyond_the_squares_of_the_number_format() -> None:
-    """Its unit does not matter, and no warning comes of it."""
+    """The unit of the reference does not matter, and causes no warning."""
     rng = np.random.default_rng(2)
     r = rng.standard_normal(400)
     u, y = 0.7 * r + 0.1 * rng.standard_normal(400), np.cumsum(r)
@@ -69,7 +69,7 @@ def test_a_cutoff_below_the_number_format_is_refused(cutoff: float) -> None:
 
 
 def test_a_damaged_calibration_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where it is still JSON, of other numbers or of another kind."""
+    """The file may also be valid JSON with other numbers or another kind."""
     made: list[int] = []
     plain = Calibration(
         np.ones(3), calibrations.Scale(*(np.ones(3) for _ in SCALE)), ((1.0, 2.0),), {}, np.ones(2), 1.0, 1.0

@@ -1,4 +1,4 @@
-"""A process far from zero, whose constant is estimated: a pressure about 101 325 Pa."""
+"""A process far from zero with an estimated constant: a pressure about 101 325 Pa."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_level_of_the_output_does_not_matter(cls: type[BatchEstimator], leve
 
 
 def test_a_counter_that_begins_below_zero() -> None:
-    """The first count has its sign, as the kernel has it."""
+    """The first count keeps its sign, as in the kernel."""
     step = 2e-3
     u, counts = counts_about(-3.0, step)
     model = pmfid.TransferFunction(2, 0, offset=True)
@@ -57,11 +57,11 @@ PROCESSES = {
     "two, late": ((2.0,), (1.0, 1.2, 4.0), 0.05, 3.0, 2),
     "three and a zero": ((30.0, 200.0), (1.0, 9.0, 40.0, 100.0), 0.02, 8.0, 1),
 }
-STEPS = 20_000  # of the encoder in the range of the output
+STEPS = 20_000  # steps of the encoder in the range of the output
 
 
 def online(cls: type[RecursiveEstimator], name: str, precision: str) -> tuple[RecursiveEstimator, Record]:
-    """An estimator of a process with a constant, and u and counts from the first one."""
+    """Return an estimator of a process with a constant, and u and counts from the first one."""
     b, a, dt, cutoff, delay = PROCESSES[name]
     u = prbs(4000, clock=8, amplitude=1.0, rng=np.random.default_rng(3))
     y = simulate_process(b, a, np.r_[np.zeros(delay), u][: u.size], dt)
@@ -76,7 +76,7 @@ def online(cls: type[RecursiveEstimator], name: str, precision: str) -> tuple[Re
 @pytest.mark.parametrize("name", PROCESSES)
 @pytest.mark.parametrize("cls", RECURSIVE)
 def test_online_the_level_is_in_the_constant_alone(cls: type[RecursiveEstimator], name: str, precision: str) -> None:
-    """To the bit what it is about zero, with A(0) times the level in the constant, and its part of the error bar."""
+    """Only the constant changes, by A(0) times the level, and its error bar accordingly; all other bits stay."""
     estimator, (u, counts) = online(cls, name, precision)
     near, first = estimator.run(u, counts), estimator.estimate
     rounding = 1e-12 if precision == "float64" else 1e-6
@@ -94,7 +94,7 @@ def test_online_the_level_is_in_the_constant_alone(cls: type[RecursiveEstimator]
         white = [
             np.array(one.theta_cov) / np.sqrt(np.outer(track.inflation[-1], track.inflation[-1]))
             for one, track in ((first, near), (last, far))
-        ]  # as if the innovations were
+        ]  # as for independent innovations
         np.testing.assert_allclose(white[1], lift @ white[0] @ lift.T, rtol=100 * rounding)
         np.testing.assert_allclose(far.theta_std[-1, -1], y * near.theta_std[-1, 0], rtol=0.05)
 
@@ -102,7 +102,7 @@ def test_online_the_level_is_in_the_constant_alone(cls: type[RecursiveEstimator]
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("cls", RECURSIVE)
 def test_online_far_from_zero_a_run_goes_on_and_fleets_agree(cls: type[RecursiveEstimator], precision: str) -> None:
-    """A saved state, a counter reset, an opened memory and a fleet: the bits of the same without them."""
+    """A saved state, a counter reset, an opened memory and a fleet do not change the bits."""
     estimator, (u, counts) = online(cls, "two, late", precision)
     counts = counts + 10_132_500
     whole = estimator.run(u, counts)
@@ -132,7 +132,7 @@ def test_a_counter_of_sixteen_bits_begins_below_zero_online() -> None:
 
 
 def test_the_constant_of_an_integrating_process_is_none_of_its_level() -> None:
-    """The ramp of a constant force is the same wherever it begins."""
+    """The ramp of a constant force is the same for any start."""
     u = prbs(4000, clock=8, amplitude=1.0, rng=np.random.default_rng(4))
     y = simulate_process((2.0,), (1.0, 1.5, 0.0), u - 0.05, 0.05)
     counts = np.floor(y / 1e-4).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Opening the memory of one parameter leaves variances that are numbers, and estimates that come back."""
+"""Opening the memory of one parameter leaves finite variances and estimates that recover."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CART = {"mass": 1.07, "viscous_friction": 12.8, "coulomb_friction": 0.8}
 
 @pytest.mark.parametrize(("name", "estimator"), list(estimators())[::2])
 def test_openings_of_every_kind_leave_numbers(name: str, estimator: RecursiveEstimator) -> None:
-    """Some of each; `make hostile` makes 10 000."""
+    """A few openings of each kind are made; `make hostile` makes 10 000."""
     assert faults_of(estimator, np.random.default_rng(len(name)), 12) == []
 
 
@@ -38,7 +38,7 @@ def test_an_opened_estimate_comes_back(cls: type[RecursiveEstimator], precision:
 
 @pytest.mark.parametrize("scheme", ["exponential", "window"])
 def test_opening_moves_no_estimate(scheme: str) -> None:
-    """Not where the right-hand side is in force, either, and not where known noise is taken out of it."""
+    """The estimate also stays when the right-hand side is in force, and when known noise is subtracted."""
     estimator = make(pmfid.RKnownStep, forgetting=0.99, forgetting_scheme=scheme, noise_std=2e-4)
     u, counts = fleet_record()
     estimator.run(u[0, :300], counts[0, :300])

@@ -1,4 +1,4 @@
-"""Values that leave the range of numbers, found by generated calls, are one clear error."""
+"""Values outside the range of numbers, found by generated calls, give one clear error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Off-line: samples that no motion explains are named and left out, whatever simulates the whole record."""
+"""Off-line methods name and leave out samples that no motion explains, also when they simulate the whole record."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from studies.paper.truth import CartRecord
 from tests.conftest import long_unless
 
 AXIS = "rotary"
-#: Kind of fault -> rows from 0 on that are wrong, of 3000; a jump: from there on.
+#: Kind of fault -> the wrong rows of 3000, counted from 0; a jump changes all rows from there on.
 FAULTS = {
     "one": [1700],
     "first": [0],
@@ -51,7 +51,7 @@ def identified(record: CartRecord, method: str) -> pmfid.pipeline.result.DriveRe
 
 
 def as_good(found: pmfid.pipeline.result.DriveResult, clean: pmfid.pipeline.result.DriveResult) -> bool:
-    """Within half an error bar; two of them where auto takes another method."""
+    """Return whether the estimate is within half an error bar, or two of them if auto takes another method."""
     bars = 0.5 if found.estimator.method == clean.estimator.method else 2.0
     return bool(np.all(np.abs(found.theta - clean.theta) <= bars * clean.theta_std + 1e-3 * np.abs(clean.theta)))
 
@@ -91,7 +91,7 @@ def test_no_method_gets_a_wrong_sample(method: str) -> None:
 
 @pytest.mark.parametrize("method", ["auto", "iv"])
 def test_an_input_lost_where_it_switches_is_reported_in_the_status(method: str) -> None:
-    """Nobody knows it: what stands in its place is wrong by half the switch, for a sample."""
+    """The input is unknown there: its replacement is wrong by half the switch, for one sample."""
     record = recorded(AXIS, "prbs", 1024)
     u = record.u.copy()
     u[800] = -1e7
@@ -125,7 +125,7 @@ def test_a_collision_is_a_motion() -> None:
 
 
 def test_a_pulse_that_the_axis_answers_is_an_input() -> None:
-    """Without the first, one of few pulses would be a spike."""
+    """Without the response of the axis, one of few pulses would be a spike."""
     u, velocity = np.full(2000, 1e-3), np.zeros(2000)
     u[[500, 1200]] = 5.0, -5.0
     for k in range(1, 2000):
@@ -143,7 +143,7 @@ def test_a_counter_that_wraps_is_no_jump() -> None:
 
 
 def test_the_remedy_of_the_command_works(tmp_path: Path) -> None:
-    """A wrong row is reported; `guard = false`, which the message offers, lets it in, then the record is refused."""
+    """A wrong row is reported; with `guard = false`, as the message offers, the row is kept and the record refused."""
     axis = AXES[AXIS]
     record = recorded(AXIS, "stop-and-go", 1024)
     counts = record.counts.copy()

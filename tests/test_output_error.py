@@ -1,4 +1,4 @@
-"""Output error and interval likelihood: truth in, truth out; better than the filtered methods; bad data are said."""
+"""Output error and interval likelihood: right estimates, better than the filtered methods; bad data are reported."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def scenario_run(name: str, increments: int, seed: int = 0) -> Run:
 
 @cache
 def relative_errors(method: str, increments: int) -> NDArray[np.float64]:
-    """(SEEDS, 3) relative errors under the PRBS."""
+    """Return the relative errors (SEEDS, 3) under the PRBS."""
     drive = pmfid.Drive(CART.input_gain)
     runs = (cart_run(seed, increments=increments, samples=SAMPLES) for seed in range(SEEDS))
     return np.array([fitted(METHODS[method], drive, run).theta / TRUTH - 1 for run in runs])
@@ -49,7 +49,9 @@ def mass_std(method: str, increments: int) -> float:
 
 @cache
 def white_noise_bound(increments: int) -> float:
-    """Relative Cramer-Rao bound of the mass, mean over the seeds, for white noise of variance resolution^2/12."""
+    """Return the relative Cramer-Rao bound of the mass, mean over the seeds, for white noise of variance
+    resolution^2/12.
+    """
 
     def position(q):
         velocity, *_ = _kernel64.simulate((q[0], q[1], q[1], q[2], q[2], 0.0, 0.0), CART.input_gain, CART_DT, u, q[4])
@@ -96,7 +98,7 @@ def test_output_error_is_no_worse_than_instrumental_variables():
 @pytest.mark.parametrize("increments", [128])
 @pytest.mark.long
 def test_the_likelihood_of_the_counts_beats_every_method_for_white_noise(increments):
-    """Even below the bound of the white-noise model, by a factor of two at least: counts know more than that."""
+    """The deviation is even half of the bound for white noise, because counts carry more information than the model."""
     iv, oe, interval = (mass_std(method, increments) for method in METHODS)
     bound = white_noise_bound(increments)
     text = f"std of the mass: IV {iv:.2e}, OE {oe:.2e}, interval {interval:.2e}, white-noise bound {bound:.2e}"
@@ -117,21 +119,21 @@ def test_no_bias_beyond_chance(method):
 @pytest.mark.parametrize(("cls", "method", "low", "high"), [(OE, "oe", 0.5, 2.0), (IntervalML, "interval", 0.7, 3.0)])
 @pytest.mark.long
 def test_reported_deviations_are_those_over_the_seeds(cls, method, low, high, drive):
-    """The likelihood's are on the safe side: the counts know more than with its least noise."""
+    """The likelihood's deviations are conservative: counts have more information than the least noise assumes."""
     fit = fitted(cls, drive, cart_run(5, increments=128, samples=SAMPLES))
     ratio = fit.theta_std / TRUTH / np.std(relative_errors(method, 128), axis=0, ddof=1)
     assert np.all((low < ratio) & (ratio < high)), ratio
 
 
 def test_closed_loop_with_stiction_at_64_increments(drive):
-    """20 dwells and reversals under position control; counts of 1.5 mm."""
+    """The record has 20 dwells and reversals under position control, with counts of 1.5 mm."""
     run = scenario_run("stop-and-go", 64)
     np.testing.assert_allclose(fitted(OE, drive, run).theta, TRUTH, rtol=0.02)
     np.testing.assert_allclose(fitted(IntervalML, drive, run).theta, TRUTH, rtol=0.003)
 
 
 def drifting_run(seed: int) -> Run:
-    """Friction that wanders by some hundredths of a newton, as no model has it."""
+    """Simulate friction that drifts by some hundredths of a newton, which no model includes."""
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-3.0, 3.0], 200), 10)
     wander = np.cumsum(rng.normal(0.0, 0.001, u.size))
@@ -140,7 +142,9 @@ def drifting_run(seed: int) -> Run:
 
 
 def test_drift_is_kept_out_by_the_high_pass(drive):
-    """Over ten runs: three times closer than the position itself, and within the reported deviations."""
+    """Over ten runs the estimate is three times as close as without the high-pass, and within the reported
+    deviations.
+    """
     errors, reported = {None: [], 0.0: []}, []
     for seed in range(10):
         for drift_cutoff, found in errors.items():
@@ -240,7 +244,7 @@ def test_derivatives_of_the_likelihood(noise):
 
 
 def test_likelihood_far_outside_and_information_of_white_noise():
-    """1000 counts off the likelihood is that of the normal density; much noise hides the edges."""
+    """At 1000 counts the likelihood is that of the normal density; much noise hides the edges."""
     negative, slope, curvature = cost(np.array([1e3]), 0.02)
     assert negative == pytest.approx(0.5 * ((1e3 - 0.5) / 0.02) ** 2, rel=1e-7)
     assert slope[0] == pytest.approx((1e3 - 0.5) / 0.02**2, rel=1e-6)
@@ -252,7 +256,7 @@ def test_likelihood_far_outside_and_information_of_white_noise():
 
 
 def test_a_spring_is_found_where_the_counts_alone_make_the_motion_unstable() -> None:
-    """Least squares of the counts have a negative stiffness here, and instrumental variables do not settle."""
+    """Least squares of the counts gives a negative stiffness here, and instrumental variables do not converge."""
     machine = Machine(DriveParameters(1.7, 1.0, 4.4, 0.12), stiffness=0.2)
     reference = stop_and_go(2500, 0.01, 3.9, 1.2, 0.6)
     run = control_machine(machine, reference, 0.01, 0.013, kp=900.0, kd=160.0, u_max=200.0, phase=0.004, steps=10)

@@ -1,4 +1,4 @@
-"""Transfer functions of an input that repeats, or that was held otherwise than said: what is noise, and what is not."""
+"""Transfer functions of a periodic input, or of an input with the wrong hold: the noise is recognised."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRUTH = np.r_[A[:0:-1], B[::-1]]
 
 
 def repeated(seed: int, periods: int = 10, noise: str = "resonance", *, settled: bool = True) -> Experiment:
-    """Sines of random phase, in the steady state or from rest; noise at 25 dB."""
+    """Simulate sines of random phase, in the steady state or from rest, with noise at 25 dB."""
     rng = np.random.default_rng(seed)
     phases = rng.uniform(0, 2 * np.pi, 20)
     one = np.cos(2 * np.pi / PERIOD * np.outer(np.arange(PERIOD), np.arange(1, 21)) + phases).sum(axis=1) / 4
@@ -47,7 +47,9 @@ def test_a_period_is_found_where_there_is_one():
 @pytest.mark.parametrize(("noise", "settled"), [("resonance", True), ("AR(1) 0.9", False)])
 @pytest.mark.long
 def test_the_right_model_of_ten_periods_is_right(noise, settled):
-    """In the steady state or not: nothing leaks from one period into the next, as in a transform of each."""
+    """The estimate is right also outside the steady state: no leakage between periods occurs, unlike in single
+    transforms.
+    """
     z, alarms = [], 0
     for seed in range(3):
         process, theta, status = identified(estimator(4, 1), repeated(seed, noise=noise, settled=settled))
@@ -60,7 +62,7 @@ def test_the_right_model_of_ten_periods_is_right(noise, settled):
 @pytest.mark.parametrize(("n", "m"), [(2, 0), (3, 1)])
 @pytest.mark.long
 def test_the_error_of_a_model_does_not_average_out(n, m):
-    """With four times the periods the bars were half as long, and the estimate as wrong."""
+    """With four times the periods the bars were once half as long, while the estimate was as wrong."""
     bars, errors = [], []
     for periods in (3, 12):
         found = [identified(estimator(n, m), repeated(seed, periods)) for seed in range(1)]
@@ -72,7 +74,7 @@ def test_the_error_of_a_model_does_not_average_out(n, m):
 
 
 def swept(noise: str) -> tuple[RandomPlant, Experiment]:
-    """300 samples of a sweep, as in the study, with the hold that it was made with."""
+    """Return 300 samples of a sweep, as in the study, with the hold that made it."""
     rng = np.random.default_rng([0, INPUTS.index("sweep"), NOISES.index(noise)])
     plant, hold = random_plant(rng), ("zoh", "foh")[int(rng.integers(2))]
     return plant, open_record(plant, "sweep", noise, 300, hold, rng)
@@ -83,16 +85,18 @@ def other(record: Experiment) -> Experiment:
 
 
 def test_the_other_hold_is_tried():
-    """The residual had nothing of the input in it: gain and pole, 3.7 and 2.4 bars off, had made up for the hold."""
+    """The residual did not show the input: wrong gain and pole, 3.7 and 2.4 bars off, compensated for the hold."""
     plant, record = swept("resonance")
     assert identified(estimator_of(plant), record)[2] == ()
     assert identified(estimator_of(plant), other(record))[2] == ("unmodelled",)
 
 
 def test_a_pole_that_may_be_anywhere_is_not_known():
-    """Far beyond the samples, two standard deviations take a pole to the bound, half of it each, so that a limit of a
-    half was never reached: the error bars of the other poles were 295 times too short. On some processors the search
-    ends at an unstable pole instead; that one is not known either."""
+    """Two standard deviations take a pole far beyond the samples to the bound, half of it each.
+
+    A limit of one half was thus never reached, and the error bars of the other poles were 295 times too short. On some
+    processors the search ends at an unstable pole, which is unknown as well.
+    """
     plant, record = swept("AR(1) 0.9")
     process, _, status = identified(estimator_of(plant), other(record))
     assert np.max(np.abs(process.poles)) * plant.dt > 20 or np.max(process.poles.real) > 0
@@ -101,7 +105,7 @@ def test_a_pole_that_may_be_anywhere_is_not_known():
 
 @pytest.mark.parametrize("seed", [3, 9])
 def test_sines_that_hide_the_hold_say_so(seed: int) -> None:
-    """Slow sines are the same with either hold, but not the poles: 13.6 and 21.9 bars off, with an empty status."""
+    """Slow sines are the same for either hold, but the poles are not: 13.6 and 21.9 bars off, with an empty status."""
     rng = np.random.default_rng([seed, INPUTS.index("multisine"), NOISES.index("white")])
     plant, hold = random_plant(rng), ("zoh", "foh")[int(rng.integers(2))]
     record = open_record(plant, "multisine", "white", LENGTHS[seed % len(LENGTHS)], hold, rng)

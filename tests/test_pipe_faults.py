@@ -1,5 +1,7 @@
-"""What loggers do wrong: after each kind of fault, wherever it is, the next good lines count again and a change of the
-mass is found, or the run is refused in one sentence."""
+"""Faults of loggers at any place: the next good lines count again and a change of the mass is found.
+
+Otherwise one sentence refuses the run.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 CHANGE, SECONDS = 8.0, 11.5
 #: Good lines that a fault may cost.
 COST = 10
-#: Where each fault is tried: at the beginning, before anything is known of the clock, and later at some places.
+#: Places of each fault: at the beginning, before the clock is known, and some later ones.
 PLACES = [*range(5), *range(5, 50, 6)]
 
 
@@ -67,8 +69,9 @@ def monitored(axis: Axis, calibration: Calibration, body: Text) -> MonitoredRun:
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_the_next_good_lines_count_again(axis: Axis, name: str) -> None:
-    """At each place; each line has a count of its own: those after the fault arrive, in order, once, and at
-    their places."""
+    """At each place the lines after the fault arrive in order, once, and at their times; each line has its own
+    count.
+    """
     rng, fault = np.random.default_rng(len(name)), FAULTS[name]
     for k in (fault.first + place for place in PLACES):
         after = k + fault.lasts + COST
@@ -82,14 +85,14 @@ def test_the_next_good_lines_count_again(axis: Axis, name: str) -> None:
         assert all(s.missing == 0 and s.jump == 0 for s in samples[after - size :])
 
 
-#: Faults that show in a line by itself.
+#: Faults that a single line shows.
 OF_LINES = ["a comment", "an empty line", "the header again", "the header again, with a row of units", "semicolons"]
 OF_LINES += ["columns in another order", "another column", "everything in quotes", "no text", "a line cut in two"]
 
 
 @pytest.mark.parametrize("name", OF_LINES)
 def test_without_a_time_every_line_is_the_next_sample(axis: Axis, name: str) -> None:
-    """A line that cannot be used takes its time; what is for people takes none."""
+    """An unusable line takes a sample period; a line for human readers takes none."""
     rng, fault = np.random.default_rng(len(name)), FAULTS[name]
     bare = axis.model_copy(update={"record": axis.record.model_copy(update={"time": None, "dt": CART_DT})})
     for k in PLACES[1:]:
@@ -207,7 +210,7 @@ def test_even_stamps_are_the_samples(start: float, off: list[float]) -> None:
 @settings(deadline=None, max_examples=100)
 @given(st.lists(st.floats(-1e9, 1e9) | st.integers(0, 200).map(lambda k: k * DT), max_size=120))
 def test_every_line_is_reported_once(times: list[float]) -> None:
-    """Whatever the stamps: a line is a sample or skipped; counts and time stay in order between breaks."""
+    """For any stamps, a line is a sample or skipped; counts and time stay in order between breaks."""
     timeline = Timeline(DT)
     taken: list[Any] = []
     try:
@@ -245,7 +248,7 @@ def test_a_repetition_is_called_one() -> None:
 
 
 def test_a_refused_pipe_ends_with_its_totals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Exit code 2, one line of refusal, and all that came before is written."""
+    """The exit code is 2, one line gives the refusal, and all earlier output is written."""
     from click.testing import CliRunner
 
     from pmfid.cli.main import main

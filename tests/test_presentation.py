@@ -1,4 +1,4 @@
-"""What results show of themselves, in Python and in a notebook: lines, a table, a figure, numbers."""
+"""The display of results in Python and in a notebook: lines, a table, a figure, numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pmfid.report.html import svg
 from tests.gallery import gallery
 from tests.test_architecture import modules_after
 
-#: Those with parameters by name, and all.
+#: Objects with parameters by name, and all objects.
 NAMED = ("drive", "drive, on-line", "drive, mass given", "process", "fit", "track", "tracks", "estimate", "posterior")
 KINDS = (
     *NAMED,
@@ -93,7 +93,7 @@ def test_a_notebook_gets_a_table(kind: str) -> None:
     assert set(page.tags) <= {"div", "p", "b", "table", "tr", "th", "td"}
     assert page.tags.count("tr") == 1 + len(one.summary().rows)
     cells = page.tags.count("th") + page.tags.count("td")
-    assert one._repr_html_().count("padding: 0.1em 1em") == cells  # where nothing else keeps the columns apart
+    assert one._repr_html_().count("padding: 0.1em 1em") == cells  # this padding alone keeps the columns apart
     assert one.summary().title in page.text
 
 

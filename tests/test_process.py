@@ -1,4 +1,4 @@
-"""Transfer functions off-line: exact without noise, honest with it, and with data as they come."""
+"""Transfer functions off-line: exact without noise, honest with noise, and robust to faulty data."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def test_exact_without_noise(plant):
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 def test_exact_with_uneven_steps_gaps_delay_and_any_start(hold):
-    """Three stretches: the input unknown for a while, the clock jumps; the record starts in the middle."""
+    """The record starts in the middle and has three stretches: the input is unknown for a while, and the clock
+    jumps.
+    """
     rng = np.random.default_rng(1)
     n = 1500
     steps = SECOND.dt * rng.uniform(0.6, 1.4, n - 1)
@@ -74,7 +76,7 @@ def test_delay_of_whole_samples(even):
     fine = np.repeat(u, 10)
     late = np.r_[np.zeros(10 * delay), fine][: fine.size]
     y = simulate_process(SECOND.b, SECOND.a, late, dt / 10)
-    # uneven: the output is read at other instants than the input changes, all on the fine grid
+    # with uneven steps the output is read at other instants than the input changes, all on the fine grid
     rows = np.arange(n) * 10
     kept = np.unique(np.r_[rows, rng.integers(0, fine.size, 0 if even else 300)])
     experiment = Experiment(fine[kept], y[kept], t=kept * dt / 10)
@@ -124,7 +126,9 @@ def test_instrumental_variables_without_the_bias_of_least_squares():
 
 
 def closed_loop(seed: int, samples: int = 4000, dt: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """r, u, y: the second plant of Ljung's kind, 2 / (s^2 + s + 2), after a gain of 3, coloured noise in the loop."""
+    """Return r, u, y of the second plant of Ljung's kind, 2 / (s^2 + s + 2), after a gain of 3, with coloured noise
+    in the loop.
+    """
     from scipy.linalg import expm
 
     rng = np.random.default_rng(seed)
@@ -190,7 +194,9 @@ def test_process_agrees_with_scipy_and_control():
 
 
 def test_unstable_intermediate_models_are_no_obstacle():
-    """A lightly damped plant at 0 dB and a filter ten times too fast: least squares starts in the right half-plane."""
+    """For a lightly damped plant at 0 dB and a filter ten times too fast, least squares starts in the right
+    half-plane.
+    """
     plant = replace(SECOND, a=(1.0, 0.2, 4.0), b=(4.0,))
     y = simulate_process(plant.b, plant.a, plant.u, plant.dt)
     y = y + np.std(y) * np.random.default_rng(6).standard_normal(y.size)

@@ -1,4 +1,4 @@
-"""Pages for readers: sentences of at most 25 words, without the words that docs/glossary.md replaces."""
+"""Pages for readers have sentences of at most 25 words, without the words that docs/glossary.md replaces."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 PROJECT = Path(__file__).parents[1]
-#: Written by `pmfid explain --page`, from descriptions that follow "give ...".
+#: Pages that `pmfid explain --page` writes, from descriptions that follow "give ...".
 GENERATED = {"axis_toml.md", "plant_toml.md"}
 PAGES = [
     PROJECT / "README.md",
@@ -17,7 +17,7 @@ PAGES = [
     *sorted(path for path in (PROJECT / "docs").rglob("*.md") if path.name not in GENERATED),
 ]
 MOST_WORDS = 25
-#: Words that hide the subject, point two clauses back, or are no English.
+#: Words that hide the subject, refer to a distant clause, or are not idiomatic English.
 WORDS = [
     "told",
     "anew",
@@ -33,12 +33,12 @@ WORDS = [
 ]
 WORDS += ["in order to", "hereby", "wherein", "such that", "the former", "the latter", "as well known"]
 BAD = re.compile(rf"\b({'|'.join(WORDS)})\b", re.IGNORECASE)
-#: Sentences that begin with what has no noun.
+#: Beginnings of sentences without a subject.
 VAGUE = re.compile(r"^(There (is|are)|It is (that|to be)|What is more|Thereby|Hereby)\b")
 
 
 def paragraphs(text: str) -> Iterator[str]:
-    """The running text of a page: paragraphs, list items and the cells of tables, without code, headings and links."""
+    """Yield the running text of a page: paragraphs, list items and table cells, without code, headings and links."""
     text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", text)
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
@@ -56,7 +56,7 @@ def paragraphs(text: str) -> Iterator[str]:
 
 
 def sentences(paragraph: str) -> list[str]:
-    """A sentence ends with a full stop, or with the colon before a list or an example."""
+    """Split a paragraph at each full stop, and at each colon before a list or an example."""
     plain = re.sub(r"`[^`]*`", "X", paragraph)
     plain = re.sub(r"\b(e\.g|i\.e|et al|eq|vs|Fig|No|approx)\.", r"\1", plain)
     return [part.strip() for part in re.split(r"(?<=[.!?])[*_\")]*\s+(?=[\"*_(]*[A-Z0-9`X])", plain) if part.strip()]

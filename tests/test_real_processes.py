@@ -46,7 +46,7 @@ def fitted(model: TransferFunction, record: Experiment) -> np.ndarray:
     ],
 )
 def test_integrators_and_a_numerator_of_full_order_without_noise(b, a, integrators, hold):
-    """From the middle of a record on; an integrating process starts anywhere."""
+    """The record begins in the middle of a longer one; an integrating process may start anywhere."""
     n, u = len(a) - 1, steps(1, hold=hold)
     y = simulate_late(b, a, u, DT, 0.0, hold=hold) + (7.0 if integrators else 0.0)
     record = Experiment(u[50:], y[50:], dt=DT, hold=hold)
@@ -75,7 +75,7 @@ def test_a_dead_time_of_any_length_known_and_estimated(dead_time, hold):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_dead_time_at_all_is_one_that_can_be_estimated(seed):
-    """Noise would have it negative: at its bound the iteration never settled, "the model does not follow"."""
+    """Noise would make the dead time negative: at its bound the iteration once never converged."""
     rng = np.random.default_rng(seed)
     u = rng.choice([-1.0, 1.0], 267).repeat(3)
     y = simulate_process((2.0, 1.0), (1.0, 1.2, 6.6), u, DT)
@@ -124,7 +124,7 @@ def test_filters_take_integrators(cls):
 @pytest.mark.parametrize("held", [True, False])
 @pytest.mark.parametrize("even", [True, False])
 def test_what_grows_runs_backward_and_stays_bounded(even, held):
-    """The same equation as forward in time: the difference is a free response."""
+    """The solution satisfies the same equation as forward in time: the difference is a free response."""
     rng = np.random.default_rng(7)
     F, g = np.array([[0.0, 1.0], [1.6, -1.2]]), np.array([0.0, 1.0])  # poles 0.8 and -2
     grid = Grid(0.01, 400) if even else Grid(rng.uniform(0.005, 0.015, 399), 400)
@@ -140,7 +140,9 @@ def test_what_grows_runs_backward_and_stays_bounded(even, held):
 
 
 def test_an_unstable_process_under_control():
-    """Without noise exactly, over 300 time constants of the pole, and with noise in the loop by its reference."""
+    """The estimate is exact without noise, over 300 time constants of the pole; with noise in the loop it uses the
+    reference.
+    """
     r, truth = np.repeat(np.random.default_rng(8).choice([-1.0, 1.0], 500), 8), [-1.6, 1.2, 2.0]
     model = TransferFunction(2, 0, unstable=True)
     noise = 0.1 * np.random.default_rng(9).standard_normal(r.size)
@@ -163,13 +165,16 @@ def test_cases_of_the_study_reach_the_bound(name):
 
 
 def test_a_first_optimum_is_not_the_last():
-    """Four resonant poles at 20 dB, where the iteration from the first filter settles 24 units of chi^2 too high."""
+    """The process has four resonant poles at 20 dB; from the first filter, the iteration ends 24 units of chi^2 too
+    high.
+    """
     assert np.max(np.abs(work("m = n = 4", 7)["bar"])) < 4.0
 
 
 def test_the_explained_input_leaves_out_what_the_record_does_not_support():
-    """Noise in the loop ten times as large as what the reference does: two hundred coefficients would take a seventh of
-    it along."""
+    """The noise in the loop is ten times the effect of the reference: two hundred coefficients would explain a
+    seventh of it.
+    """
     rng = np.random.default_rng(10)
     r, noise = rng.choice([-1.0, 1.0], 1500), rng.standard_normal(1500)
     u = np.convolve(r, [0.5, 0.3, 0.2])[:1500] + 10 * noise
@@ -270,7 +275,7 @@ def test_integrators_alone_have_no_pole_to_find():
 
 
 def test_a_process_with_integrators_has_the_gain_of_a_derivative():
-    """It printed "gain inf ± inf"."""
+    """The gain was once printed as "gain inf ± inf"."""
     one = Process(np.array([0.0, 4.0]), np.array([8.0]), np.diag([0.0, 0.04**2, 0.08**2]))
     assert one.slope == ("velocity gain", 2.0, pytest.approx(np.hypot(0.02, 0.02)), "1/s")
     assert "velocity gain 2 ± 0.028 1/s" in repr(one)

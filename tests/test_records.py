@@ -1,4 +1,4 @@
-"""Records: one test for each rule that a file must keep, and what a good file becomes."""
+"""Records: one test for each rule of a file, and the content of a good file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SECTIONS: dict[str, dict[str, object]] = {
 
 
 def make_axis(**changes: object) -> Axis:
-    """Axis of SECTIONS, with changes such as record_time=None, encoder_bits=8."""
+    """Return the axis of SECTIONS with changes such as record_time=None, encoder_bits=8."""
     raw: dict[str, dict[str, object]] = {name: dict(values) for name, values in SECTIONS.items()}
     for dotted, value in changes.items():
         section, _, key = dotted.partition("_")
@@ -49,7 +49,7 @@ def columns(n: int = 20) -> dict[str, Any]:
 
 
 def need_library(suffix: str) -> None:
-    """Skips a format whose extra is not installed."""
+    """Skip a format whose extra is not installed."""
     if suffix in LIBRARIES:
         pytest.importorskip(LIBRARIES[suffix])
 
@@ -65,7 +65,7 @@ def csv(folder: Path, **replaced: Any) -> Path:
 
 
 def message(path: Path, axis: Axis | None = None, quantize: float | None = None) -> str:
-    """The text of the one error; it starts with the path and is a single line."""
+    """Return the text of the one error; it starts with the path and is a single line."""
     with pytest.raises(UsageError) as caught:
         read_record(path, axis or make_axis(), quantize)
     text = str(caught.value)
@@ -75,7 +75,7 @@ def message(path: Path, axis: Axis | None = None, quantize: float | None = None)
 
 
 def edited(values: np.ndarray, row: int, value: float) -> np.ndarray:
-    """Copy of values as float with one entry replaced; rows count from 1, as in the messages."""
+    """Return a copy of values as float with one entry replaced; rows count from 1, as in the messages."""
     copy = values.astype(np.float64)
     copy[row - 1] = value
     return copy
@@ -288,7 +288,7 @@ def test_truncated_file(tmp_path: Path, suffix: str, fraction: float) -> None:
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_content_of_another_type(tmp_path: Path, suffix: str) -> None:
-    """Text is no other format; what begins as a format does is read as that."""
+    """Text is no other format; a file with the first bytes of a format is read in that format."""
     need_library(suffix)
     path = tmp_path / f"run{suffix}"
     if suffix == ".csv":
@@ -318,7 +318,7 @@ def at(path: Path, offset: int, value: int) -> None:
     path.write_bytes(data)
 
 
-# Offsets into an uncompressed file whose first variable is the matrix `t`, as scipy.io.savemat lays it out.
+# Offsets into an uncompressed file whose first variable is the matrix `t`, in the layout of scipy.io.savemat.
 MAT_WORDS = {
     "type of the variable": (128, 9, "element of type 9 in place of a variable"),
     "size of the variable": (132, 2**31, "an element is longer than the file"),
@@ -340,7 +340,7 @@ MAT_WORDS = {
 def test_corrupt_matlab_file_never_reaches_the_reader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, offset: int, value: int, text: str, compressed: bool
 ) -> None:
-    # scipy's reader ends the whole process on several of these: no test would see it fail
+    # SciPy's reader would end the whole process on several of these files, so that no test could fail
     monkeypatch.setattr(scipy.io, "loadmat", lambda _: pytest.fail("the reader was called"))
     path = write(tmp_path / "run.mat", {"t": columns()["t"]})
     assert path.read_bytes()[168:172] == struct.pack("<HH", 1, 1), "the layout that the offsets stand for"
@@ -381,7 +381,7 @@ def test_matlab_files_of_other_forms(tmp_path: Path, options: dict[str, Any]) ->
 
 
 def big_endian(path: Path, data: dict[str, Any], kind: int = 9) -> Path:
-    """Write vectors as a big-endian machine does, their values as elements of a type (9: double)."""
+    """Write vectors as a big-endian machine does, with values of the type `kind` (9: double)."""
 
     def element(kind: int, content: bytes) -> bytes:
         return struct.pack(">II", kind, len(content)) + content + b"\0" * (-len(content) % 8)

@@ -1,4 +1,4 @@
-"""The recursion: same bits however it is called, equal to the batch, quiet where the data say nothing."""
+"""The recursion has the same bits for any call, equals the batch, and does not change without information."""
 
 from __future__ import annotations
 
@@ -70,14 +70,16 @@ def test_state_saved_and_restored_continues_with_the_same_bits(drive):
     clock=st.integers(3, 20),
     zeros=st.sampled_from([None, (-3.0, -11.0)]),
 )
-@example(seed=893, increments=256, cutoff=47.0, clock=16, zeros=(-3.0, -11.0))  # instruments that say next to nothing
+@example(
+    seed=893, increments=256, cutoff=47.0, clock=16, zeros=(-3.0, -11.0)
+)  # instruments with hardly any information
 @pytest.mark.parametrize("pair", [(pmfid.LS, pmfid.RLS), (pmfid.BCLS, pmfid.BCRLS)])
 def test_recursive_equals_batch_without_forgetting(pair, drive, seed, increments, cutoff, clock, zeros):
     run = cart_run(seed, samples=1500, increments=increments, clock=clock)
     batch, recursive = (cls(drive, run.encoder, DT, cutoff, prefilter_zeros=zeros) for cls in pair)
     fit = batch.fit(run.u, run.counts)
     last = recursive.run(run.u, run.counts)
-    # what little a record says of a parameter lets rounding grow as it lets noise grow
+    # for a parameter with little information, rounding grows as noise does
     assert np.all(np.abs(last.theta[-1] - fit.theta) < 1e-8 * np.abs(fit.theta) + 1e-6 * fit.theta_std)
     columns = batch.columns(run.u, run.counts)
     half = np.linalg.qr(columns.zeta)[0].T @ columns.phi
@@ -86,7 +88,7 @@ def test_recursive_equals_batch_without_forgetting(pair, drive, seed, increments
 
 @pytest.mark.parametrize("zeros", [(-2.0, -5.0), (-12.0, -0.5)])
 def test_bcls_is_the_papers_compensation(zeros, drive):
-    """Eq. 17 to 36 with P, G, H and h on the extended model give what the instruments give."""
+    """Eq. 17 to 36 with P, G, H and h on the extended model give the same result as the instruments."""
     run = cart_run(4, increments=512)
     extended = pmfid.LS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros)
     columns = extended.columns(run.u, run.counts)
@@ -98,7 +100,7 @@ def test_bcls_is_the_papers_compensation(zeros, drive):
 
 
 def test_bcrls_follows_the_papers_recursion(drive):
-    """Eq. 33 with forgetting; the difference is the regularisation, 1e-4 of the information."""
+    """Eq. 33 with forgetting gives the same result except for the regularisation, 1e-4 of the information."""
     run, zeros = cart_run(5, increments=1024, samples=2000), (-5.0, -1.0)
     columns = pmfid.LS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros).columns(run.u, run.counts)
     H, h = paper.facts(zeros, DT, 5, 3)
@@ -126,7 +128,9 @@ def test_float32_is_close_to_float64(cls, forgetting, drive):
 @pytest.mark.parametrize("voltage", [0.0, 1.0])
 @pytest.mark.long
 def test_a_million_samples_without_excitation(cls, precision, voltage, drive):
-    """At rest (zero regressor) or at constant speed: finite, flagged, and back after 2 s of motion."""
+    """At rest (zero regressor) or at constant speed, the estimate is finite and flagged, and recovers within 2 s of
+    motion.
+    """
     n, head, tail = 1_000_000, 500, 200
     moves = prbs(head + tail, clock=10, amplitude=3.0, rng=np.random.default_rng(7))
     u = np.r_[moves[:head], np.full(n, voltage), moves[head:]]
@@ -208,8 +212,10 @@ def test_default_zeros_follow_the_cutoff(drive):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_directional_forgetting_keeps_what_is_not_excited(precision, drive):
-    """100 000 samples of constant speed, then motion with another mass: kept, and tracked. A fine encoder: the noise of
-    a coarse one is an excitation, too, and a wrong one."""
+    """After 100 000 samples of constant speed the estimate is kept; then it tracks a motion with another mass.
+
+    The encoder is fine, because the noise of a coarse one is an excitation, too, and a wrong one.
+    """
     n, head = 100_000, 800
     moves = prbs(2 * head, clock=10, amplitude=3.0, rng=np.random.default_rng(3))
     u = np.r_[moves[:head], np.full(n, 1.0), moves[head:]]

@@ -1,4 +1,4 @@
-"""Rows with an old output, as of a bus that is polled faster than it is refreshed."""
+"""Rows with an old output, as from a bus that is polled faster than it is refreshed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SAMPLES = 3000
 
 
 def polled(seed: int = 4) -> tuple[dict[str, Floats], Flags, Floats]:
-    """Columns of the cart, the rows in which 10 % show the output of the row before, and the outputs as they were."""
+    """Return the cart's columns, the 10 % of rows that repeat the previous output, and the original outputs."""
     rng = np.random.default_rng(seed)
     u = prbs(SAMPLES, clock=8, amplitude=4.0, rng=rng)
     y = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION).astype(float)

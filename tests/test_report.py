@@ -36,7 +36,9 @@ TRUTH = np.where(T < 3, 1.07, 1.44)
 
 
 def make_track(n: int = N) -> Track:
-    """A start without estimate, wild values, then mass 1 kg and viscous friction 10 N s/m; held for 1 s."""
+    """Return a track with a start without estimate, wild values, then mass 1 kg and viscous friction 10 N s/m, held
+    for 1 s.
+    """
     rng = np.random.default_rng(1)
     theta = np.array([1.0, 10.0, 0.5]) * (1 + 0.01 * rng.standard_normal((n, 3)))
     theta[20:50] *= 1e4
@@ -181,7 +183,7 @@ def report(path: Path, title: str = "Title") -> str:
 
 
 class Checker(HTMLParser):
-    """Counts what may be in a page only once or in pairs."""
+    """A parser that counts the elements that may appear in a page only once or in pairs."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -21,7 +21,7 @@ SAMPLES = 2500
 
 
 def steps_of(clock: str, rng: np.random.Generator) -> Counts:
-    """Steps (n,) of a clock in parts of a period."""
+    """Return the steps (n,) of a clock in parts of a period."""
     if clock == "bursts":
         return np.where(np.arange(SAMPLES) % 4 == 3, 4 * PARTS - 15, 5)
     if clock == "in turn":
@@ -32,7 +32,7 @@ def steps_of(clock: str, rng: np.random.Generator) -> Counts:
 
 
 def run(clock: str, delay: float = 0.0) -> tuple[Floats, Floats, Counts]:
-    """Stamps, input and counts of the cart; delay: scale of the delay of the stamps [periods]."""
+    """Return stamps, input and counts of the cart; `delay` is the scale of the delay of the stamps [periods]."""
     rng = np.random.default_rng(7)
     steps = steps_of(clock, rng)
     at = np.r_[0, np.cumsum(steps)[:-1]]
@@ -133,7 +133,7 @@ def test_an_even_clock_stays_as_it_is() -> None:
 
 @pytest.mark.parametrize(("late", "spread"), [(0.0, 0.09), (0.0, 0.5), (0.3, 0.0), (2.0, 0.0)])
 def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: float) -> None:
-    """A jitter is found beneath steps of a count, and so is an even clock in front of late stamps."""
+    """A jitter is found with steps of one count, and so is an even clock with late stamps."""
     rng = np.random.default_rng(5)
     time = np.arange(3000) + spread * rng.uniform(-1, 1, 3000)
     counts = np.floor(60 * np.sin(0.05 * time) + 0.3)
@@ -143,7 +143,7 @@ def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: floa
 
 
 def test_many_small_gaps_of_an_uneven_clock_are_long_steps(tmp_path: Path) -> None:
-    """The filters would never settle between them."""
+    """The filters would never settle between the gaps."""
     rng = np.random.default_rng(8)
     steps = rng.integers(16, 25, SAMPLES)
     at = np.r_[0, np.cumsum(steps)[:-1]]

@@ -1,4 +1,4 @@
-"""Error bars where the motion sticks and breaks away, so that the sum of squares is rough."""
+"""Error bars of a motion that sticks and breaks away, so that the sum of squares is rough."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_bar_that_is_long_by_accident_stays_long() -> None:
 
 
 def motor_log(name: str, dt: float) -> np.ndarray:
-    """t, u, counts (n, 3) of one of the records: even steps, the input as late as the log's dead time."""
+    """Return t, u, counts (n, 3) of one record, with even steps and with the dead time of the log in the input."""
     lines = (MOTOR / f"{name}.csv").read_text().splitlines()
     rows = np.array([[float(x) for x in line.strip(";").split(",")[:3]] for line in lines if line[:1].isdigit()])
     rows = rows[: 1 + int(np.argmax(rows[:, 0]))]
@@ -70,7 +70,7 @@ def motor_log(name: str, dt: float) -> np.ndarray:
 def test_a_chirp_that_cannot_carry_the_inertia_gives_none(
     name: str, dt: float, cutoff: float, method: str, tmp_path: Path
 ) -> None:
-    """It was 1.1e-5 with an error bar of 4.8e-9, the inertia being 1.6e-4."""
+    """The inertia was once 1.1e-5 with an error bar of 4.8e-9; the true inertia is 1.6e-4."""
     np.savetxt(tmp_path / "log.csv", motor_log(name, dt), delimiter=",", header="t,u,counts", comments="")
     (tmp_path / "axis.toml").write_text(AXIS.replace("METHOD", method).replace("CUTOFF", str(cutoff)))
     command = ["identify", str(tmp_path / "log.csv"), "--config", str(tmp_path / "axis.toml"), "--json"]
@@ -85,12 +85,15 @@ def test_a_chirp_that_cannot_carry_the_inertia_gives_none(
 
 
 def test_rest_that_the_model_may_say_or_not_is_no_fault(drive: pmfid.Drive) -> None:
-    """The input at the start is just the friction found: rest was put in front for one side of a difference quotient
-    and not for the other, and their lengths differed (a traceback)."""
+    """The input at the start equals the estimated friction, so that rest preceded only one side of a difference
+    quotient.
+
+    The two sides once had different lengths, which caused a traceback.
+    """
     run = cart_run(1, increments=1024)
     estimator = pmfid.IV(drive, run.encoder, DT, 33.3)
     u, counts = np.r_[np.zeros(20), run.u], np.r_[np.full(20, run.counts[0]), run.counts]
-    for _ in range(3):  # the friction found with that start
+    for _ in range(3):  # find the friction that belongs to the start
         u[:20] = estimator.fit(u, counts).theta[2] / drive.input_gain * (1 - 1e-5)
     fit = estimator.fit(u, counts)
     assert np.all(np.isfinite(fit.theta_std))

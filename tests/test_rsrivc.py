@@ -18,7 +18,7 @@ def final(plant: Plant, run, model=None, **options):
 @pytest.mark.parametrize(("precision", "within"), [("float64", 1e-6), ("float32", 1e-4)])
 @pytest.mark.parametrize("name", PLANTS)
 def test_without_noise_there_is_no_error_of_the_discretisation(name, precision, within):
-    """With a memory shorter than the record the filters end at the true A, and the discrete equation is exact."""
+    """With a memory shorter than the record, the filters end at the true A, and the discrete equation is exact."""
     plant = PLANTS[name]
     run = make_record(plant, 1)
     track, theta = final(plant, run, forgetting=0.997, precision=precision)
@@ -43,7 +43,7 @@ def test_first_and_third_order_without_noise():
 
 
 def test_rao_garnier_at_10_db_ends_near_the_truth():
-    """Mean within 3 %, b0 within 10 %, as the issue asks of 100 runs; here of 8, and each has taken over."""
+    """The mean of 8 runs is within 3 %, b0 within 10 %, as required of 100 runs; each run has taken over."""
     tracks = [final(RAO_GARNIER, make_record(RAO_GARNIER, seed, snr=10.0))[0] for seed in range(8)]
     mean = np.mean([track.theta[-1] for track in tracks], axis=0) / RAO_GARNIER.truth - 1
     assert np.all(np.abs(mean) < [0.03, 0.03, 0.03, 0.03, 0.10, 0.03])
@@ -64,7 +64,7 @@ def test_smaller_spread_than_bcrls_and_error_bars_of_that_size():
 
 
 def test_follows_a_plant_that_changes():
-    """The pole of a lag goes from 1 to 3 rad/s within 100 s: 4 s late, that is 8 % of it at first."""
+    """The pole of a lag goes from 1 to 3 rad/s within 100 s; the estimate is 4 s late, at first 8 % of the pole."""
     dt, n = 0.02, 10_000
     rng = np.random.default_rng(4)
     u = rng.choice([-1.0, 1.0], n // 20 + 1).repeat(20)[:n]
@@ -81,7 +81,9 @@ def test_follows_a_plant_that_changes():
 
 
 def test_comes_back_after_a_fault():
-    """The input is cut off for a while, so that the model's output is wrong: flagged, left, and found again."""
+    """The input is absent for a while, so that the model's output is wrong: the estimate is flagged, left, and
+    found again.
+    """
     run = make_record(UNDERSHOOT, 5, snr=20.0)
     u, y = run.u.copy(), run.y.copy()
     y[2000:2600] = np.random.default_rng(0).standard_normal(600).cumsum()
@@ -92,7 +94,7 @@ def test_comes_back_after_a_fault():
 
 
 def test_an_unstable_direct_estimate_is_not_simulated():
-    """Pure noise for an output: whatever BCRLS says, nothing overflows, and it is no refined estimate of anything."""
+    """The output is pure noise: for any estimate of BCRLS nothing overflows, and no refined estimate is given."""
     rng = np.random.default_rng(6)
     u, y = rng.choice([-1.0, 1.0], 4000), rng.standard_normal(4000)
     run = recorded(u, y, y, 0.0)

@@ -1,4 +1,4 @@
-"""A step that varies: every method takes the time since the last sample."""
+"""A step that varies: every method uses the time since the last sample."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, sim
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
 
-#: Parts of a period in the simulation, samples.
+#: Parts of a period in the simulation, and samples.
 PARTS, SAMPLES = 50, 1500
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 
 def jittered(spread: float, seed: int = 3) -> tuple[Floats, Counts, Floats]:
-    """Input, counts and steps of the cart, sampled at instants of a host that polls."""
+    """Return input, counts and steps of the cart, sampled at the instants of a polling host."""
     rng = np.random.default_rng(seed)
     parts = np.rint(PARTS * rng.uniform(1 - spread, 1 + spread, SAMPLES)).astype(int)
     u = prbs(SAMPLES, clock=8, amplitude=4.0, rng=rng)
@@ -39,7 +39,7 @@ def test_off_line_methods_that_simulate_are_exact(method: type[IV | OE | Interva
     fit = method(*arguments(), steps=steps).fit(u, counts)
     np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-3)
     assert np.all(np.abs(fit.theta - TRUTH) < 4 * fit.theta_std)
-    with np.testing.assert_raises(AssertionError):  # an even clock of the same mean is another record
+    with np.testing.assert_raises(AssertionError):  # an even clock with the same mean gives another record
         np.testing.assert_allclose(method(*arguments()).fit(u, counts).theta, TRUTH, rtol=1e-3)
 
 
@@ -57,7 +57,7 @@ def test_on_line_methods_take_the_step_that_was(method: type[RecursiveEstimator]
 
 @pytest.mark.parametrize("method", [RIV, BCRLS, RLS])
 def test_even_steps_are_nearly_an_even_clock(method: type[RecursiveEstimator]) -> None:
-    """With steps the direction is corrected for reversals inside an interval."""
+    """With steps, the direction is corrected for reversals inside an interval."""
     u, counts, _ = jittered(0.0)
     encoder = Encoder(CART_RESOLUTION, guard=False)
     even = method(Drive(CART.input_gain), encoder, CART_DT, 20.0).run(u, counts)
@@ -69,7 +69,7 @@ def test_even_steps_are_nearly_an_even_clock(method: type[RecursiveEstimator]) -
 
 @pytest.mark.parametrize("method", [BCRLS, RLS])
 def test_direct_methods_stand_bursts_and_say_so(method: type[RecursiveEstimator]) -> None:
-    """The second difference counts by the mean square of the step over time, and a reversal is where it was."""
+    """The second difference is weighted by the mean square of the step over time, and reversals keep their place."""
     parts = np.tile([2, 2, 2, 14], SAMPLES // 4)
     u = prbs(SAMPLES, clock=8, amplitude=4.0, rng=np.random.default_rng(3))
     x = simulate_drive(CART, np.repeat(u, parts), CART_DT / 5).x[np.r_[0, np.cumsum(parts)[:-1]]]

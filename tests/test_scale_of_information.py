@@ -1,4 +1,4 @@
-"""A memory is one of time: what a larger motion showed before does not make the estimate deaf to a smaller one."""
+"""A memory counts time: after a large motion, the estimate still follows a smaller one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOADED = replace(CART, mass=1.3 * CART.mass)
 
 
 def amplitude_step(before: float, after: float, seed: int):
-    """Ten memories at one amplitude, two at the other, then another mass for three; u and counts."""
+    """Return u and counts: ten memories at one amplitude, two at the other, then three with another mass."""
     ends = np.cumsum([10, 2, 3]) * MEMORY
     u = prbs(int(ends[-1]), clock=10, amplitude=1.0, rng=np.random.default_rng(seed))
     u[: ends[0]] *= before
@@ -43,7 +43,7 @@ def test_a_change_of_mass_is_followed_after_a_change_of_amplitude(cls, scheme, b
 @pytest.mark.parametrize("factor", [1 / 100, 1 / 30])
 @pytest.mark.parametrize("scheme", ["exponential", "window"])
 def test_the_instruments_forget_a_large_input_as_the_sums_do(scheme, factor):
-    """bcrls: the slow pre-filter zero's own memory ends within that of the estimator."""
+    """For bcrls, the memory of the slow pre-filter zero ends within the memory of the estimator."""
     found = [
         one for one in outcomes("cart", factor, 4) if (one.setting.method, one.setting.scheme) == ("bcrls", scheme)
     ]
@@ -52,7 +52,7 @@ def test_the_instruments_forget_a_large_input_as_the_sums_do(scheme, factor):
 
 
 def test_a_motion_that_the_encoder_shows_only_in_the_mean_is_enough():
-    """Single accelerations of the rotary axis are within what its encoder may feign."""
+    """Single accelerations of the rotary axis are within the error of its encoder."""
     found = [one for one in outcomes("rotary", 1 / 10, 4) if one.setting.scheme in ("exponential", "constant-trace")]
     assert max(one.error for one in found) < 0.05
 
@@ -65,7 +65,7 @@ def test_pre_filter_zeros_do_not_outlast_the_memory(drive):
 
 @pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.BCRLS, pmfid.RIV])
 def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive):
-    """Half an hour of each: the estimate stays, is said to be held, and is there again at once."""
+    """Each part lasts half an hour: the estimate stays, is flagged as held, and follows again at once."""
     head, still = 1000, 180_000
     wave = prbs(head + MEMORY, clock=10, amplitude=12.0, rng=np.random.default_rng(5))
     u = np.r_[wave[:head], np.zeros(still), np.full(still, 1.0), wave[head:]]
@@ -81,8 +81,12 @@ def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive)
 @pytest.mark.parametrize(("cls", "scheme"), CASES)
 @pytest.mark.long
 def test_an_hour_of_standstill_is_harmless_in_every_scheme(cls, scheme, precision, drive):
-    """The estimate of before stays, and a memory after it all is as it was. A window lets its older blocks go until
-    what is left says hardly anything, so that its estimate is of less; that of the mass stays, too."""
+    """The earlier estimate stays, and one memory later it equals the original.
+
+    A window drops its older blocks until hardly any information remains, so that its estimate rests on fewer samples.
+    The
+    estimate of the mass stays, too.
+    """
     head, still = 2000, 360_000
     wave = prbs(2 * head, clock=10, amplitude=6.0, rng=np.random.default_rng(6))
     u = np.r_[wave[:head], np.zeros(still), wave[head:]]

@@ -1,4 +1,4 @@
-"""Forgetting by parameter: against the recursion for P, and what it is for."""
+"""Forgetting by parameter, against the recursion for P and in its applications."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.test_transfer_function import LAG, build, make_record
 
 
 def test_is_the_recursion_with_p_spread_by_parameter(drive):
-    """P = D^-1 (P - K phi^T P) D^-1, D the roots of the factors (Saelid and Foss 1983)."""
+    """The recursion is P = D^-1 (P - K phi^T P) D^-1, where D holds the roots of the factors (Saelid and Foss 1983)."""
     run = cart_run(1, samples=1500, increments=1024)
     factors = {"viscous_friction": 0.999, "coulomb_friction": 1.0}
     estimator = RLS(drive, run.encoder, CART_DT, 33.0, forgetting=0.99, forgetting_of=factors)
@@ -30,7 +30,9 @@ def test_is_the_recursion_with_p_spread_by_parameter(drive):
     for k in range(start + 1, run.u.size):
         information = keep[:, None] * information * keep + np.outer(phi[k], phi[k])
         theta = theta + np.linalg.solve(information, phi[k] * (z[k] - phi[k] @ theta))
-    np.testing.assert_allclose(track.theta[-1], theta, rtol=2e-3)  # the regularisation of the kernel is between them
+    np.testing.assert_allclose(
+        track.theta[-1], theta, rtol=2e-3
+    )  # the regularisation of the kernel makes the difference
 
 
 def test_the_same_factor_for_all_is_plain_forgetting():

@@ -1,4 +1,4 @@
-"""Forces of a given form: their tables, the motion they make, and what the methods find of them."""
+"""Forces of a given form: their tables, the motion that they cause, and their estimates by all methods."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_m
 
 @dataclass(frozen=True)
 class Case:
-    """A machine and how it is measured; hold: samples of a step of its input."""
+    """A machine and its measurement; the input holds each level for `hold` samples."""
 
     drive: DriveParameters
     dt: float
@@ -36,7 +36,9 @@ CASES = {
 
 
 def made(name: str, seed: int = 0, samples: int = 3000, **parts: float) -> tuple[MachineRun, Machine, Case]:
-    """A run with frictions as parts of Coulomb friction, that of a Stribeck speed of a tenth of the usual one."""
+    """Return a run with frictions as fractions of Coulomb friction; the Stribeck speed is a tenth of the usual
+    speed.
+    """
     case, rng = CASES[name], np.random.default_rng(seed)
     levels = rng.choice([-1.0, -0.6, -0.35, 0.0, 0.35, 0.6, 1.0], samples // case.hold + 1)
     u = levels.repeat(case.hold)[:samples] * 4 * case.drive.coulomb_friction / case.drive.input_gain
@@ -80,7 +82,7 @@ def test_a_table_is_the_form(shape: Shape, form: object) -> None:
     at = np.linspace(0.0, 0.5, 20_001)
     wanted, got = form(at), shape.evaluate(at)  # type: ignore[operator]
     assert np.max(np.abs(got - wanted)) < 2e-3
-    assert abs(np.mean(got - wanted)) < 2e-5  # and in the mean much closer
+    assert abs(np.mean(got - wanted)) < 2e-5  # the mean is much closer
 
 
 def test_a_table_of_places_holds_at_its_ends() -> None:
@@ -91,7 +93,7 @@ def test_a_table_of_places_holds_at_its_ends() -> None:
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("parts", [{"stribeck": 0.5}, {"quadratic": 0.3}, {"stribeck": 0.2, "quadratic": 0.2}])
 def test_the_motion_is_that_of_the_machine(name: str, parts: dict[str, float]) -> None:
-    """Against the Runge-Kutta integration, and better with the square of the number of parts."""
+    """The motion agrees with the Runge-Kutta integration; its error falls with the square of the number of parts."""
     run, machine, case = made(name, samples=1500, **parts)
     equation = model(machine, stribeck=machine.stribeck_speed, quadratic=True).equation
     theta, errors = truth(machine, equation.names), []
@@ -121,12 +123,14 @@ def test_instruments_find_stribeck_friction() -> None:
     assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std)
     assert np.all(fit.theta_std < 0.05 * wanted)
     plain = pmfid.IV(model(machine), pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
-    assert abs(plain.theta[2] - wanted[2]) > 5 * abs(fit.theta[2] - wanted[2])  # which has it in Coulomb friction
+    assert abs(plain.theta[2] - wanted[2]) > 5 * abs(
+        fit.theta[2] - wanted[2]
+    )  # the plain model puts this friction into Coulomb friction
 
 
 @pytest.mark.parametrize("name", ["cart", "stage"])
 def test_riv_finds_quadratic_friction_and_its_bars_hold(name: str) -> None:
-    """The direct estimate that it starts from takes it for viscous friction; that must not stay in the sums."""
+    """The direct estimate at the start takes this friction for viscous friction; the sums must forget that."""
     run, machine, case = made(name, 7, 4000, quadratic=0.2)
     own = model(machine, quadratic=True)
     track = pmfid.RIV(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).run(run.u, run.counts)
@@ -146,7 +150,7 @@ def test_output_error_finds_the_stribeck_speed() -> None:
 
 
 def test_the_equation_holds_for_the_simulated_motion() -> None:
-    """What regressors and target leave at the parameters that the model is simulated with, of its own motion."""
+    """Regressors and target of the model's own motion leave hardly any residual at the simulated parameters."""
     run, machine, case = made("cart", stribeck=0.5, quadratic=0.3)
     own = model(machine, stribeck=machine.stribeck_speed, quadratic=True)
     estimator = IV(own, pmfid.Encoder(1e-7), case.dt, case.cutoff)

@@ -1,4 +1,4 @@
-"""Where else a model with forces of a given form comes: designs, checks of estimators, force balances."""
+"""Models with forces of a given form in designs, checks of estimators, and force balances."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.test_shapes import made, model, truth
 
 
 class Posed:
-    """As much of a problem as is looked at first."""
+    """A minimal problem: only the part that is examined first."""
 
     drive = pmfid.Drive(2.0, stribeck=0.02)
 
@@ -30,7 +30,7 @@ def test_a_made_up_record_is_not_made_for_it() -> None:
 
 @pytest.mark.parametrize("speed", ["given", "estimate"])
 def test_the_force_balance_knows_its_friction(speed: str) -> None:
-    """Also where the Stribeck speed is an estimate, after the other parameters."""
+    """The Stribeck speed may also be an estimate, which follows the other parameters."""
     run, machine, case = made("cart", 4, stribeck=0.5)
     own = model(machine, stribeck=machine.stribeck_speed if speed == "given" else speed)
     estimator = pmfid.OE(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff)

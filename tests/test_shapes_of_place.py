@@ -1,4 +1,4 @@
-"""Forces and friction that depend on the place: found by every method, in a fleet, in saved states and in AXIS.toml."""
+"""Forces and friction that depend on the place, in every method, in a fleet, in saved states and in AXIS.toml."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_m
 AXIS = DriveParameters(mass=2e-3, viscous_friction=4e-3, coulomb_friction=0.05, input_gain=0.4)
 DT, CUTOFF, STEP, HOLD = 1e-3, 40.0, 2 * math.pi / 8192, 40
 ANGLE, PITCH = 0.7, 1.3
-#: Parts of Coulomb friction.
+#: Fractions of Coulomb friction.
 PARTS = {"gravity": 1.5, "cogging": 0.4, "uneven": 0.4}
 FORCE = AXIS.coulomb_friction
 MODELS = {
@@ -29,12 +29,12 @@ MODELS = {
     "cogging": pmfid.Drive(0.4, cogging=PITCH),
     "uneven": pmfid.Drive(0.4, friction_period=PITCH),
 }
-#: Unit of y of a period, and the angle of the force in it, at the place 0.
+#: Length of a period in units of y, and the phase angle of the force at the place 0.
 PERIODS = {"gravity": (2 * math.pi, ANGLE), "cogging": (PITCH, ANGLE), "uneven": (PITCH, 0.0)}
 
 
 def run_of(force: str, seed: int, samples: int = 4000) -> MachineRun:
-    """From the middle of a count, from which the methods count the place."""
+    """Return a run that begins in the middle of a count, the origin of the place for the methods."""
     rng = np.random.default_rng(seed)
     levels = rng.choice([-1.0, -0.6, -0.35, 0.0, 0.35, 0.6, 1.0], samples // HOLD + 1)
     u = levels.repeat(HOLD)[:samples] * 4 * AXIS.coulomb_friction / AXIS.input_gain
@@ -160,14 +160,14 @@ def test_a_form_with_the_keys_of_another_is_refused() -> None:
 
 @pytest.mark.parametrize("force", MODELS)
 def test_the_motion_is_that_of_the_machine(force: str) -> None:
-    """To a part in a million of the travel, which no table of sines reaches."""
+    """The place agrees to a part in a million of the travel, which no table of sines reaches."""
     run, equation = run_of(force, 4, 2000), MODELS[force].equation
     place = sum_travel(mean_velocity(equation, truth(force), DT, run.u, parts=4), DT)
     np.testing.assert_allclose(place, run.x, atol=1e-6 * np.ptp(run.x))
 
 
 def test_the_error_of_the_simulation_widens_the_bars() -> None:
-    """Of a pendulum that is driven over its top again and again, whose motion makes every error larger."""
+    """The pendulum is repeatedly driven over its top, where every error grows."""
     pendulum = Machine(DriveParameters(1.0, 0.3, 0.5, 1.0), gravity=4.0, gravity_angle=0.3)
     u = prbs(2000, clock=20, amplitude=6.0, rng=np.random.default_rng(0))
     run = drive_machine(pendulum, u, 0.01, 2 * math.pi / 512, steps=50)
@@ -179,7 +179,7 @@ def test_the_error_of_the_simulation_widens_the_bars() -> None:
 
 @pytest.mark.parametrize("method", [pmfid.OE, pmfid.IntervalML])
 def test_an_arm_that_is_held_upright_is_followed_in_windows(method: type[pmfid.OE]) -> None:
-    """It falls without its controller, so the input alone leads no motion along the record."""
+    """The arm falls without its controller, so that the input alone leads no motion along the record."""
     arm = Machine(DriveParameters(2.0, 1.2, 3.0, 1.0), gravity=12.0, gravity_angle=math.pi - 0.2)
     reference = multisine(1600, 0.01, np.array([0.3, 0.55, 0.9]), 0.6, np.random.default_rng(3))
     run = control_machine(arm, reference, 0.01, 2 * math.pi / 4096, kp=128.0, kd=22.0, u_max=60.0, steps=20)

@@ -1,5 +1,4 @@
-"""Very many axes in shards: the bits of a plain fleet, handles that are never anybody else's, and checkpoints that are
-whole whenever the process is killed."""
+"""Very many axes in shards: the bits of a plain fleet, unique handles, and checkpoints that survive kills."""
 
 from __future__ import annotations
 
@@ -38,28 +37,28 @@ def some(axes: int = AXES, part: slice = slice(None)) -> tuple[np.ndarray, np.nd
 
 @pytest.fixture(scope="module")
 def plain() -> pmfid.Tracks:
-    """What a plain fleet gives, in two calls."""
+    """Return the output of a plain fleet, in two calls."""
     fleet = pmfid.Fleet(BCRLS, AXES)
     fleet.run(*some(part=slice(25)))
     return fleet.run(*some(part=slice(25, None)))
 
 
 def states(fleet: pmfid.ShardedFleet) -> dict[int, bytes]:
-    """Handle -> the state of the axis, as it lies in memory."""
+    """Return the state of each axis, as bytes in memory, by its handle."""
     rows = {handle: fleet._row(handle) for handle in fleet.handles().tolist()}
     return {handle: shard.states[row].tobytes() for handle, (shard, row) in rows.items()}
 
 
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
-    """Folders are free after a test."""
+    """Close the fleets of a test, so that their folders become free."""
     yield
     while _OPEN:
         _OPEN.pop().close()
 
 
 def kept(fleet: pmfid.ShardedFleet) -> pmfid.ShardedFleet:
-    """To be closed after the test."""
+    """Register a fleet to be closed after the test."""
     _OPEN.append(fleet)
     return fleet
 
@@ -209,7 +208,7 @@ def test_anything_that_happens_leaves_every_axis_as_alone(tmp_path: Path) -> Non
         assert fleet.axis(handle).get_state() == single.get_state()
 
 
-# --- what does not fit ------------------------------------------------------------------------------------------------
+# --- errors of use ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -256,7 +255,7 @@ def opened(folder: Path) -> pmfid.ShardedFleet:
 
 
 def stepped(fleet: pmfid.ShardedFleet, turn: int) -> None:
-    """A third of the axes, a turn at a time; now and then some come and go."""
+    """Step a third of the axes; at times some axes come and go."""
     if not fleet.axes:
         fleet.add(BCRLS, 60)
     if turn % 5 == 4:
@@ -269,7 +268,7 @@ def stepped(fleet: pmfid.ShardedFleet, turn: int) -> None:
 
 @pytest.fixture(scope="module")
 def as_it_was() -> list[dict[int, bytes]]:
-    """The states after N turns."""
+    """Return the states after each number of turns."""
     fleet = pmfid.ShardedFleet(shard=16, workers=1)
     found = [states(fleet)]
     for turn in range(12):
@@ -279,7 +278,7 @@ def as_it_was() -> list[dict[int, bytes]]:
 
 
 def two_checkpoints(folder: Path) -> None:
-    """After 6 and after 7 turns."""
+    """Write the checkpoints after 6 and after 7 turns."""
     fleet = opened(folder)
     for turn in range(7):
         stepped(fleet, turn)
@@ -352,7 +351,7 @@ def test_an_empty_fleet_comes_back_empty(tmp_path: Path) -> None:
 
 
 def killed(folder: Path, setting: str = "", seconds: float | None = None) -> list[int]:
-    """Turns with a checkpoint each in a process that is killed; those whose checkpoint was done."""
+    """Run turns with a checkpoint each in a process that is killed; return those with a complete checkpoint."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -373,7 +372,7 @@ def killed(folder: Path, setting: str = "", seconds: float | None = None) -> lis
 
 
 def check_whole(folder: Path, done: list[int], as_it_was: list[dict[int, bytes]]) -> int:
-    """The last whole checkpoint is there; after how many turns it was made."""
+    """Check that the last whole checkpoint is present; return its number of turns."""
     fleet = opened(folder)
     turns = int(fleet.restored.mark) if fleet.restored else 0  # type: ignore[call-overload]
     assert fleet.restored is None or not fleet.restored.damaged
@@ -427,12 +426,12 @@ def flip(path: Path, place: int) -> None:
 
 
 def sides_of(folder: Path, sequence: int) -> list[Path]:
-    """Files of shards that were written with a checkpoint."""
+    """Return the files of shards that were written with a checkpoint."""
     return [path for path in sorted(folder.glob("shard-*")) if envelope.read(path).sequence == sequence]
 
 
 def forge(path: Path) -> None:
-    """Numbers that no sample makes, with the checksum that belongs to them."""
+    """Write numbers that no sample makes, with the right checksum."""
     found = envelope.read(path)
     body = bytearray(found.body)
     body[40:400] = np.full(45, np.nan).tobytes()
@@ -537,7 +536,7 @@ def test_a_hostile_list_is_set_aside(
     plainly = json.dumps
 
     def changed(raw: dict[str, Any]) -> str:
-        if "shards" in raw:  # not the mark alone
+        if "shards" in raw:  # leave out the file with only the mark
             change(raw)
         return plainly(raw)
 

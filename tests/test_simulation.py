@@ -38,7 +38,7 @@ from studies.exactness import agreement
 
 
 def numbers(low: float, high: float) -> st.SearchStrategy[float]:
-    """Floats on a grid: the laws below need not hold where a product underflows."""
+    """Return floats on a grid: the laws below need not hold where a product underflows."""
     return st.floats(low, high).map(lambda value: round(value, 9))
 
 
@@ -55,7 +55,7 @@ speeds = st.just(0.0) | numbers(-2.0, 2.0)
 
 
 def step(p: DriveParameters, u: float, dt: float, x: float, v: float) -> tuple[float, float, float, float]:
-    """Return x and v after one interval, and the direction and moving fractions of it."""
+    """Return x and v after one interval, with the direction and moving fractions of the interval."""
     motion = simulate_drive(p, [u, 0.0], dt, x, v)
     return float(motion.x[1]), float(motion.v[1]), float(motion.direction[0]), float(motion.moving[0])
 
@@ -101,7 +101,7 @@ def test_stop_time_and_place(viscous: float) -> None:
 @given(drives, inputs, speeds)
 @settings(max_examples=60, deadline=None)
 def test_energy_balance(p: DriveParameters, u: list[float], v0: float) -> None:
-    """Work of the input = change of kinetic energy + losses, the losses by quadrature of the velocity."""
+    """The work of the input equals the change of kinetic energy plus losses, by quadrature of the velocity."""
     dt = 0.3
     motion = simulate_drive(p, [*u, 0.0], dt, 0.0, v0)
     work, loss, scale = 0.0, 0.0, 1e-3

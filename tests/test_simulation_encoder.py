@@ -1,4 +1,4 @@
-"""The encoder that watches the simulated cart: lines next to their place, jitter, missed edges, wrap-around."""
+"""The encoder of the simulated cart: displaced lines, jitter, missed edges, wrap-around."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pmfid.simulation._plant import read_encoder
 
 
 def counts_of(x: np.ndarray, lines: np.ndarray | None = None, missed: float = 0.0, seed: int = 0) -> np.ndarray:
-    """Counts at x [counts]."""
+    """Return the counts at x [counts]."""
     places = np.zeros(1) if lines is None else lines
     return read_encoder(np.asarray(x, float), 1.0, 0.0, places, np.zeros(0), missed, seed)
 
@@ -36,7 +36,7 @@ def test_lines_lie_where_the_table_says_turn_after_turn(errors: list[float], x: 
 def test_jitter_moves_the_edges_by_its_standard_deviation() -> None:
     x = np.full(40_000, 0.25)
     counts = quantize(x, 1.0, faults=Faults(jitter=0.5, seed=3))
-    below = np.mean(counts < 0)  # a normal variable below -0.5 standard deviations
+    below = np.mean(counts < 0)  # probability that a normal variable is below -0.5 standard deviations
     assert below == pytest.approx(0.3085, abs=0.01)
     assert quantize(x, 1.0, faults=Faults(jitter=0.01)).tolist() == [0] * x.size
 
@@ -48,7 +48,7 @@ def test_missed_edges_add_up_with_the_sign_of_the_motion() -> None:
     assert lost == pytest.approx(p * n, abs=5 * np.sqrt(p * n))
     gaps = np.diff(np.flatnonzero(np.diff(there) == 0))
     assert gaps.mean() == pytest.approx(1 / p, rel=0.1)
-    assert gaps.std() == pytest.approx(1 / p, rel=0.1)  # geometric: as wide as its mean
+    assert gaps.std() == pytest.approx(1 / p, rel=0.1)  # geometric distribution: the deviation is about the mean
     back = counts_of(-np.arange(n), missed=p)
     assert back[-1] == -there[-1]
 
@@ -74,7 +74,7 @@ def test_the_controller_sees_the_faults_and_counts_on_past_the_wrap() -> None:
     assert counts.max() > 512
     np.testing.assert_array_equal(counts, quantize(whole.x, **lattice, faults=faults))
     good, _ = position_control(CART, reference, 0.01, **CART_CONTROL, **lattice)
-    # with the edges that are missed on the way, the cart goes further than it was commanded
+    # edges are missed on the way, so that the cart goes further than commanded
     assert whole.x[125] > good.x[125] + 5 * lattice["resolution"]
 
 

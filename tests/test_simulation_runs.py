@@ -137,7 +137,7 @@ def test_identify_reads_every_scenario_and_finds_the_mass(name: str, tmp_path: P
     assert result.exit_code == 0, result.output
     axis = load_axis(tmp_path / "run.toml")
     found = identify(read_record(record, axis), axis)
-    # the changes of a machine are seen with the present input gain: a belt that slips looks like more mass
+    # all changes are relative to the present input gain: a slipping belt looks like more mass
     truth = {"mass-step": 1.44, "mass-ramp": 1.44, "slipping-belt": 1.07 / 0.8}.get(SCENARIOS[name].change, 1.07)
     assert found.theta[0] == pytest.approx(truth, rel=0.01)
     assert axis.estimator.forgetting == (0.995 if name in CHANGING else 1.0)

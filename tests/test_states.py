@@ -1,5 +1,7 @@
-"""A saved state with a right checksum is still a stranger's: what no sample could have made is refused, and what is
-refused changes nothing."""
+"""A saved state may be foreign in spite of a right checksum: states that no sample can make are refused.
+
+A refused state changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ from tests.test_export import needs
 from tests.test_many import AXES, fleet_record, make
 
 PRECISIONS = ("float32", "float64")
-#: Whole numbers that any number may stand for: registers, sums modulo 2^32, and counters that saturate.
+#: Whole numbers without a limit: registers, sums modulo 2^32, and counters that saturate.
 FREE = {"encoder.count", "encoder.change", "encoder.travel", "encoder.first", "encoder.guard.change",
         "encoder.guard.reading", "updates", "since", "window_updates", "linear.since", "auxiliary.turn"}  # fmt: skip
 CASES = {name: (cls, options) for name, cls, options in [
@@ -36,7 +38,7 @@ CASES = {name: (cls, options) for name, cls, options in [
 
 
 def used(name: str, precision: str) -> RecursiveEstimator:
-    """An estimator with the state that a run has left."""
+    """Return an estimator with the state of a run."""
     cls, options = CASES[name]
     estimator = make(cls, precision, **options)
     u, counts = fleet_record()
@@ -45,7 +47,7 @@ def used(name: str, precision: str) -> RecursiveEstimator:
 
 
 def forged(estimator: RecursiveEstimator, field: str, value: float, element: int = 0) -> bytes:
-    """The state with one number changed, and the checksum that belongs to it."""
+    """Return the state with one number changed, and with the right checksum."""
     types = structures(shape_of(configuration(estimator.runner.kernel, estimator.precision)), estimator.precision)
     data = bytearray(estimator.get_state())
     start = types["pmf_saved_t"].fields["state"][1]  # type: ignore[index]
@@ -68,8 +70,10 @@ def fields(estimator: RecursiveEstimator) -> Iterator[tuple[str, str]]:
     long_unless(lambda name, precision: precision == PRECISIONS[[*CASES].index(name) % 2], product(CASES, PRECISIONS)),
 )
 def test_every_field_has_its_limits(name: str, precision: str) -> None:
-    """Each real one is finite, each whole one within what the configuration lets it become: a new field needs a line
-    in csrc/pmf_plausible.c, or here."""
+    """Each real number is finite, and each whole number is within the limits of the configuration.
+
+    A new field needs a line in csrc/pmf_plausible.c, or here.
+    """
     estimator = used(name, precision)
     before = estimator.get_state()
     for number, (field, kind) in enumerate(fields(estimator)):
@@ -143,7 +147,7 @@ def test_numbers_that_no_fleet_has_are_refused_with_a_right_checksum() -> None:
 
 @pytest.mark.parametrize(("name", "estimator"), list(estimators())[::3])
 def test_a_state_that_samples_made_is_taken(name: str, estimator: RecursiveEstimator) -> None:
-    """After every part of a hostile record."""
+    """A state after any part of a hostile record is accepted."""
     rng = np.random.default_rng(len(name))
     u = rng.choice([0.0, 1.0, -3.0, 1e15, 1e30, np.nan], 400, p=[0.3, 0.3, 0.3, 0.05, 0.03, 0.02])
     counts = np.cumsum(rng.choice([0, 1, -3, 40, 2**31], 400, p=[0.4, 0.3, 0.2, 0.08, 0.02]))
@@ -160,7 +164,7 @@ def test_a_state_that_samples_made_is_taken(name: str, estimator: RecursiveEstim
 @needs(GCC)
 @pytest.mark.long
 def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> None:
-    """All estimators in all three places: `make hostile`."""
+    """`make hostile` tries all estimators in all three places."""
     estimator = dict(estimators())[name]
     outcome = attack(program(estimator, place, tmp_path), folder_of(estimator, place, tmp_path / "files"), 300, 1)
     assert outcome.report == ""
@@ -169,7 +173,7 @@ def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.RIV])
 def test_a_fleet_continues_from_a_state_of_the_version_before(cls: type) -> None:
-    """Which had also what each step computes again."""
+    """The earlier version also saved values that each step computes again."""
     u, counts = fleet_record()
     fleet, other = pmfid.Fleet(make(cls), AXES), pmfid.Fleet(make(cls), AXES)
     fleet.run(u, counts)
@@ -196,7 +200,7 @@ def test_a_sharded_fleet_continues_from_shards_of_the_version_before(
     shard.states = kernel.repack(shard.states, OLDER, words, back=True)
     fleet.checkpoint()
     fleet.close()
-    for _ in range(2):  # the second time from its own version
+    for _ in range(2):  # the second time, the state has the present version
         again = pmfid.ShardedFleet(tmp_path, [make(pmfid.BCRLS)], shard=2 * AXES)
         assert again._shards[0].group.identity == identity
         assert np.array_equal(again._shards[0].used, expected)

@@ -1,4 +1,4 @@
-"""Steps that are compiled for one method: used where they may be, with the bits of the general step."""
+"""Steps that are compiled for one method: used if possible, with the bits of the general step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ METHODS = [pmfid.RLS, pmfid.BCRLS, pmfid.RIV]
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("cls", METHODS)
 def test_bits_are_those_of_the_general_step(cls, precision, forgetting, drive):
-    """Also if counts are wrong, an input is no number, and the axis rests."""
+    """The bits are also equal for wrong counts, an input that is no number, and an axis at rest."""
     run = cart_run(1, increments=2**14)
     u, counts = run.u.copy(), run.counts.copy()
     u[700:706], u[1500] = np.nan, 1e9

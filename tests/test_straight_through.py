@@ -1,4 +1,4 @@
-"""Filters that stay and an output that jumps with its input (m = n): the error is of order dt^2, as of any other."""
+"""Fixed filters and an output that jumps with its input (m = n): the error is of order dt^2, as otherwise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROCESSES = {
 
 
 def deviation(name: str, dt: float) -> float:
-    """Of `IV` without noise, the largest part of a parameter's truth."""
+    """Return the largest relative error of `IV` without noise."""
     b, a, cutoff, delay, integrators = PROCESSES[name]
     u = prbs(int(150 / dt), clock=int(0.4 / dt), amplitude=1.0, rng=np.random.default_rng(5))
     late = np.r_[np.zeros(delay), u][: u.size]

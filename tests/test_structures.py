@@ -1,4 +1,4 @@
-"""The kernel's header as Python reads it: numbers and sums of them, and nothing that could run."""
+"""Python reads only numbers and sums of numbers from the kernel's header, and no executable code."""
 
 from __future__ import annotations
 

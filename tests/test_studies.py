@@ -1,4 +1,4 @@
-"""The study of accuracy: its page is reproducible, its plants and its bound are right, its counting counts."""
+"""The study of accuracy: a reproducible page, right plants, a right bound, and right counts of cases."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_bound_is_the_scatter_of_a_fit_to_white_noise() -> None:
     assert cramer_rao(u, sigma * np.sqrt(12)) == pytest.approx(scatter, rel=0.1)
 
 
-# --- the plants that are wrong ----------------------------------------------------------------------------------------
+# --- wrong plants -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scenario", ["prbs", "stop-and-go"])

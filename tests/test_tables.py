@@ -1,4 +1,4 @@
-"""Files that are more, or something else, than they seem."""
+"""Files that contain more than they seem to, or something else."""
 
 from __future__ import annotations
 

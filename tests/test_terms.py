@@ -1,4 +1,4 @@
-"""Which terms a drive has: what the search names, what it leaves out, and what it says where it cannot know."""
+"""The search for the terms of a drive: the terms that it names or leaves out, and its messages in doubt."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Made:
 
 
 def made(motion: str = "prbs", seed: int = 11, samples: int = SAMPLES, **lacking: float) -> Made:
-    """A rotary axis, in no study, under a binary input or a position control."""
+    """Return a record of a rotary axis from no study, under a binary input or a position control."""
     machine, rng = Machine(DRIVE, **lacking), np.random.default_rng(seed)
     phase = STEP * rng.random()
     if motion == "prbs":
@@ -79,7 +79,7 @@ def plain() -> TermSearch:
     return searched(made())
 
 
-# --- what is named ----------------------------------------------------------------------------------------------------
+# --- named terms ------------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_named_where_nothing_is_missing(plain: TermSearch) -> None:
@@ -119,7 +119,7 @@ def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[
 
 @pytest.mark.long
 def test_a_dead_time_and_stribeck_friction_are_distinguished() -> None:
-    """Each imitates the other at a reversal."""
+    """Each effect imitates the other at a reversal."""
     found = searched(made(samples=2000, stribeck=0.02, stribeck_speed=0.6, dead_time=1e-3))
     assert set(found.added) == {"stribeck", "dead_time"}
     late = dict(zip(found.model.equation.names, found.chosen.trial.theta, strict=False))["dead_time"]
@@ -140,7 +140,7 @@ def test_the_pitch_of_a_cogging_force_is_found() -> None:
     assert set(found.added) == {"cogging"}
 
 
-# --- what is said -----------------------------------------------------------------------------------------------------
+# --- messages ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_share_of_the_friction_falls(directional: TermSearch) -> None:
@@ -151,7 +151,7 @@ def test_the_share_of_the_friction_falls(directional: TermSearch) -> None:
 
 
 def test_what_would_not_be_seen_is_reported_with_its_size(directional: TermSearch) -> None:
-    """The chosen model lacks no direction any more, and all others are reported."""
+    """The chosen model includes the direction, and all other effects are reported."""
     said = [one.says for one in directional.hidden]
     assert any("Stribeck" in one for one in said)
     assert not any("direction" in one for one in said)
@@ -175,7 +175,7 @@ def test_every_change_is_a_line_that_the_cure_names(plain: TermSearch) -> None:
     ).forces
     changes = [(candidate, change) for candidate in forces for change in candidate.changes]
     keys = {next(iter(change)) for _, change in changes}
-    # a lag is distinguished from a dead time by `judge`, once one of them is there
+    # `judge` distinguishes a lag from a dead time, if the model has one of them
     assert keys == names - {"input_gain", "lag", "axis"}, "a field of a drive that no force asks for is never searched"
     for candidate, change in changes:
         key, value = next(iter(change.items()))
@@ -206,7 +206,7 @@ def test_a_model_goes_on_from_the_parameters_of_another() -> None:
 
 
 def test_a_friction_that_drives_is_not_proposed() -> None:
-    """Quadratic friction that a model lacks looks like Stribeck friction below zero, which no machine has."""
+    """Unmodelled quadratic friction looks like negative Stribeck friction, which no machine has."""
     record = made(quadratic=3e-4)
     method = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
     trial = Bench(method, record.u, record.counts).first(method.model)  # type: ignore[arg-type]
@@ -221,7 +221,7 @@ def test_a_friction_that_drives_is_not_proposed() -> None:
 
 @pytest.mark.long
 def test_a_term_that_another_has_made_superfluous_is_dropped() -> None:
-    """A spring at a shifted zero looks like a load to begin with."""
+    """A spring at a shifted zero looks like a load at first."""
     record = made("stop-and-go", stiffness=0.01)
     method = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
     found: Terms = search(Bench(method, record.u, record.counts), pmfid.Drive(GAIN), scan=False)
@@ -237,7 +237,7 @@ def test_another_record_may_be_what_is_to_be_predicted() -> None:
     assert found.models[1].error < 0.1 * found.models[0].error
 
 
-# --- where it cannot know ---------------------------------------------------------------------------------------------
+# --- unclear cases ----------------------------------------------------------------------------------------------------
 
 
 def test_a_short_record_is_refused_with_the_length_it_needs() -> None:
@@ -288,7 +288,7 @@ def test_a_search_without_terms_is_written_as_well(plain: TermSearch, tmp_path: 
 
 
 def test_a_force_that_acts_in_one_part_alone_is_seen_nowhere_else() -> None:
-    """It promised an infinite gain."""
+    """The search once promised an infinite gain."""
     scores, informations = np.zeros((600, 2)), np.zeros((600, 2))
     scores[:100, 0], informations[:100, 0] = 3.0, 1.0
     scores[:, 1], informations[:, 1] = 0.5, 1.0
@@ -309,5 +309,5 @@ def test_a_pitch_that_is_hardly_better_than_another_is_not_believed(plain: TermS
     assert is_unclear(best, [best, near])
     assert not is_unclear(best, [best, far])
     assert not is_unclear(best, [best])
-    # what explains every count needs no distance to what does not
+    # a model that explains every count needs no distance to worse models
     assert not is_unclear(step(0.5, 100.0, whole), [step(0.5, 100.0, whole), near])

@@ -1,4 +1,4 @@
-"""The command `pmfid terms`: what it prints and writes, and what it says of bad input."""
+"""The command `pmfid terms`: its output, its files, and its messages for bad input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which terms a search keeps: a lag next to a dead time, the simpler of two, none that predicts worse, pairs."""
+"""The terms that a search keeps: a lag besides a dead time, the simpler of two, no worse predictions, pairs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def size_of(found: TermSearch, name: str) -> tuple[float, float]:
 
 
 def test_a_lag_is_judged_as_it_was_found(lag: TermSearch) -> None:
-    """The mass was taken for the lag, which then asked for `lag = 0`."""
+    """The mass was once taken for the lag, which then asked for `lag = 0`."""
     best = lag.chosen.trial.best
     known = known_shapes(best)
     assert known.difference.equation.lag == pytest.approx(4e-3, rel=0.02)
@@ -75,7 +75,7 @@ def test_a_lag_is_judged_as_it_was_found(lag: TermSearch) -> None:
 
 
 def test_a_search_goes_on_from_the_lines_that_it_has_printed(lag: TermSearch, lagging: Made) -> None:
-    """A lag that is to be found was refused."""
+    """A model with an estimated lag was once refused."""
     assert 'lag = "estimate"' in lag.lines
     again = searched(lagging, model=lag.model)
     assert again.added == {}
@@ -91,7 +91,7 @@ def test_each_way_of_being_late_is_tried_next_to_the_other(there: str, other: st
 
 
 def test_a_lag_that_no_drive_has_is_no_fit(lag: TermSearch, lagging: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search ended with an error where a fit went there on its way."""
+    """A search once ended with an error if a fit passed through such a lag."""
     bench, model = Bench(METHOD, lagging.u, lagging.counts), pmfid.Drive(GAIN, lag="estimate")
     monkeypatch.setattr(term_fits, "MOST_LATE", 1)
     with pytest.raises(pmfid.NotIdentifiableError, match="settles nowhere"):
@@ -107,11 +107,11 @@ def test_a_dead_time_and_a_lag_are_found_together() -> None:
         assert abs(value - true) < max(3 * bar, 1e-3 * true)
 
 
-# --- what is kept -----------------------------------------------------------------------------------------------------
+# --- kept terms -------------------------------------------------------------------------------------------------------
 
 
 def test_a_load_is_no_directional_friction(loaded: TermSearch) -> None:
-    """Both explain every count, and directional friction was named: it has one parameter more."""
+    """Both explain every count, but directional friction, which was once named, has one parameter more."""
     assert loaded.added == {"offset": True}
     assert "ambiguous_term" not in loaded.status
     assert size_of(loaded, "offset")[0] == pytest.approx(0.01, rel=0.01)
@@ -119,7 +119,7 @@ def test_a_load_is_no_directional_friction(loaded: TermSearch) -> None:
 
 @pytest.mark.long
 def test_a_term_that_predicts_worse_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within half as much again as chance alone would give, it was."""
+    """A term was once kept although its predictions were worse, by up to 1.5 times the error that chance gives."""
     record = made(samples=1800, asymmetry=0.15)
     own, model = Bench.elsewhere, pmfid.Drive(GAIN)
 
@@ -143,7 +143,7 @@ def test_a_term_that_turns_out_to_predict_worse_goes_again(monkeypatch: pytest.M
     (step,) = kept.without
     assert step.kept
     assert step.gain > step.needed
-    calls = iter([False])  # it is no worse when it is tried, and worse when it is left out
+    calls = iter([False])  # the term is no worse when tried, and worse when left out
     monkeypatch.setattr(rules, "is_worse", lambda error, before: next(calls, True))
     found = search(bench, pmfid.Drive(GAIN), scan=False)
     assert found.added == {}
@@ -165,7 +165,9 @@ def test_two_terms_are_tried_at_once_where_no_single_one_suffices(monkeypatch: p
 
 
 def test_a_term_that_was_as_good_is_compared_again_in_the_end(lag: TermSearch, lagging: Made) -> None:
-    """A lag explained as much as a dead time while Stribeck friction was missing, and was said to in the end."""
+    """While Stribeck friction was missing, a lag and a dead time explained equally much, and this was once the
+    verdict.
+    """
     bench = Bench(lag.chosen.trial.method, lagging.u, lagging.counts)
     under_way = rules._Search(bench, (), False, list(lag.terms.trials), list(lag.terms.errors), lambda part: None)
     kept = lag.terms.steps[0][0]
@@ -178,7 +180,7 @@ def test_a_term_that_was_as_good_is_compared_again_in_the_end(lag: TermSearch, l
 
 
 def test_a_pitch_whose_quick_fit_goes_astray_is_fitted_as_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With Stribeck friction that was missing as well, no pitch was gone on from, and cogging was not found."""
+    """While Stribeck friction was missing, no pitch was continued from, and cogging was once not found."""
     record = made(samples=1800, cogging=0.012, cogging_pitch=1.3, cogging_phase=1.0)
     monkeypatch.setattr(Bench, "pitches", lambda bench, trial: [])
     monkeypatch.setattr(Bench, "scan_pitches", lambda bench, trial: [1.3])
@@ -187,7 +189,7 @@ def test_a_pitch_whose_quick_fit_goes_astray_is_fitted_as_others_are(monkeypatch
 
 
 def test_a_load_takes_the_place_of_directional_friction_that_explains_no_more(loaded: TermSearch) -> None:
-    """While a lag was missing, directional friction explained more than a load, and stayed when the lag had come."""
+    """While a lag was missing, directional friction explained more than a load, and once stayed after the lag came."""
     trial = loaded.chosen.trial
     u, counts = trial.difference.u, np.round((trial.difference.y) / STEP).astype(np.int64)
     bench = Bench(trial.method, u, counts)
@@ -210,7 +212,7 @@ def test_each_term_is_left_out_by_itself() -> None:
 
 @pytest.mark.parametrize("part", [201, 205, 300])
 def test_without_a_cutoff_the_filters_leave_parts_to_predict(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The slow filters that the record says most about were refused with the advice to set faster ones."""
+    """The slow filters that the record prefers were once refused with the advice to set faster ones."""
     data = record_of({"u": np.zeros(6 * part), "y": np.zeros(6 * part)}, SLOW)
     monkeypatch.setattr(Drives, "prepare_axis", lambda drives, data, axis: FIXED)
     cutoff = session._fast_enough(data, SLOW).estimator.pole
@@ -218,7 +220,7 @@ def test_without_a_cutoff_the_filters_leave_parts_to_predict(part: int, monkeypa
     assert session._fast_enough(data, FIXED) == FIXED
 
 
-# --- what is shown ----------------------------------------------------------------------------------------------------
+# --- output ----------------------------------------------------------------------------------------------------------
 
 
 def test_each_term_has_a_value_a_bar_and_both_errors(loaded: TermSearch) -> None:

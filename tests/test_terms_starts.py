@@ -1,4 +1,4 @@
-"""Where the search over terms starts: pitches, lags, and motions that begin in the wrong way; what it refuses."""
+"""Starts of the search over terms: pitches, lags, and motions that begin wrongly; and its refusals."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ METHOD = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
 
 
 def test_a_motion_that_begins_at_rest_is_not_begun_with_a_speed() -> None:
-    """The first counts, within stiction, show no speed: least squares with cogging of a known pitch stayed next to the
-    minimum."""
+    """The first counts, within stiction, show no speed.
+
+    Least squares with cogging of a known pitch once stayed near the minimum without reaching it.
+    """
     axis = BENCHES["gantry"]
     pitch = axis.stroke / 12
     machine = Machine(axis.drive, cogging=0.3 * axis.drive.coulomb_friction, cogging_pitch=pitch, cogging_phase=1.0)
@@ -84,7 +86,7 @@ def names_of(model: pmfid.Drive) -> list[str]:
 
 
 def test_what_explains_every_count_needs_no_score_of_the_model_before() -> None:
-    """Stribeck friction was refused for the scores of a model that lacks it."""
+    """Stribeck friction was once refused because of the scores of a model without it."""
     record = made(samples=1000)
     whole = Bench(METHOD, record.u, record.counts).first(METHOD.model)  # type: ignore[arg-type]
     assert whole.best.clean

@@ -1,4 +1,4 @@
-"""The contract suite finds what it is for: estimators that break one promise each."""
+"""The contract suite finds estimators that each break one promise."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SETTINGS = (DRIVE, ENCODER, 0.005, 40.0)
 
 
 class Hidden(pmfid.RLS):
-    """Copies share the runner."""
+    """An estimator whose copies share the runner."""
 
     def __copy__(self):
         other = replace(self)
@@ -28,7 +28,7 @@ class Hidden(pmfid.RLS):
 
 
 class Forgetful(pmfid.RLS):
-    """Copies restart."""
+    """An estimator whose copies restart."""
 
     def __deepcopy__(self, memo):
         return replace(self)
@@ -53,7 +53,7 @@ class Lax(pmfid.LS):
 
 
 class Greedy(pmfid.LS):
-    """Sorts the caller's input."""
+    """An estimator that sorts the caller's input."""
 
     def fit(self, u, counts):
         fit = super().fit(u, counts)
@@ -75,7 +75,7 @@ class Biased(pmfid.LS):
 
 
 class OneSided(pmfid.LS):
-    """A load that does not know its sign."""
+    """An estimator that loses the sign of a load."""
 
     def fit(self, u, counts):
         fit = super().fit(u, counts)
@@ -89,7 +89,7 @@ class InMetres(pmfid.LS):
 
 
 class Confident(pmfid.LS):
-    """Its error bars do not depend on the data."""
+    """An estimator whose error bars do not depend on the data."""
 
     def fit(self, u, counts):
         fit = super().fit(u, counts)
@@ -103,7 +103,7 @@ class Slanted(pmfid.LS):
 
 
 class Credulous(pmfid.LS):
-    """Finds something in a record at rest."""
+    """An estimator that finds an estimate in a record at rest."""
 
     def fit(self, u, counts):
         run = cart_run(1, samples=1500)
@@ -122,7 +122,7 @@ class Stubborn(pmfid.RLS):
 
 
 class Trusting(pmfid.RLS):
-    """Takes any state."""
+    """An estimator that accepts any state."""
 
     def set_state(self, state):
         try:
@@ -132,7 +132,7 @@ class Trusting(pmfid.RLS):
 
 
 class Jumpy(pmfid.RLS):
-    """A run in parts is not the whole."""
+    """An estimator whose run in parts differs from the whole run."""
 
     def set_state(self, state):
         super().set_state(state)
@@ -140,7 +140,7 @@ class Jumpy(pmfid.RLS):
 
 
 class Silent(pmfid.RLS):
-    """Says nothing of poor excitation."""
+    """An estimator that hides poor excitation."""
 
     def run(self, u, counts):
         track = super().run(u, counts)
@@ -164,7 +164,7 @@ class Rounding(pmfid.RLS):
 
 
 class Particular(pmfid.RLS):
-    """Two with other samples are not equal."""
+    """An estimator that is unequal to a second one with other samples."""
 
     def __eq__(self, other):
         return self.get_state() == other.get_state()
@@ -173,7 +173,7 @@ class Particular(pmfid.RLS):
 
 
 class Shared(pmfid.RLS):
-    """Every runner is the same one."""
+    """An estimator whose runners are all the same object."""
 
     def start(self, state=None):
         return self.__dict__.get("runner") or super().start(state)
@@ -214,7 +214,7 @@ BROKEN = {
 
 
 def broken(cls: type[Estimator]) -> list[str]:
-    """What the checks say."""
+    """Return the messages of the failed checks."""
     found = []
     for _, check in checks_of(cls(*SETTINGS)):
         try:
@@ -232,7 +232,7 @@ def test_a_broken_promise_is_found_and_named(cls) -> None:
 
 @pytest.mark.parametrize("cls", [Mutable, Slanted, Stubborn, Rough])
 def test_the_first_broken_promise_ends_the_checks_as_a_whole(cls) -> None:
-    """Of the first check and of the last, off-line and on-line."""
+    """The cases break the first check or the last one, off-line and on-line."""
     with pytest.raises(ContractError, match=re.escape(BROKEN[cls])):
         check_estimator(cls(*SETTINGS))
 
@@ -244,7 +244,7 @@ def test_what_they_derive_from_keeps_all(cls) -> None:
 
 @dataclass(frozen=True)
 class Ridge(BatchEstimator):
-    """Somebody's own method: least squares, drawn a little towards zero."""
+    """A user's method: least squares, shrunk slightly towards zero."""
 
     method = "ridge"
 

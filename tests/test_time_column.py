@@ -1,4 +1,4 @@
-"""The time column: its unit by name, by key and by size, and what is refused rather than taken at its word."""
+"""The time column: its unit by name, by key and by size, and refusals of doubtful units."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def axis_of(folder: Path, name: str, extra: str = "", cutoff: float = 20.0) -> A
 
 
 def logged(folder: Path, name: str, step: float) -> Path:
-    """The cart at 100 Hz, its time stamps `step` apart."""
+    """Write the log of the cart at 100 Hz with time stamps `step` apart."""
     run = cart_run(1, samples=1000)
     time = np.arange(run.u.size) * step
     whole = time.astype(np.int64) if float(step).is_integer() else time
@@ -75,7 +75,7 @@ def test_a_named_unit_is_converted_with_a_note(tmp_path: Path, name: str, step: 
 def test_time_that_is_not_in_s_is_refused_and_the_remedy_followed_literally_helps(
     tmp_path: Path, unit: str, step: int, cutoff: float
 ) -> None:
-    """A lower cutoff was the remedy once, and hid a factor of a million in the mass."""
+    """The remedy was once a lower cutoff, which hid a factor of a million in the mass."""
     path = logged(tmp_path, "t", step)
     with pytest.raises(UsageError, match=rf'time_unit = .*"{unit}" \(0\.01 s\)') as caught:
         read_record(path, axis_of(tmp_path, "t", cutoff=cutoff))
@@ -124,7 +124,7 @@ def test_a_unit_without_a_column_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
-    """A process may be as slow as it likes, so a name alone decides nothing."""
+    """A process may have any speed, so that a name alone decides nothing."""
     text = (
         '[record]\ninput = "u"\noutput = "counts"\ntime = "t_ms"\n{}[model]\nkind = "transfer_function"\nn = 1\nm = 0\n'
         "[estimator]\ncutoff = 1.0\n"
@@ -140,7 +140,9 @@ def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize("dt", [0.001, 0.002, 0.01])
 @pytest.mark.parametrize("every", [5, 10, 12])
 def test_lines_that_are_missing_in_turn_are_no_clock_of_their_own(every: int, dt: float) -> None:
-    """Every tenth line of 10 ms looked like an even grid of 11.1 ms: a mass of 1.07 kg was 1.32 kg."""
+    """Without every tenth line, stamps of 10 ms once looked like an even grid of 11.1 ms: a mass of 1.07 kg became
+    1.32 kg.
+    """
     k = np.arange(3000)
     there = k % every != every - 1
     found = place(dt * k[there], np.cumsum(np.sin(0.01 * k))[there])
@@ -150,7 +152,7 @@ def test_lines_that_are_missing_in_turn_are_no_clock_of_their_own(every: int, dt
 
 @pytest.mark.parametrize("period", [0.00111, 0.0108, 0.01095])
 def test_rounded_stamps_of_an_even_clock_stay_even(period: float) -> None:
-    """Stamps in whole milliseconds, or in steps of 10 ms, of a clock whose period is no whole number of them."""
+    """The stamps are in whole milliseconds, or in steps of 10 ms; the period is no multiple of these."""
     k = np.arange(3000)
     unit = 0.001 if period < 0.002 else 0.01
     found = place(np.rint(period * k / unit) * unit, np.cumsum(np.sin(0.01 * k)))

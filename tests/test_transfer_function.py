@@ -1,4 +1,4 @@
-"""Linear processes in the kernel: the filtered equation, least squares, compensation, and what surrounds them."""
+"""Linear processes in the kernel: the filtered equation, least squares, compensation, and related functions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ FINE = 2.0**30
 
 @dataclass(frozen=True)
 class Plant:
-    """G = num / den (descending powers); dt, cutoff, samples per clock, samples and pre-filter zeros of its record."""
+    """A process G = num / den (descending powers), with the settings of its record.
+
+    The settings are dt, cutoff, samples per clock, samples and pre-filter zeros.
+    """
 
     num: tuple[float, ...]
     den: tuple[float, ...]
@@ -61,7 +64,9 @@ def respond(plant: Plant, u: np.ndarray) -> np.ndarray:
 
 
 def make_record(plant: Plant, seed: int, *, snr: float | None = None, load: float = 0.0, delay: int = 0) -> Record:
-    """White noise at `snr` dB (None: none) on the output under a random binary input; a constant next to it."""
+    """Return the response to a random binary input with white noise at `snr` dB (None: no noise) and a constant
+    `load`.
+    """
     rng = np.random.default_rng(seed)
     u = rng.choice([-1.0, 1.0], plant.samples // plant.clock + 1).repeat(plant.clock)[: plant.samples]
     y = respond(plant, np.r_[np.zeros(delay), u][: u.size]) + load
@@ -99,7 +104,9 @@ def test_the_coefficient_matrix_of_the_paper_filters_derivatives(gain):
 
 
 def test_the_coefficient_matrix_in_the_frequency_domain():
-    """M_k = (gain / (s + cutoff))^(k+1), so row i is s^(n+1-i) M_n; the printed exponent gives that for gain 1 only."""
+    """M_k = (gain / (s + cutoff))^(k+1), so that row i is s^(n+1-i) M_n; the printed exponent is right only for
+    gain 1.
+    """
     n, cutoff, gain, s = 4, 3.0, 1.7, 2.3j
     moments = (gain / (s + cutoff)) ** np.arange(1, n + 2)
     expected = s ** np.arange(n, -1, -1) * moments[-1]
@@ -137,7 +144,7 @@ def test_columns_are_those_of_the_oracle(n, m, delay, extra):
     for i in range(n + 1):
         filtered = paper.tustin([(cutoff, 1)] * i + [(cutoff, 0)] * (order - i), y, dt)
         c = (n - i) / 12 if corrected else 0.0
-        late = np.convolve(filtered, [-c, 1 + 2 * c, -c])[: y.size]  # centred on the sample before
+        late = np.convolve(filtered, [-c, 1 + 2 * c, -c])[: y.size]  # centred on the previous sample
         column = -columns.z if i == n else columns.phi[:, i]
         np.testing.assert_allclose(column, late[columns.used], atol=1e-6 * cutoff**i)
     held = np.r_[np.zeros(delay), u][: u.size]
@@ -160,7 +167,7 @@ def test_without_noise_little_but_the_bias_of_the_matched_filter_is_left(name, w
 
 @pytest.mark.parametrize(("name", "least"), [("lag", 3.8), ("undershoot", 1.9)])
 def test_order_of_convergence_of_the_matched_filter(name, least):
-    """Fourth order in dt from relative degree 2 on, second order for 1."""
+    """The order in dt is four from relative degree 2 on, and two for relative degree 1."""
     plant = PLANTS[name]
     worst = []
     dts = plant.dt * np.array([2.0, 1.0, 0.5])
@@ -190,9 +197,9 @@ def test_recursive_estimates_without_forgetting_are_the_batch_ones(name):
 
 @pytest.mark.parametrize("name", ["lag", "undershoot"])
 def test_compensation_is_that_of_the_paper(name):
-    """Equations 17 to 32 on the extended model with 2n + m + 1 unknowns, b^e = b f divided by f afterwards.
+    """Equations 17 to 32 apply to the extended model with 2n + m + 1 unknowns, with b^e = b f divided by f afterwards.
 
-    Of a plant with m > 0 and a relative degree above 1 each power of s has a numerator of its own; the extended columns
+    For a plant with m > 0 and a relative degree above 1, each power of s has a separate numerator. The extended columns
     then span the instruments only up to the discretisation.
     """
     plant = PLANTS[name]
@@ -214,7 +221,7 @@ def test_compensation_is_that_of_the_paper(name):
 
 
 def extended_input(u: np.ndarray, plant: Plant, poles: list[float], j: int) -> np.ndarray:
-    """s^j F of the pre-filtered input u^e = u / f; 1 / f takes up to n of the differentiations."""
+    """Return s^j F of the pre-filtered input u^e = u / f; 1 / f takes up to n of the differentiations."""
     n, m = plant.model.n, plant.model.m
     inner = min(j, n)
     chain = [(pole, int(i < inner)) for i, pole in enumerate(poles)]
@@ -271,7 +278,7 @@ def test_a_constant_on_the_output_is_an_unknown(cls):
 @pytest.mark.parametrize("cls", [LS, BCLS, RLS])
 @pytest.mark.parametrize("plant", [UNDERSHOOT, RAO_GARNIER], ids=["undershoot", "rao_garnier"])
 def test_initial_conditions_are_unknowns(cls, plant):
-    """A short record out of the middle of a long one: without them the start would be taken for an effect of u."""
+    """The record is a short part of a long one: a model without them would take the start for an effect of u."""
     if cls is RLS and plant is RAO_GARNIER:
         pytest.skip("ten parameters are more than the kernel estimates on-line")
     whole = make_record(plant, 6)
@@ -280,12 +287,12 @@ def test_initial_conditions_are_unknowns(cls, plant):
     n, m = plant.model.n, plant.model.m
     model = TransferFunction(n, m, initial_conditions=True)
     theta = estimate(cls, plant, run, model)[: n + m + 1]
-    np.testing.assert_allclose(theta, plant.truth, rtol=0.05)  # the matched filter's own 2 % among it
+    np.testing.assert_allclose(theta, plant.truth, rtol=0.05)  # this includes the matched filter's own error of 2 %
     assert build(LS, plant, run, model).columns(run.u, run.counts).z.size == 399
 
 
 def test_initial_condition_of_a_first_order_lag_by_itself():
-    """No input at all but the state at the start: a0 alone decides, and is found from the decay."""
+    """The input is negligible: only a0 decides, and the decay from the initial state gives it."""
     dt, a0 = 0.01, 3.0
     t = dt * np.arange(300)
     u = 1e-3 * np.random.default_rng(0).choice([-1.0, 1.0], 300)

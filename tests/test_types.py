@@ -1,4 +1,4 @@
-"""What the public names take and give has a type: no `Any` at any signature."""
+"""The signatures of all public names have types, without `Any`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pmfid.monitor.monitor import Monitor
 
 
 def functions_of(package: str) -> list[object]:
-    """What the modules of a room define for others."""
+    """Return the public objects that the modules of a package define."""
     room = importlib.import_module(package)
     found: list[object] = []
     for place in pkgutil.walk_packages(room.__path__, f"{package}."):
@@ -35,7 +35,7 @@ ROOMS = [thing for room in ("records", "pipeline", "diagnostics") for thing in f
 
 
 def signatures(thing: object) -> dict[str, str]:
-    """Of a function, or the public members of a class, as text."""
+    """Return the signature of a function, or of the public members of a class, as text."""
     if not inspect.isclass(thing):
         return {thing.__name__: str(inspect.signature(thing))}
     found = {}
@@ -62,7 +62,7 @@ def test_arrays_have_their_names_in_one_place(root: Path) -> None:
 
 
 def of_anything(value: Any) -> None:
-    """What the test must find."""
+    """A function that the test must find."""
 
 
 def test_no_any_at_a_signature_of_session_and_judge() -> None:

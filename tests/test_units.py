@@ -1,4 +1,4 @@
-"""Units: what a column's name or a key says, numbers with a unit, and what is refused as it may be meant in two."""
+"""Units: the unit by a column's name or a key, numbers with a unit, and refusals of ambiguous units."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DEG = math.pi / 180
 def axis(
     output: str, input_name: str = "u", resolution: object = STEP, input_gain: object = 2.0, **more: object
 ) -> Axis:
-    """Of the cart; more: keys as record_output_unit."""
+    """Return the axis of the cart; `more` has keys such as record_output_unit."""
     raw: dict[str, dict[str, object]] = {
         "record": {"input": input_name, "output": output, "dt": DT},
         "encoder": {"resolution": resolution},
@@ -44,7 +44,7 @@ def axis(
 
 
 def logged(folder: Path, output: str, factor: float = 1.0, input_name: str = "u", input_factor: float = 1.0) -> Path:
-    """The cart's counts in units of which one has `factor` m, and its input."""
+    """Write the cart's counts in units of `factor` m, and its input."""
     y = RUN.counts * STEP / factor
     pl.DataFrame({input_name: RUN.u / input_factor, output: y}).write_csv(folder / "run.csv")
     return folder / "run.csv"
@@ -145,7 +145,7 @@ def test_positions_in_any_unit_are_the_same_record(tmp_path: Path, case: str) ->
 def test_a_number_that_may_be_meant_in_two_units_is_refused_and_either_remedy_is_taken_literally(
     tmp_path: Path, extra: dict[str, object]
 ) -> None:
-    """A resolution of 0.02275 next to a column in mm once gave a mass a thousand times too small, in "kg"."""
+    """A resolution of 0.02275 with a column in mm once gave a mass a thousand times too small, in "kg"."""
     path = logged(tmp_path, "pos_mm", 1e-3)
     with pytest.raises(UsageError, match=r'write \[encoder\] resolution = "0.02275 mm" or "0.02275 m"') as caught:
         read_record(path, axis("pos_mm", resolution=0.02275, **extra))

@@ -1,4 +1,4 @@
-"""Memory that a file takes: refused before it is taken, else a few times what its columns are."""
+"""The memory of a file: refused before it is allocated, or at most a few times the size of its columns."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from pmfid.io.tables import column, times
 from tests.conftest import long_unless
 from tests.formats import WRITERS
 
-#: Rows of the columns below, and how many times their bytes a reader may take.
+#: Rows of the columns below, and the largest ratio of a reader's memory to their bytes.
 ROWS, MOST = 1_000_000, 10
-#: Numbers of eight bytes that are just more than a small file may unpack to.
+#: Eight-byte numbers that slightly exceed the limit for the unpacked size of a small file.
 ZEROS = 34_000_000
 READ = """
 import resource, sys
@@ -52,15 +52,15 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 def taken(path: Path, *names: str) -> tuple[int, str]:
-    """Bytes at most while these columns are read, and the refusal."""
+    """Return the peak memory for reading these columns [byte], and the refusal."""
     run = subprocess.run([sys.executable, "-c", READ, str(path), *names], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     return 1024 * int(run.stdout), run.stderr
 
 
-#: Formats that are held whole.
+#: Formats that are held as a whole.
 WHOLE = (".csv", ".npz", ".arrow", ".h5", ".mf4", ".tdms")
-#: A cell or a message each, written one by one: their files are larger than their columns.
+#: Formats that are written one cell or message at a time: their files are larger than their columns.
 BY_ROWS = (".xlsx", ".wpilog", ".mcap", ".db3")
 
 
@@ -100,7 +100,7 @@ def packed_archive(path: Path, name: str, data: bytes) -> None:
         archive.writestr(name, data)
 
 
-#: Name of the file -> what writes it, and what its refusal says first.
+#: Name of the file -> function that writes it, and the beginning of its refusal.
 BOMBS: dict[str, tuple[Callable[[Path], object], str]] = {
     "zeros.mat": (lambda path: scipy.io.savemat(path, {"u": np.zeros(ZEROS)}, do_compression=True), "a variable"),
     "rows.parquet": (lambda path: pl.DataFrame({"u": pl.repeat(0, ZEROS, eager=True)}).write_parquet(path), "a column"),
@@ -117,12 +117,12 @@ BOMBS: dict[str, tuple[Callable[[Path], object], str]] = {
     "unwritten.h5": (packed_hdf5, "the data"),
     "message.mcap": (packed_mcap, "the messages"),
 }
-#: Formats that pack nothing, or as text.
+#: Formats without compression, or with text only.
 PLAIN = (".csv", ".wpilog", ".db3", ".tdms", ".mf4")
 
 
 def test_every_format_is_tried_here() -> None:
-    """What is packed inside has a bomb."""
+    """Every compressed format has a bomb."""
     assert set(WRITERS) == set(SUFFIXES)
     assert {Path(name).suffix for name in BOMBS} == set(SUFFIXES) - set(PLAIN)
 
@@ -173,7 +173,7 @@ def test_the_sizes_of_columns_come_from_the_footer_of_the_file(tmp_path: Path) -
     )
     data = (tmp_path / "run.parquet").read_bytes()
     sizes = column_sizes(data)
-    assert 8 * 3 * 40 <= sizes["u"] < 2 * 8 * 3 * 40  # with the heads of its pages
+    assert 8 * 3 * 40 <= sizes["u"] < 2 * 8 * 3 * 40  # the heads of its pages included
     assert 2 * 8 * 40 <= sizes["s"] < 2 * 2 * 8 * 40
     assert sizes["text"] >= 3 * 500  # a dictionary in each group of rows
     for end in range(len(data) - 300, len(data)):

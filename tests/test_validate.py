@@ -1,4 +1,4 @@
-"""`pmfid validate` and `pmfid.validate`: free runs over other records, and results that are none."""
+"""`pmfid validate` and `pmfid.validate`: free runs over other records, and invalid results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from studies.predicted import free_run
 from studies.prediction_emps import MODELS, PUBLISHED, measured
 from tests.conftest import Run, needs_emps
 
-#: An axis of this file's own.
+#: An axis that only this file uses.
 AXIS = DriveParameters(mass=0.45, viscous_friction=3.1, coulomb_friction=0.6, input_gain=1.5)
 DT, STEP = 0.005, 5e-5
 TOML = """
@@ -56,7 +56,9 @@ def run_of(seed: int, samples: int = 1200, v0: float = 0.0) -> Run:
 
 
 def files(folder: Path, content: object = GOOD, toml: str = TOML, seeds: tuple[int, ...] = (1,)) -> list[str]:
-    """Arguments of the command; content: of RESULT.json, text as it is."""
+    """Write a record for each seed and return the arguments of the command; `content` is RESULT.json as text or
+    object.
+    """
     folder.mkdir(exist_ok=True)
     records = []
     for seed in seeds:
@@ -144,7 +146,7 @@ def test_figures_of_merit_are_what_they_are_called() -> None:
 
 
 def test_runs_that_restart_drift_less() -> None:
-    """A constant force that the model lacks moves the axis away."""
+    """A constant force outside the model moves the axis away."""
     rng = np.random.default_rng(3)
     u = prbs(2400, clock=14, amplitude=3.0, rng=rng)
     counts = quantize(simulate_drive(AXIS, u + 0.1, DT).x, STEP)
@@ -216,7 +218,7 @@ def changed(**parts: object) -> dict[str, object]:
 
 
 def parameter(**parts: object) -> dict[str, object]:
-    """The result with another mass."""
+    """Return the result with another mass."""
     return changed(parameters=GOOD["parameters"] | {"mass": {"value": 0.45, "unit": "kg", **parts}})
 
 
@@ -265,7 +267,7 @@ def test_what_is_no_result_is_reported_in_one_line(tmp_path: Path, content: obje
     ("then", "now"), [("dead_time = 0.004", ""), ("", "dead_time = 0.004"), ("stribeck = 0.02", "stribeck = 0.03")]
 )
 def test_what_no_name_of_a_parameter_tells_must_be_the_same(tmp_path: Path, then: str, now: str) -> None:
-    """Else a machine whose input acts late was predicted as if it acted at once, without a word."""
+    """Otherwise a machine whose input acts late would be predicted without the delay and without a warning."""
     before, after = (TOML.replace("input_gain = 1.5", f"input_gain = 1.5\n{key}") for key in (then, now))
     more = GOOD["parameters"] | ({"stribeck_friction": {"value": 0.1, "unit": "N"}} if "stribeck" in then else {})
     (tmp_path / "then.toml").write_text(before)
@@ -327,7 +329,7 @@ def test_arguments_in_python_that_do_not_fit() -> None:
 
 @needs_emps
 def test_the_published_parameters_predict_the_measured_drive() -> None:
-    """Their authors' own last third; friction that tells the directions apart predicts better, as they say."""
+    """The record is the authors' own last third; directional friction predicts better, as they say."""
     whole = measured(5e-8)
     last = whole.part(whole.u.size * 2 // 3, whole.u.size)
     runs = {model: free_run(MODELS[model], theta, 50.0, last) for model, theta in PUBLISHED.items()}

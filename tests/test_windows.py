@@ -1,4 +1,4 @@
-"""Output error over windows: the truth where the model is right, honest bars, longer predictions where it is not."""
+"""Output error over windows: right parameters and bars for a right model, longer predictions for a wrong one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pmfid.estimators.search import Windows, choose_start, choose_window, descen
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, quantize, simulate_drive
 from tests.conftest import Run, cart_run
 
-#: An axis of this file's own.
+#: An axis that only this file uses.
 AXIS = DriveParameters(mass=3.2, viscous_friction=21.0, coulomb_friction=2.6, input_gain=5.0)
 KNOWN = np.array([AXIS.mass, AXIS.viscous_friction, AXIS.coulomb_friction])
 DT, CUTOFF, STEP = 0.004, 60.0, 1e-4
@@ -37,7 +37,7 @@ def method(run: Run, **options: object) -> OE:
 
 
 def prepared(run: Run) -> tuple[Difference, np.ndarray]:
-    """The difference without a high-pass, and scaled parameters to start from, a tenth off."""
+    """Return the difference without a high-pass, and scaled start parameters with an error of a tenth."""
     difference, q = method(run)._prepare_difference(1.1 * KNOWN, run.u, method(run).position(run.counts))
     return replace(difference, pole=0.0), q[:3]
 
@@ -53,7 +53,7 @@ def test_a_fine_encoder_gives_the_truth(window: float | str) -> None:
 
 @cache
 def off_by(window: float | str) -> np.ndarray:
-    """(runs, 3) errors over their bars, coarse and fine encoders."""
+    """Return the ratios (runs, 3) of errors to bars, for coarse and fine encoders."""
     found = []
     for seed in range(8):
         run = moved(100 + seed, step=(3e-4, 4e-5)[seed % 2], samples=1200)
@@ -67,11 +67,11 @@ def test_bars_hold_where_the_model_is_right(window: float) -> None:
     z = np.abs(off_by(window))
     assert np.mean(z < 2) > 0.85, z
     assert np.max(z) < 4, z
-    assert np.mean(z) > 0.2, z  # nor are they wide for nothing
+    assert np.mean(z) > 0.2, z  # the bars are also not too wide
 
 
 def test_without_a_window_nothing_is_new() -> None:
-    """The same bits as where there is no such option, and a window that holds all has the start of `OE`."""
+    """Without the option the bits are the same, and a window over the whole record has the start of `OE`."""
     run = moved(3)
     plain, whole = (method(run, **options).fit(run.u, run.counts) for options in ({}, {"window": 1e3}))
     assert plain.notes == whole.notes == ()
@@ -80,7 +80,7 @@ def test_without_a_window_nothing_is_new() -> None:
 
 
 def test_a_window_starts_where_the_motion_is() -> None:
-    """From within stiction a start would never leave it: the axis is decelerating fast here, its force near zero."""
+    """From within stiction a start would never leave it: here the axis brakes hard, with a force near zero."""
     run = moved(4, step=2e-3)
     difference, theta = prepared(run)
     theta = KNOWN / difference.scale[:3]
@@ -102,7 +102,7 @@ def test_windows_cover_the_record_and_stay_within_stretches() -> None:
 
 
 def test_descent_ends_at_the_least_squares() -> None:
-    """No parameter and no start can be moved to a lower sum of squares."""
+    """No change of a parameter or of a start lowers the sum of squares."""
     run = moved(6, samples=800)
     difference, theta = prepared(run)
     windows = Windows.cover_stretches(difference, [(0, 800)], 200)
@@ -133,8 +133,10 @@ def test_a_moving_start_is_found() -> None:
 
 
 def test_windows_predict_longer_where_friction_is_richer() -> None:
-    """Stribeck and quadratic friction that the model lacks: on the average of records that were not used the chosen
-    windows predict better than the force balance of `iv`."""
+    """The machine has unmodelled Stribeck and quadratic friction.
+
+    On average over unused records, the chosen windows predict better than the force balance of `iv`.
+    """
     machine = Machine(AXIS, stribeck=1.2, stribeck_speed=0.03, quadratic=25.0)
     gains = []
     for seed in range(2):
@@ -165,7 +167,7 @@ def test_the_choice_says_what_it_found() -> None:
 
 @pytest.mark.long
 def test_windows_so_long_that_the_motion_is_lost_are_not_chosen() -> None:
-    """With friction that differs by direction a symmetric model drifts away: over the whole record it is no fit."""
+    """With directional friction, a symmetric model drifts away: over the whole record it does not fit."""
     run = moved(11, machine=Machine(AXIS, asymmetry=0.2), samples=1500)
     with pytest.raises(pmfid.NotIdentifiableError, match="does not follow"):
         method(run, window=1e3).fit(run.u, run.counts)

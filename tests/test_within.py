@@ -1,4 +1,4 @@
-"""`riv` finds a dead time by a motion that is held within the counts, and says until then that it does not know it."""
+"""`riv` finds a dead time by a motion that is held within the counts, and flags it as unknown until then."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ UNKNOWN = Status.DEAD_TIME | Status.FALLBACK | Status.STARTING
 
 @cache
 def moved(axis: str, late: float, seed: int = 1, samples: int = 2000, coarse: float = 1.0) -> MachineRun:
-    """Under position control through the encoder, from place to place."""
+    """Simulate position control through the encoder, from place to place."""
     (gain, mass, viscous, coulomb, dt, stroke, move, rest, kp, kd, most), step = AXES[axis]
     rng = np.random.default_rng([seed, 31])
     machine = Machine(DriveParameters(mass, viscous, coulomb, gain), dead_time=late * dt)
@@ -47,7 +47,7 @@ def truth(axis: str, late: float) -> np.ndarray:
 @pytest.mark.parametrize("late", [0.0, 0.6, 2.3])
 @pytest.mark.parametrize("axis", AXES)
 def test_under_control_it_is_found_and_the_rest_is_as_without_one(axis: str, late: float) -> None:
-    """The change of the input as its instrument left it tenths of a sample off, or lost."""
+    """The instrument of the input's change once gave a dead time tenths of a sample off, or none."""
     track, true = tracked(axis, moved(axis, late)), truth(axis, late)
     dt = AXES[axis][0][4]
     assert not Status(int(track.status[-1])) & UNKNOWN
@@ -63,7 +63,7 @@ def test_numbers_of_32_bits_do() -> None:
 
 @pytest.mark.parametrize(("axis", "late", "seed"), [("carriage", 1.7, 2), ("carriage", 0.0, 3), ("lift", 2.3, 1)])
 def test_what_is_not_known_is_said_and_within_reach(axis: str, late: float, seed: int) -> None:
-    """Four times as coarse, where a dead time of many samples was given without a word."""
+    """The encoder is four times as coarse; a dead time of many samples was once given here without a flag."""
     track = tracked(axis, moved(axis, late, seed, 1200, 4.0), 4.0)
     dt = AXES[axis][0][4]
     started = (track.status & int(Status.STARTING)) == 0
@@ -75,8 +75,10 @@ def test_what_is_not_known_is_said_and_within_reach(axis: str, late: float, seed
 
 
 def test_one_that_jumps_is_said_at_once_and_followed() -> None:
-    """Nothing is forgotten: the counts contradict the old one. The joint of the two runs is a jump of the velocity: the
-    filters settle again first."""
+    """Without forgetting, the counts contradict the old dead time.
+
+    The velocity jumps between the two runs, so that the filters first settle again.
+    """
     parameters = DriveParameters(1.07, 12.8, 0.8, 2.0)
     parts = []
     for late, seed in ((0.4, 1), (1.6, 2)):
@@ -122,7 +124,7 @@ def test_an_export_that_knows_its_dead_time_does_not_look_for_it(tmp_path: Path)
 
 
 def test_crafted_states_are_refused_or_do_no_harm() -> None:
-    """Whatever stands in the new part of a state: numbers come out, and a dead time within reach."""
+    """For any content of the new part of a state, the output is a number, and the dead time is within its range."""
     run, step = moved("carriage", 0.6), AXES["carriage"][1]
     estimator = RIV(Drive(2.0, dead_time="estimate"), Encoder(step), 0.01, 20.0)
     estimator.run(run.u[:900], run.counts[:900])

@@ -226,7 +226,7 @@ def _monitor(rng: Rng, folder: Path) -> Case:
 
 
 def _serve(rng: Rng, folder: Path) -> Case:
-    """Draw a PLANT.toml with a record, a pipe, or invalid `[axes]` and `[sources]`; each such service ends by itself."""
+    """Draw a PLANT.toml with a record, a pipe, or invalid `[axes]` and `[sources]`; each service ends by itself."""
     _, columns, facts = _plant(rng, ("watched",))
     files = {"normal.csv": as_csv(rng, columns)}
     files["axis.toml"] = (axis(rng, "drive", facts, ("riv", "bcrls")) + monitor(rng, facts)).encode()

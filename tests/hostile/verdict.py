@@ -29,7 +29,7 @@ from tests.hostile.draw import draw
 DONE, USAGE, NOT_IDENTIFIABLE = 0, 2, 3
 NOT_FINITE = re.compile(r"(?<![\w'\"\[])[-+]?(nan|inf|infinity)(?![\w'\"\]])", re.IGNORECASE)
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
-#: A call hangs if it takes more processor time [s]; it has unpacked a compressed bomb if it takes more memory [kB].
+#: A call hangs if it takes more processor time [s]; a call that takes more memory has unpacked a hostile file [kB].
 HANGS, TOO_MUCH = 60.0, 400_000
 #: Hours of simulated work and length of a run [s]: a calibration of two short runs is enough here.
 HOURS, RUN_TIME = 0.04, 80.0

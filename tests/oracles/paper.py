@@ -26,7 +26,7 @@ def matched(w, cutoff, order, dt):
 
 
 def J(i, gamma, dt, degree):
-    """Return J of paper eq. 35, divided by the common ((1 + gamma) dt / 2)^degree: powers of the zero's Tustin image."""
+    """Return J of paper eq. 35 over the common ((1 + gamma) dt / 2)^degree: powers of the zero's Tustin image."""
     return ((gamma - 1) / (dt / 2 * (1 + gamma))) ** i
 
 
@@ -91,7 +91,7 @@ def matched_input(w, cutoff, order, dt, j, r):
 
 
 def process_facts(zeros, dt, n, m):
-    """Return H (2n + m + 1, n) of a transfer function with b^e in ascending powers: b^e(z_i) = 0 (paper eq. 34 to 36)."""
+    """Return H (2n + m + 1, n) of a transfer function, b^e in ascending powers: b^e(z_i) = 0 (paper eq. 34 to 36)."""
     H = np.zeros((2 * n + m + 1, n))
     for column, zero in enumerate(zeros):
         H[n:, column] = [J(i, np.exp(zero * dt), dt, n) for i in range(n + m + 1)]

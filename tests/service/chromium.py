@@ -56,8 +56,8 @@ def violations(page: Any) -> list[str]:
 
 
 def until(page: Any, expression: str, seconds: float = 10.0) -> bool:
-    """Return whether the expression becomes true in time; poll, because the page's policy forbids Playwright's own
-    wait.
+    """Return whether the expression becomes true in time; poll from outside, because the page's policy forbids code
+    from text.
     """
     end = time.monotonic() + seconds
     while time.monotonic() < end:

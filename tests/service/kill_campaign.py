@@ -1,10 +1,9 @@
-"""The service killed again and again, at named points and at random:
-`python -m tests.service.kill_campaign --kills 1000`.
+"""Kill the service repeatedly, at named points and at random: `python -m tests.service.kill_campaign --kills 1000`.
 
-Each incarnation is a process of its own, forked from one that has calibrated. Its sources are one that acknowledges and
-delivers again what was not acknowledged, as a broker does at QoS 1, with blocks of one axis and lines of another, and
-a record that is played and continues after its mark. After some kills the last incarnation runs to the end; its state
-must be that of a run without kills, bit by bit, and so must every row that any of them gave out.
+Each incarnation is a process of its own, forked from a process that has calibrated. The first source has blocks of one
+axis and lines of another; it delivers again until it has an acknowledgement, as a broker does at QoS 1. The second
+source plays a record and continues after its mark. After some kills the last incarnation runs to the end. Its state and
+every row of all incarnations must have the bits of a run without kills.
 """
 
 from __future__ import annotations
@@ -52,21 +51,21 @@ POINTS = (
     *("checkpoint.written", "checkpoint.synced", "checkpoint.renamed", "checkpoint.durable", "ack", "acked"),
 )
 WINDOW = 60
-#: Of simulated normal work: enough for thresholds that nobody relies on.
+#: Hours of simulated normal work: enough for thresholds on which no test relies.
 HOURS = 0.5
-#: Messages under way at most, as a broker has it.
+#: Most messages without an acknowledgement, as in a broker.
 UNDER_WAY = 30
 
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be delivered: blocks of x1 out of order, and lines of x3."""
+    """The items to deliver: blocks of x1 out of order, and lines of x3."""
 
     items: tuple[Item, ...]
 
 
 def work_of(seed: int, seconds: float, folder: Path) -> Work:
-    """Motions of three axes; that of x2 as a record in the folder."""
+    """Return the motions of three axes; the motion of x2 is a record in the folder."""
     heavier = Schedule(((0.0, CART), (seconds / 2, replace(CART, mass=1.3 * CART.mass))))
     motions = [changing(heavier, 5 * seed + k, INCREMENTS, seconds) for k in range(3)]
     blocks = [replace(b, axis="x1", dt=CART_DT) for b in made(*motions[0], random.Random(seed), WINDOW).arrived]
@@ -83,7 +82,7 @@ def work_of(seed: int, seconds: float, folder: Path) -> Work:
 
 
 class Broker(SourceSection):
-    """Delivers again what was not acknowledged."""
+    """A broker that delivers again until it has an acknowledgement."""
 
     kind: Literal["broker"] = "broker"
     folder: str
@@ -95,7 +94,7 @@ class Broker(SourceSection):
 
 
 class Played(FileSource):
-    """The record of the folder, read before forking: its reader has threads, which a fork does not copy."""
+    """The record of the folder, read before the fork: its reader has threads, which a fork does not copy."""
 
     def make(self, name: str, context: Context) -> Source:
         axis, path = context.axis(self.axis), context.folder / self.path
@@ -104,7 +103,7 @@ class Played(FileSource):
         return Player(name, self.axis, path, axis, self.speed, RECORDS[path])
 
 
-#: Made before forking.
+#: Work by seed and length, made before the fork.
 WORK: dict[tuple[int, float], Work] = {}
 RECORDS: dict[Path, Record] = {}
 
@@ -149,7 +148,7 @@ _ROW = struct.Struct("<BqddddddBq")
 
 @dataclass
 class _RowFile:
-    """Rows as they are given out, each in the file when the call returns."""
+    """A file of rows; each row is in the file when the call returns."""
 
     path: Path
 
@@ -173,11 +172,11 @@ class _RowFile:
         os.write(self._file, b"".join(packed))
 
     def notice(self, notice: Notice) -> None:
-        """Not here."""
+        """Ignore notices."""
 
 
 class _Service(Service):
-    """With an outlet that is never late."""
+    """A service with an outlet that is never late."""
 
     def _prepare(self, plant: Plant) -> None:
         super()._prepare(plant)
@@ -194,7 +193,7 @@ def plant_of(folder: Path, axis: Path, seed: int, seconds: float) -> Plant:
 
 
 def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:
-    """A child that serves the plant until its end, or that of its sources; its number."""
+    """Fork a child that serves the plant until the plant or its sources end; return the child's process number."""
     number = os.fork()
     if number:
         return number
@@ -208,7 +207,7 @@ def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:
 
 
 def died(number: int, within: float) -> int | None:
-    """The exit status of a child, None while it lives after N seconds."""
+    """Return the exit status of a child, or None if it still lives after `within` seconds."""
     end = time.monotonic() + within
     while time.monotonic() < end:
         found, status = os.waitpid(number, os.WNOHANG)
@@ -220,7 +219,7 @@ def died(number: int, within: float) -> int | None:
 
 @dataclass
 class Round:
-    """kills: N; the others: what it was that killed, and how many incarnations ended by themselves."""
+    """The counts of a round: kills, kills by crash point, and incarnations that ended by themselves."""
 
     kills: int = 0
     ended: int = 0
@@ -228,7 +227,9 @@ class Round:
 
 
 def kill_round(plant: Plant, wanted: int, rng: random.Random, log: IO[str], longest: float) -> Round:
-    """Kills until N are done or the work is; raises AssertionError where an incarnation refuses to start."""
+    """Kill until the wanted number of kills or the end of the work; raise AssertionError if an incarnation fails to
+    start.
+    """
     done = Round()
     while done.kills < wanted:
         point = rng.choice([*POINTS, "random", "random", "random"])
@@ -249,7 +250,7 @@ def kill_round(plant: Plant, wanted: int, rng: random.Random, log: IO[str], long
 
 
 def finish(plant: Plant, log: IO[str]) -> None:
-    """The last incarnation."""
+    """Run the last incarnation to its end."""
     number = incarnation(plant, "", log)
     code = died(number, 120.0)
     if code is None:
@@ -258,7 +259,7 @@ def finish(plant: Plant, log: IO[str]) -> None:
 
 
 def state_of(plant: Plant) -> Snapshot:
-    """The last checkpoint."""
+    """Return the last checkpoint."""
     assert plant.state is not None
     vault = Vault(plant.state)
     damaged = list[dict[str, object]]()
@@ -270,7 +271,10 @@ def state_of(plant: Plant) -> Snapshot:
 
 
 def rows_of(plant: Plant) -> tuple[dict[tuple[int, int], bytes], int]:
-    """(axis, number) -> bits of all rows, and how many came again; AssertionError where one came otherwise."""
+    """Return the bits of all rows by (axis, number), and the number of repeated rows.
+
+    Raises AssertionError if a row was repeated with other bits.
+    """
     data, found, again = (plant.folder / "rows").read_bytes(), dict[tuple[int, int], bytes](), 0
     for k in range(0, len(data) - _ROW.size + 1, _ROW.size):
         row = data[k : k + _ROW.size]
@@ -281,12 +285,12 @@ def rows_of(plant: Plant) -> tuple[dict[tuple[int, int], bytes], int]:
 
 
 def _kept(saved: Saved) -> dict[str, object]:
-    """What only some axes have, without what counts deliveries that came too late or again."""
+    """Return the states that only some axes have, without the counts of late and repeated deliveries."""
     return {name: {**rare, "told": {**rare.get("told", {}), "late": 0}} for name, rare in saved.rare.items()}
 
 
 def assert_same(killed: Plant, whole: Plant) -> int:
-    """Whether a plant that was killed ended as one that was not; how many rows came again."""
+    """Check that a killed plant ended as a plant without kills; return the number of repeated rows."""
     (rows, again), (expected, _) = rows_of(killed), rows_of(whole)
     differ = sorted(key for key in rows.keys() | expected.keys() if rows.get(key) != expected.get(key))
     missing, more = len(expected.keys() - rows.keys()), len(rows.keys() - expected.keys())
@@ -311,7 +315,7 @@ def assert_same(killed: Plant, whole: Plant) -> int:
 
 
 def campaign(axis: Path, folder: Path, kills: int, a_round: int, seconds: float, seed: int = 0) -> Round:
-    """N kills in rounds of `a_round`, each with data of its own, against a run without kills."""
+    """Compare runs with kills, in rounds of `a_round` kills with separate data, to a run without kills."""
     total, rng = Round(), random.Random(seed)
     prepared = prepare(axis)
     arrangement.prepare = lambda *given: prepared  # type: ignore[assignment]
@@ -338,7 +342,7 @@ def campaign(axis: Path, folder: Path, kills: int, a_round: int, seconds: float,
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints how many kills there were of each kind; ends with an error where one of them left a trace."""
+    """Print the number of kills of each kind; fail if a kill changed the output."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--round", type=int, default=60)

@@ -1,4 +1,4 @@
-"""Kills a process in the midst of its work, for the tests of what survives."""
+"""Kill a process in the middle of its work, for tests of the data that survive."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ REPOSITORY = Path(__file__).parents[2]
 
 
 def killed_after(program: str, lines: int, *arguments: str) -> list[str]:
-    """Runs Python code, takes N lines of its output, kills it without notice, and returns all lines that it had
-    written by then."""
+    """Run Python code, kill it without notice after some lines of output, and return all lines that it wrote."""
     command = [sys.executable, "-c", program, *arguments]
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
     with run_process(command, stdout=subprocess.PIPE, text=True, cwd=REPOSITORY, env=environment) as process:

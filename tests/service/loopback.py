@@ -1,4 +1,4 @@
-"""A page that is really served on this machine, and requests to it as anyone could write them."""
+"""A page that is really served on this machine, and requests to it as any client could write them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.service.fake_engine import FakePlant
 
 @dataclass(frozen=True)
 class Served:
-    """A plant with its page; token: the one that may write."""
+    """A plant with its page; `token` is the token that may write."""
 
     plant: FakePlant
     page: Page
@@ -38,7 +38,7 @@ class Served:
     def ask(
         self, path: str, *, method: str = "GET", token: str | None = "", body: bytes | None = None, **headers: str
     ) -> tuple[int, dict[str, str], bytes]:
-        """(status, headers, body); token "": the right one, None: none."""
+        """Send a request and return (status, headers, body); token "" sends the right token, None sends none."""
         connection = http.client.HTTPConnection(*self.address, timeout=10)
         given = {name.replace("_", "-"): value for name, value in headers.items()}
         if token is not None:
@@ -61,7 +61,7 @@ class Served:
 
     @contextmanager
     def stream(self, path: str) -> Iterator[Iterator[dict[str, Any]]]:
-        """The lines of a stream, as they come."""
+        """Yield the lines of a stream as they arrive."""
         connection = http.client.HTTPConnection(*self.address, timeout=10)
         try:
             connection.request("GET", path, headers={"authorization": f"Bearer {self.token}"})
@@ -73,7 +73,7 @@ class Served:
             connection.close()
 
     def raw(self, request: bytes) -> bytes:
-        """What is answered to these bytes, until the connection ends or nothing more comes for a second."""
+        """Return the answer to these bytes, up to the end of the connection or a second of silence."""
         with socket.create_connection(self.address, timeout=1) as line:
             line.sendall(request)
             return received(line)
@@ -83,7 +83,7 @@ class Served:
 
 
 def received(line: socket.socket) -> bytes:
-    """Until the end, or a time out."""
+    """Return the bytes until the end of the connection or a timeout."""
     found = b""
     try:
         while piece := line.recv(65536):
@@ -95,7 +95,7 @@ def received(line: socket.socket) -> bytes:
 
 @contextmanager
 def served(plant: FakePlant, **config: Any) -> Iterator[Served]:
-    """The plant's page, on a port that is free."""
+    """Serve the plant's page on a free port."""
     page = serve(
         PageConfig(port=0, **config), "hall-3", plant.board, plant.counters, plant,
         folder=Path.cwd(), reference=plant.reference, metrics=lambda: "pmfid_up 1\n",
@@ -107,7 +107,7 @@ def served(plant: FakePlant, **config: Any) -> Iterator[Served]:
 
 
 def until(true: Callable[[], object], seconds: float = 10.0) -> bool:
-    """Whether it comes true in time."""
+    """Return whether the condition becomes true in time."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if true():

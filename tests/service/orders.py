@@ -1,4 +1,4 @@
-"""Blocks of one axis as a sender sends them, and as they arrive: doubled, lost, out of order within a window."""
+"""Blocks of one axis as sent, and as they arrive: doubled, lost, out of order within a window."""
 
 from __future__ import annotations
 
@@ -22,8 +22,12 @@ Expected = tuple[int, bool, float, int, float]
 
 @dataclass(frozen=True)
 class Sending:
-    """sent: in order, without the lost ones, each with its place on the axis of all samples; arrived: as they come;
-    expected: samples of the sorted, de-duplicated data."""
+    """Blocks of one axis as sent and as they arrive.
+
+    `sent` are the blocks in order without the lost ones, each with its place on the axis of all samples. `arrived` are
+    the
+    blocks in order of arrival. `expected` are the samples of the sorted data without duplicates.
+    """
 
     sent: tuple[tuple[int, Block], ...]
     arrived: tuple[Block, ...]
@@ -31,20 +35,22 @@ class Sending:
     window: int
 
     def shuffled(self, random: Random) -> list[Block]:
-        """Another order of the same blocks within the window."""
+        """Return the same blocks in another order within the window."""
         return _shuffled(self.sent, self.window, random)
 
 
 def _shuffled(sent: Sequence[tuple[int, Block]], window: int, random: Random) -> list[Block]:
-    # a block comes before another one only if it ends within the window after the start of that
+    # a block precedes an earlier block only if it ends within the window after the start of the earlier one
     keyed = [(place + random.uniform(0, window - LONGEST), block) for place, block in sent]
     keyed += [(key + random.uniform(0, 5 * window), block) for key, block in keyed if random.random() < 0.3]
     return [block for _, block in sorted(keyed, key=lambda pair: pair[0])]
 
 
 def made(u: Floats, counts: Counts, random: Random, window: int, loss: float = 0.15, restart: float = 0.05) -> Sending:
-    """Samples (n,) cut into blocks, some of them lost; now and then the sender restarts, with a gap that its clock
-    tells, or with another clock."""
+    """Cut samples (n,) into blocks, of which some are lost.
+
+    At times the sender restarts: with a gap that its clock shows, or with another clock.
+    """
     sent, expected = list[tuple[int, Block]](), list[Expected]()
     place, first, epoch, time, lead, apart, fresh = 0, random.randrange(50), 0, 100.0, 0, True, True
     while place < counts.size:
@@ -68,7 +74,7 @@ def made(u: Floats, counts: Counts, random: Random, window: int, loss: float = 0
 
 
 def sending_of(seed: int, window: int, samples: int = 600) -> Sending:
-    """Numbered samples, so that each is known again."""
+    """Return a sending of numbered samples, so that each sample can be recognised."""
     numbers = np.arange(samples)
     u = np.where(numbers % 97 == 5, math.inf, numbers + 0.5)
     return made(u, numbers, Random(seed), window)

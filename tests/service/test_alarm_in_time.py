@@ -1,4 +1,4 @@
-"""The plant of the examples as it is served: how long from the samples of a heavier load to the alarm on the page."""
+"""The served plant of the examples: the time from the samples of a heavier load to the alarm on the page."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ALLOWED = 3.0
 
 
 def plant_of(folder: Path, broker: Broker) -> Path:
-    """examples/plant.toml with ports, a state and a token of its own."""
+    """Write examples/plant.toml with its own ports, state and token."""
     (folder / "plant_axis.toml").write_text((EXAMPLES / "plant_axis.toml").read_text())
     write_csv(make_scenario("moves", seed=0, duration=600.0), folder / "plant_normal.csv")
     text = (EXAMPLES / "plant.toml").read_text()
@@ -41,7 +41,7 @@ def plant_of(folder: Path, broker: Broker) -> Path:
 
 @contextmanager
 def machines(broker: Broker) -> Iterator[float]:
-    """The twelve carts; when their first sample was, in s since 1970."""
+    """Run the twelve carts; yield the time of their first sample, in s since 1970."""
     words = [EXAMPLES / "plant_machines.py", "--port", broker.port, "--seconds", SECONDS, "--step", STEP]
     with subprocess.Popen([sys.executable, "-u", *map(str, words)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -53,7 +53,7 @@ def machines(broker: Broker) -> Iterator[float]:
 
 
 def found_by_the_monitor(folder: Path) -> float:
-    """The time of the alarm on the samples of the cart that gets the load [s]."""
+    """Return the time of the alarm on the samples of the cart that gets the load [s]."""
     run = cart(LOADED, SECONDS, STEP)
     write_csv(run, folder / "today.csv")
     words = ["monitor", str(folder / "today.csv"), "--config", str(folder / "plant_axis.toml"), "--json"]
@@ -65,7 +65,7 @@ def found_by_the_monitor(folder: Path) -> float:
 
 
 def alarm_of(log: Path) -> tuple[float, float]:
-    """Time by the samples, and by the clock of the service, of the only alarm in the log."""
+    """Return the time of the log's only alarm, by the samples and by the clock of the service."""
     found = [json.loads(line) for line in log.read_text().splitlines()]
     (alarm,) = [event for event in found if event["event"] == "alarm"]
     assert alarm["axis"] == f"cart-{LOADED:02d}"

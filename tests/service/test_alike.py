@@ -1,4 +1,4 @@
-"""Messages of blocks that are all alike are read at once: what is read is what single blocks say."""
+"""Messages of equal blocks are read at once, with the result of reading single blocks."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ def sealed(part: bytes, place: int, value: bytes) -> bytes:
     [
         (4, b"\x02"),  # another version
         (16, b"\xff" * 8),  # a number beyond 2**53
-        (24, struct.pack("<d", math.inf)),  # a time
-        (32, struct.pack("<d", -0.01)),  # a period
-        (40, b"\xff\xfe"),  # a name that is no UTF-8
-        (41, b"\n"),  # or not printable
-        (46, b"\x00"),  # or ends in a zero
-        (48, struct.pack("<f", math.inf)),  # an input
+        (24, struct.pack("<d", math.inf)),  # an infinite time
+        (32, struct.pack("<d", -0.01)),  # a negative sample period
+        (40, b"\xff\xfe"),  # a name that is not UTF-8
+        (41, b"\n"),  # a name that is not printable
+        (46, b"\x00"),  # a name that ends in a zero
+        (48, struct.pack("<f", math.inf)),  # an infinite input
         (0, b"PMFX"),
     ],
 )

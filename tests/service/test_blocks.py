@@ -1,4 +1,4 @@
-"""Binary blocks: what is sent comes out, what is damaged says why and costs its neighbours nothing."""
+"""Binary blocks: sent data arrive, a damaged block has a reason, and its neighbours remain."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_what_a_receiver_would_refuse_is_not_sent(change: dict[str, object], mes
 
 
 def changed(at: int, new: bytes) -> bytes:
-    """A block with other bytes at a place and the right checksum."""
+    """Return a block with other bytes at one place and the right checksum."""
     body = bytearray(encode(block())[:-4])
     body[at : at + len(new)] = new
     return signed(bytes(body))
@@ -159,7 +159,7 @@ def test_counts_of_64_bits_are_looked_at() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_damage_anywhere_never_raises_and_costs_little(seed: int) -> None:
-    """Bytes that change, are lost or come in: whatever comes out is a block that was sent, and most come out."""
+    """Bytes change, vanish or appear: every block that is read was sent, and most blocks are read."""
     rng = np.random.default_rng(seed)
     blocks = [block(k, int(rng.integers(1, 40)), f"axis-{k}") for k in range(40)]
     sent = {b.axis: b for b in blocks}

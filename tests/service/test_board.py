@@ -1,4 +1,4 @@
-"""The board: what the engine offers is what those who look are given."""
+"""The board gives its readers the rows and notices of the engine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def kindred(*axes: str, names: tuple[str, ...] = ("mass", "friction")) -> Kindre
 def rows_of(
     group: Kindred, axis: list[int], number: list[int], *, time: list[float] | None = None, received: float = 100.0
 ) -> EstimateRows:
-    """Rows whose mass is 2 + number / 100."""
+    """Return rows whose mass is 2 + number / 100."""
     m = len(axis)
     theta = np.column_stack([2 + np.array(number) / 100, np.full(m, 5.0)])
     return EstimateRows(
@@ -123,7 +123,7 @@ def test_a_long_silence_costs_no_time() -> None:
     group = kindred("a")
     board = board_of(group)
     board.rows(rows_of(group, [0], [1], received=1.0))
-    board.rows(rows_of(group, [0], [1], received=1e9))  # in steps of 2 s it would take minutes
+    board.rows(rows_of(group, [0], [1], received=1e9))  # steps of 2 s up to this time would take minutes
     assert np.isfinite(board.trends(0, np.array([0]))[1][0, -1])
 
 
@@ -142,7 +142,7 @@ def test_an_alarm_is_reported_once_acknowledged_and_settled() -> None:
     board = board_of(kindred("a", "b"))
     board.notice(alarm(7))
     seen = board.news().version
-    board.notice(alarm(7))  # as after a restart
+    board.notice(alarm(7))  # the same notice as after a restart
     board.notice(Notice("a", 8, 5.0, {"event": "settled", "time": 3.0, "parameters": {"mass": {"value": 2.1}}}))
     board.notice(Notice("a", 9, 6.0, {"event": "acknowledged", "alarm": 7, "note": "seal changed"}))
     (found,) = board.news().alarms

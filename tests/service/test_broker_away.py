@@ -1,4 +1,4 @@
-"""The broker is killed, away, or has another service under the same name: nothing is lost, and it is reported."""
+"""The broker is killed, absent, or serves another service of the same name: no data are lost, and a notice says so."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = [needs_broker, pytest.mark.usefixtures("stopped_brokers")]
 
 
 def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[FakeEngine, dict[str, int]]:
-    """Deliveries of a sender whose broker is killed N times, `seconds` apart, and samples sent of each axis."""
+    """Return the deliveries of a sender whose broker is killed repeatedly, and the samples that each axis sent."""
     engine, broker, rng = FakeEngine(), Broker(folder, more).start(), np.random.default_rng(kills)
     hall = source(engine, broker, "killed")
     thread = engine.running(hall)
@@ -57,7 +57,7 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
 
 
 def check_nothing_lost(engine: FakeEngine, sent: dict[str, int]) -> None:
-    """In the order of delivery, with what is known already left out, each axis goes on without a hole."""
+    """Check that each axis has no hole, in the order of delivery and without repeated samples."""
     for name, n in sent.items():
         expected = 0
         for block in engine.blocks:

@@ -1,4 +1,4 @@
-"""Kills of the broker with the whole service connected to it, a few of those that `make broker-kills` does."""
+"""Kills of the broker with the whole service connected to it; `make broker-kills` does more of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The estimates of the service are those of `pmfid monitor`, whatever the order of delivery, and after restarts."""
+"""The estimates of the service equal `pmfid monitor` in any order of delivery, and after restarts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SECONDS = 16.0
 
 @pytest.fixture(scope="module")
 def motions() -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """u and counts of each axis; the mass of the second grows by a third."""
+    """Return u and counts of each axis; the mass of the second axis grows by a third."""
     heavier = Schedule(((0.0, CART), (8.0, replace(CART, mass=1.33 * CART.mass))))
     plants = {name: heavier if name == "x2" else Schedule(((0.0, CART),)) for name in AXES}
     return {name: changing(plants[name], 5 + k, INCREMENTS, SECONDS) for k, name in enumerate(AXES)}
@@ -47,7 +47,7 @@ def named(sending: Sending, name: str) -> list[Block]:
 
 
 def mixed(blocks: dict[str, list[Block]], random: Random) -> list[Delivery]:
-    """Blocks of several axes as one stream; those of each keep their order."""
+    """Mix the blocks of several axes into one stream, which keeps the order of each axis."""
     left = {name: list(reversed(own)) for name, own in blocks.items()}
     found = []
     while any(left.values()):
@@ -59,7 +59,7 @@ def mixed(blocks: dict[str, list[Block]], random: Random) -> list[Delivery]:
 
 @dataclass
 class Restarted:
-    """An engine that is killed now and then, and begins again from its last checkpoint; what came since comes again."""
+    """An engine that is killed at times and resumes from its last checkpoint; later data are delivered again."""
 
     prepared: Prepared
     outlet: Collected
@@ -92,7 +92,7 @@ class Restarted:
 
 
 def expected(sending: Sending) -> list[Sample]:
-    """The sorted, de-duplicated data as `pmfid monitor` has them."""
+    """Return the sorted data without duplicates as samples of `pmfid monitor`."""
     return [
         Sample(time, u, counts, max(0, lead), 1.0 if lead == UNKNOWN_GAP else 0.0)
         for lead, _, u, counts, time in sending.expected

@@ -1,4 +1,4 @@
-"""What is an extra is imported when it is used, and where it is missing one sentence says what to install."""
+"""An extra is imported on use; if it is missing, one sentence says what to install."""
 
 from __future__ import annotations
 

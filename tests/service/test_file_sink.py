@@ -1,4 +1,4 @@
-"""Lines of JSON in a file: whole whatever happens to disk, file and process."""
+"""A file of JSON lines stays whole after any failure of the disk, the file or the process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files as sources: records that are played, files that grow, are replaced and cut short, pipes."""
+"""Files as sources: played records, pipes, and files that grow, are replaced or are cut short."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def axis(plant_folder: Path) -> Axis:
 
 
 class Taken:
-    """What a source hands over, from a thread of its own."""
+    """The deliveries of a source that runs in its own thread."""
 
     def __init__(self, source: Source, mark: Mark | None = None, most: int = 10**9) -> None:
         self.deliveries: list[Delivery] = []

@@ -1,4 +1,4 @@
-"""The inbox is bounded, and the engine takes of it what it can step at once, in order."""
+"""The inbox is bounded, and the engine takes as much from it, in order, as it can step at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kills of the service, a few of the thousand that `make kills` does."""
+"""Kills of the service; `make kills` does a thousand of them."""
 
 from __future__ import annotations
 

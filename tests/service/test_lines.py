@@ -1,4 +1,4 @@
-"""JSON and line protocol: what they say reaches the axis as the same values in a pipe of CSV would."""
+"""JSON and line protocol bring the same values to an axis as a pipe of CSV."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ Value = float | int | bool | str
 
 
 def format_line(measurement: str, tags: Mapping[str, str], values: Mapping[str, Value], time_ns: int) -> str:
-    """A line as InfluxDB's clients write it."""
+    """Return a line as InfluxDB's clients write it."""
     head = [escaped(measurement, ", "), *(f"{escaped(key)}={escaped(value)}" for key, value in tags.items())]
     return f"{','.join(head)} {','.join(f'{escaped(key)}={written(v)}' for key, v in values.items())} {time_ns}"
 
@@ -73,7 +73,7 @@ def written(value: Value) -> str:
 
 
 def escaped(name: str, special: str = ",= ") -> str:
-    """A backslash that would escape what follows cannot be written: it becomes a slash."""
+    """Escape a name; a backslash that would escape the next character becomes a slash, because it cannot be written."""
     return re.sub(rf"([{special}])", r"\\\1", re.sub(rf"\\(?=[{special}]|$)", "/", name))
 
 
@@ -113,7 +113,7 @@ def test_fields_are_scaled_as_columns_of_a_pipe(tmp_path: Path, record: str, nam
 
 
 def test_what_telegraf_makes_of_two_nodes_is_a_sample(messages: Messages) -> None:
-    """`inputs.opcua` after `merge`, as in docs/guide/service.md."""
+    """The line is the output of `inputs.opcua` after `merge`, as in docs/guide/service.md."""
     data = b'drive,axis=x1 Quality="OK (0x0)",u=1.5,x=0.001,t=1 1700000000050000000\n'
     (line,) = lines_of(list(messages.items(data)))
     assert (line.u, line.counts, line.problem) == (1.5, 43, "")
@@ -162,7 +162,7 @@ def test_an_axis_without_a_time_takes_none(tmp_path: Path) -> None:
 )
 def test_a_value_that_is_none_is_a_lost_sample(messages: Messages, field: str, problem: str) -> None:
     items = list(messages.items(f'{{"axis": "x1", "t": 3, "x": 1, "u": {field}}}'.encode()))
-    if not problem:  # a column of no rows
+    if not problem:  # a column without rows
         assert items == []
         return
     (line,) = lines_of(items)
@@ -224,7 +224,7 @@ def test_a_message_of_many_small_mistakes_is_cut(messages: Messages, data: bytes
 
 
 def test_columns_take_no_more_memory_for_the_fields_that_nobody_reads(tmp_path: Path) -> None:
-    """Rows times keys of one message are far more than its bytes."""
+    """Rows times keys of one message can be far more than its bytes."""
     form = Messages(Readers({"x1": axis(tmp_path)}.get))
     spare = {f"k{k}": 0 for k in range(20_000)}
     data = json.dumps({"axis": "x1", "t": [*range(20_000)], "u": [0] * 20_000, "x": 0, **spare}).encode()
@@ -281,7 +281,7 @@ fields = st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(2**63)
 
 
 def slashed(text: object) -> object:
-    """A backslash that would escape what follows is written as a slash."""
+    """Replace each backslash by a slash, as the escaped line has it."""
     return text.replace("\\", "/") if isinstance(text, str) else text
 
 

@@ -1,4 +1,4 @@
-"""A sender that restarted without a higher epoch: it is said, and what is said helps when it is followed."""
+"""A sender that restarts without a higher epoch is reported, and the remedy of the report works."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def motion() -> tuple[np.ndarray, np.ndarray]:
 
 
 def blocks(motion: tuple[np.ndarray, np.ndarray], start: int, end: int, epoch: int, first: int) -> list[Delivery]:
-    """Samples from start to end of the motion, with numbers from `first` on."""
+    """Return blocks of the samples from `start` to `end` of the motion, numbered from `first`."""
     parts = (slice(k, k + BLOCK) for k in range(start, end, BLOCK))
     made = [Block("x1", epoch, first + p.start - start, math.nan, CART_DT, motion[0][p], motion[1][p]) for p in parts]
     return [Delivery("hall", [block]) for block in made]
 
 
 def expected(prepared: Prepared, motion: tuple[np.ndarray, np.ndarray], lost: slice) -> list[Bits]:
-    """Rows of the monitor where nobody knows what lies between the samples on both sides of those that are lost."""
+    """Return the rows of the monitor if the time between the samples around the lost part is unknown."""
     kept = np.delete(np.arange(SAMPLES), lost)
     samples = [Sample(k * CART_DT, float(motion[0][k]), int(motion[1][k]), 0, float(k == lost.stop)) for k in kept]
     return monitored(prepared, samples)[0]

@@ -1,4 +1,4 @@
-"""Prometheus's text, read back by a parser that takes nothing else than the format allows."""
+"""The metrics are read back by a strict parser of Prometheus's text format."""
 
 from __future__ import annotations
 
@@ -24,8 +24,12 @@ Parsed = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
 
 def parsed(text: str) -> tuple[Parsed, dict[str, str], dict[str, str]]:
-    """Samples, HELP and TYPE of families. Raises AssertionError for what the format does not allow: lines of a family
-    apart or without TYPE before them, the same sample twice, no line feed at the end."""
+    """Return samples, HELP and TYPE of the families.
+
+    Raises AssertionError for a violation of the format: lines of a family that are apart or precede its TYPE, a sample
+    that
+    appears twice, or no line feed at the end.
+    """
     assert text.endswith("\n")
     samples: Parsed = {}
     helps: dict[str, str] = {}

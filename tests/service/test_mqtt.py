@@ -1,4 +1,4 @@
-"""Messages through a real Mosquitto: acknowledged when they are durable, lost by neither a kill nor a pause."""
+"""Messages through a real Mosquitto: acknowledged when durable, and never lost in a kill or a pause."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def numbers(blocks: list[Block]) -> list[int]:
 
 
 def sender(broker: Broker, topic: str, **options: object) -> Sender:
-    """A message for every block of one sample."""
+    """Return a sender with one message for each block of one sample."""
     return Sender(topic, 0.01, broker.section, **{"epoch": 3, "samples": 1, "size": 1, **options})
 
 
@@ -95,7 +95,7 @@ def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
 
 
 def test_more_wait_for_a_checkpoint_than_mosquitto_has_in_flight_by_itself(broker: Broker) -> None:
-    """Its max_inflight_messages is 20: a source that does not ask for more would get 20 messages a checkpoint."""
+    """Mosquitto's max_inflight_messages is 20: by default a source would get only 20 messages for each checkpoint."""
     engine = FakeEngine()
     hall = source(engine, broker, "flight")
     thread = engine.running(hall)
@@ -121,7 +121,7 @@ def test_a_message_that_nobody_has_subscribed_to_is_kept(broker: Broker) -> None
 
 
 def test_a_stale_acknowledgement_is_none(broker: Broker) -> None:
-    """After a new connection the numbers of packets may be those of other messages."""
+    """After a new connection, packet numbers may belong to other messages."""
     engine = FakeEngine()
     hall = source(engine, broker, "stale")
     thread = engine.running(hall)
@@ -212,7 +212,7 @@ def test_a_topic_may_name_the_axis_and_messages_have_any_form(broker: Broker, tm
 
 
 def test_what_the_broker_keeps_is_bounded_by_its_configuration(tmp_path: Path) -> None:
-    """Mosquitto's max_queued_messages: what is beyond, it drops without a word to the sender."""
+    """Mosquitto drops messages beyond max_queued_messages without a notice to the sender."""
     engine, small = FakeEngine(), Broker(tmp_path, "max_queued_messages 30\n").start()
     hall = source(engine, small, "queue", receive_maximum=5)
     thread = engine.running(hall)
@@ -230,7 +230,7 @@ def test_what_the_broker_keeps_is_bounded_by_its_configuration(tmp_path: Path) -
     assert 30 <= len(engine.blocks) <= 35
 
 
-# --- who may, and who may not -----------------------------------------------------------------------------------------
+# --- rights -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho leaves a refused socket open
@@ -273,7 +273,7 @@ def test_tls_with_a_password_out_of_a_file(tmp_path: Path) -> None:
 
 
 def test_a_topic_that_the_broker_refuses_is_reported(broker: Broker) -> None:
-    """Mosquitto's own lists of rights refuse no subscription, its plugins and other brokers do."""
+    """Mosquitto's own access lists refuse no subscription, but its plugins and other brokers do."""
     from paho.mqtt.packettypes import PacketTypes
     from paho.mqtt.reasoncodes import ReasonCode
 

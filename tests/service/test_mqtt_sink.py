@@ -1,4 +1,4 @@
-"""Estimates and alarms at a broker: what is retained, what is taken back, and what a broker that dies changes."""
+"""Estimates and alarms at a broker: retained messages, withdrawn messages, and a broker that is killed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ GROUP = kindred(2)
 
 
 class Link(BrokerLink):
-    """A broker that keeps what it gets: (topic, payload, qos, retained)."""
+    """A broker that keeps each message: (topic, payload, qos, retained)."""
 
     def __init__(self) -> None:
         self.got: list[tuple[str, bytes, int, bool]] = []
@@ -59,7 +59,7 @@ def sink_of(link: Link, **keys: object) -> MqttSink:
     return sink
 
 
-# --- what is published ------------------------------------------------------------------------------------------------
+# --- published messages -----------------------------------------------------------------------------------------------
 
 
 def test_rows_are_messages_of_their_axes() -> None:
@@ -106,7 +106,7 @@ ALARM = "pmfid/hall-3/alarms/x1"
     ("clear", "event", "over"),
     [
         ("acknowledged", notice(9, "acknowledged", alarm=2), True),
-        ("acknowledged", notice(9, "acknowledged", alarm=1), False),  # of an older one
+        ("acknowledged", notice(9, "acknowledged", alarm=1), False),  # of an older alarm
         ("acknowledged", notice(9, "acknowledged", axis="x0", alarm=2), False),
         ("acknowledged", notice(9, "settled"), False),
         ("settled", notice(9, "settled"), True),
@@ -124,7 +124,7 @@ def test_an_alarm_stays_until_it_is_taken_back(clear: str, event: Any, over: boo
     assert (link.retained()[ALARM] == b"") == over
     before = dict(link.retained())
     link.got.clear()
-    sink.open()  # the broker may have forgotten everything, that the alarm is over, too
+    sink.open()  # the broker may have forgotten everything, even the end of the alarm
     assert link.retained() == before
 
 
@@ -163,7 +163,7 @@ def test_secrets_come_from_the_environment_alone(tmp_path: Path) -> None:
 
 @dataclass
 class Listener:
-    """Subscribed to everything; got: (topic, payload, retained)."""
+    """A subscriber to all topics; `got` holds (topic, payload, retained)."""
 
     broker: Broker
     got: list[tuple[str, bytes, bool]] = field(default_factory=list)
@@ -295,7 +295,7 @@ def test_a_broker_that_refuses_says_why_and_no_secret(
 def test_no_alarm_is_lost_whatever_becomes_of_the_broker(
     tmp_path: Path, broker: Broker, started: Callable[..., Queued]
 ) -> None:
-    """Alarms of many axes while the broker is killed again and again, and forgets what it had not yet saved."""
+    """Alarms of many axes come while the broker is killed repeatedly and forgets all unsaved messages."""
     host = Host(tmp_path)
     outlet = started(host, events=False)
     for number in range(300):

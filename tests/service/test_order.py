@@ -1,4 +1,4 @@
-"""Blocks and lines of one axis in any order: what comes out is what was sent, sorted, once, with its gaps."""
+"""Blocks and lines of one axis arrive in any order: the output is sorted, without duplicates, and shows the gaps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SOME = settings(max_examples=30, deadline=None, derandomize=True)
 
 
 def put_in_order(blocks: Sequence[Block], window: int = WINDOW) -> tuple[list[SamplePiece], ItemReport]:
-    """Pieces of blocks as they come, and the sum of the verdicts."""
+    """Return the pieces of the blocks in order of arrival, and the sum of the verdicts."""
     order, pieces, total = Order(DT, window), list[SamplePiece](), ItemReport()
     for turn, block in enumerate(blocks):
         verdict = order.take(block, 0.0, turn, pieces)
@@ -38,7 +38,7 @@ def put_in_order(blocks: Sequence[Block], window: int = WINDOW) -> tuple[list[Sa
 
 @dataclass(frozen=True)
 class Step:
-    """A sample as the monitor gets it."""
+    """A sample in the form that the monitor receives."""
 
     lead: int
     apart: bool

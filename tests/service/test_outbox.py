@@ -1,4 +1,4 @@
-"""What a sender keeps, number by number, without a broker."""
+"""The messages that a sender keeps, number by number, without a broker."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pmfid.stream.delivery import Block
 
 
 class Link:
-    """Numbers what is published, from 1 on for each connection."""
+    """A link that numbers published messages from 1 for each connection."""
 
     def __init__(self) -> None:
         self.sent: list[bytes] = []

@@ -1,4 +1,4 @@
-"""What the page is reported and what it may do, by requests to a page that is really served."""
+"""The data and the rights of the page, by requests to a page that is really served."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ def test_files_that_a_browser_has_are_not_sent_again(page: Served) -> None:
     assert body
 
 
-# --- what is written ---------------------------------------------------------------------------------------------
+# --- written data -----------------------------------------------------------------------------------------------
 
 
 def test_numbers_that_json_does_not_have_are_null_in_objects_and_exact_in_arrays() -> None:
@@ -239,7 +239,7 @@ def test_who_reads_slowly_misses_rows_and_is_reported_how_many() -> None:
 
 
 def test_two_hundred_browsers_are_written_for_once() -> None:
-    """What is sent is made once in a turn, whatever the number of those who look."""
+    """The page composes its data once in a turn for any number of readers."""
     plant = troubled(12)
     looks = []
     news = plant.board.news

@@ -1,4 +1,4 @@
-"""The page in a browser: what it shows, what it must not run, and who cannot read it."""
+"""The page in a browser: the shown data, the scripts that must not run, and the visitors without access."""
 
 from __future__ import annotations
 
@@ -354,7 +354,7 @@ def test_another_page_of_the_same_browser_reads_nothing_even_with_the_token(brow
     assert len(page.plant.board.news().notices) == notices, "nothing was written"
 
 
-# --- at length --------------------------------------------------------------------------------------------------------
+# --- long tests -------------------------------------------------------------------------------------------------------
 
 VIEWS = [(1440, "light"), (1440, "dark"), (768, "light"), (390, "light"), (390, "dark")]
 

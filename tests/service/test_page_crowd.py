@@ -1,4 +1,4 @@
-"""A crowd of connections that say nothing: the page and its health stay there for those who ask."""
+"""A crowd of silent connections: the page and its health check still answer others."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from tests.service.loopback import Served, served, until
 #: Connections of the crowd, and the time in which a health check must be answered [s].
 CROWD, ALLOWED = 1000, 0.5
 
-#: host, port, how many, what each says, how many of those that are closed come again in a second.
+#: Arguments: host, port, number of connections, text that each sends, and number of closed ones that return in a
+#: second.
 CLIENT = """
 import resource, select, socket, sys, time
 host, port, many, says, again = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4].encode(), int(sys.argv[5])
@@ -55,7 +56,7 @@ while True:
 
 @contextmanager
 def crowd(page: Served, many: int = CROWD, says: str = "", again: int = 0) -> Iterator[None]:
-    """N connections from another process, which has the files for them."""
+    """Open the connections from another process, which has enough file descriptors for them."""
     words = [*map(str, page.address), str(many), says, str(again)]
     command = [sys.executable, "-c", CLIENT, *words]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
@@ -67,7 +68,7 @@ def crowd(page: Served, many: int = CROWD, says: str = "", again: int = 0) -> It
 
 
 def slowest(page: Served, times: int, pause: float = 0.02) -> float:
-    """Of N health checks, each a connection of its own [s]."""
+    """Return the longest time of some health checks, each with its own connection [s]."""
     found = 0.0
     for _ in range(times):
         begun = time.monotonic()
@@ -92,7 +93,7 @@ def test_a_crowd_without_a_token_shuts_neither_page_nor_health(
     with page.stream("/api/stream") as lines:
         next(lines)
         with crowd(page, says=says.format(host=page.host), again=again):
-            slowest(page, 1)  # those who came before are let in by then
+            slowest(page, 1)  # by its answer, all earlier connections are accepted
             found = slowest(page, 25)
             assert page.ask("/api/plant")[0] == 200
             assert page.ask("/")[0] == 200
@@ -155,14 +156,14 @@ def test_a_crowd_that_never_shakes_hands_does_not_shut_a_page_with_tls(tmp_path:
     with served(FakePlant(2), certificate=str(cert), key=str(key)) as there:
         alone = greeted(there, context)
         with crowd(there, says="\x16"):
-            greeted(there, context)  # those who came before are let in by then
+            greeted(there, context)  # by its answer, all earlier connections are accepted
             assert greeted(there, context) < ALLOWED + alone
             if Path("/proc/self/fd").exists():
                 assert len(os.listdir("/proc/self/fd")) < 256 + 64 + 100
 
 
 def greeted(there: Served, context: ssl.SSLContext) -> float:
-    """The slowest of some health checks with TLS [s]."""
+    """Return the longest time of some health checks with TLS [s]."""
     found = 0.0
     for _ in range(10):
         begun = time.monotonic()

@@ -1,4 +1,4 @@
-"""Guesses of a token are braked by address; who has a token never is."""
+"""Guesses of a token are slowed down by address; a client with a token is never slowed down."""
 
 from __future__ import annotations
 

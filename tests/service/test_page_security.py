@@ -1,4 +1,4 @@
-"""Who gets in, and who does not: requests as an attacker would write them, to a page that is really served."""
+"""Access to the page: requests as an attacker would write them, to a page that is really served."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
             yield found
 
 
-# --- under which name, and from which page ----------------------------------------------------------------------------
+# --- host names and origins -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("path", ["/", "/api/plant", "/metrics", "/healthz", "/no-such-file"])
@@ -162,7 +162,7 @@ def _head(page: Served, path: str, *lines: str) -> bytes:
 
 
 def _flood(page: Served, head: bytes, piece: bytes) -> tuple[int, bytes]:
-    """(bytes that were taken of at most 64 MB, answer)."""
+    """Return the number of accepted bytes of at most 64 MB, and the answer."""
     sent = 0
     with socket.create_connection(page.address, timeout=2) as line:
         line.sendall(head)
@@ -204,7 +204,7 @@ def test_long_headers_and_paths_are_refused(page: Served) -> None:
 
 
 def _drip(line: socket.socket, data: bytes) -> int:
-    """Sends a byte now and then until the connection ends; how many went out."""
+    """Send single bytes at intervals until the connection ends; return the number of sent bytes."""
     for sent, byte in enumerate(data):
         try:
             line.sendall(bytes([byte]))
@@ -215,7 +215,7 @@ def _drip(line: socket.socket, data: bytes) -> int:
 
 
 def test_slow_requests_end_and_others_are_answered_meanwhile(page: Served) -> None:
-    """slow loris: in the head, in a body, and in the head of a second request."""
+    """Slow loris attacks: in the head, in a body, and in the head of a second request."""
     before = page.counted("refused", reason="slow")
     head = f"GET /healthz HTTP/1.1\r\nHost: {page.host}\r\n".encode()
     starts = [b"", _head(page, "/api/axis/gantry-y/reference", "Content-Length: 4000"), head + b"\r\n"]
@@ -261,7 +261,7 @@ def test_more_streams_than_configured_are_refused(page: Served) -> None:
     assert page.plant.board.list_followed() == frozenset()
 
 
-# --- paths and what is reflected --------------------------------------------------------------------------------------
+# --- paths and reflected text -----------------------------------------------------------------------------------------
 
 OUT = [
     "/../server.py",

@@ -1,4 +1,4 @@
-"""A process that was stopped and goes on says so."""
+"""A process that was stopped and goes on reports the pause."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.processes import run_process
 from tests.service.kills import REPOSITORY
 from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
 
-#: `pmfid serve` that calls a pause of half a second one.
+#: Run `pmfid serve` with a threshold of half a second for a pause.
 PROGRAM = """
 import sys
 import pytest

@@ -1,4 +1,4 @@
-"""Serial ports, which stand in the middle of a line when they are opened, and Telegraf's pipe."""
+"""Serial ports, which deliver part of a line when they are opened, and Telegraf's pipe."""
 
 from __future__ import annotations
 

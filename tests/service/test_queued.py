@@ -1,4 +1,4 @@
-"""The queue in front of every sink: bounded, never waited for, the oldest rows dropped first, alarms last."""
+"""The queue of every sink: bounded, never blocking, dropping the oldest rows first and alarms last."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def host(tmp_path: Path) -> Host:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pauses that a test can wait for."""
+    """Shorten the pauses, so that a test can wait for them."""
     set_tuning(monkeypatch, queued, queued_first_pause=0.005)
     set_tuning(monkeypatch, queued, queued_longest_pause=0.02)
 
@@ -40,7 +40,7 @@ def started(sink: Faulty, host: Host, limits: QueueLimits | None = None) -> Queu
     return outlet
 
 
-# --- what waits -------------------------------------------------------------------------------------------------------
+# --- the content of the queue -----------------------------------------------------------------------------------------
 
 
 @given(
@@ -121,7 +121,7 @@ def test_a_sink_that_hangs_costs_the_engine_nothing(host: Host) -> None:
 def test_a_slow_sink_is_reported_once_and_what_is_dropped_is_counted(host: Host) -> None:
     @dataclass
     class Slow(Faulty):
-        """1 MB/s."""
+        """A sink of 1 MB/s."""
 
         def put(self, outcomes: list[EstimateRows | Notice]) -> None:
             time.sleep(sum(size_of(one) for one in outcomes if isinstance(one, EstimateRows)) / 1e6)
@@ -131,7 +131,7 @@ def test_a_slow_sink_is_reported_once_and_what_is_dropped_is_counted(host: Host)
     outlet = started(sink, host, QueueLimits(size=200_000, take=200))
     rows = block(GROUP, 1, samples=10)
     offered = 400
-    for _ in range(offered):  # some 4 MB
+    for _ in range(offered):  # about 4 MB
         outlet.rows(rows)
         time.sleep(0.0002)
     outlet.close(20)
@@ -220,7 +220,7 @@ def test_pauses_grow_to_a_limit_and_restart_after_a_steady_time(host: Host, monk
         outlet._write(outlet._next())
 
     tries(9)
-    tries(1)  # it had worked for a moment only
+    tries(1)  # the sink worked only for a moment
     now[0] += TUNING.queued_steady + 1
     tries(2)
     assert pauses == [0.5, 1, 2, 4, 8, 16, 32, 60, 60, 60, 0.5, 1]

@@ -1,4 +1,4 @@
-"""What someone made normal by hand stays so over a restart: for the monitor and for the page."""
+"""A reference that a user sets by hand survives a restart, for the monitor and for the page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Referred = list[dict[int, list[float]]]
 
 
 def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]:
-    """The normal values of x1 as the page has them and as the monitor has them, at the end of a record."""
+    """Return the reference of x1 in the page and in the monitor, at the end of a record."""
     text = StringIO()
     service = Service(lambda: plant, NoticeLog(text))
     found: list[tuple[Referred, list[float]]] = []

@@ -1,4 +1,4 @@
-"""A source that fails is begun again, and both are said."""
+"""A source that fails is started again, and notices report both events."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pmfid.stream.engine import Inbox
 
 
 class Failing:
-    """Fails at the first call."""
+    """A source that fails at the first call."""
 
     name = "hall"
 
@@ -26,7 +26,7 @@ class Failing:
         take(Delivery(self.name, ()))
 
     def stop(self) -> None:
-        """It ends by itself."""
+        """Do nothing: the source ends by itself."""
 
 
 def test_a_source_that_begins_again_is_said_to_work_once_something_comes() -> None:

@@ -1,4 +1,4 @@
-"""Every secret of a plant, in good and failing operation: in no log, row, page, metric, message, file or checkpoint."""
+"""No secret of a plant appears in a log, row, page, metric, message, file or checkpoint, whatever fails."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.service.web_servers import Server, web_server
 pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed: pip install 'pmfid[serve]'")
 PASSWD = shutil.which("mosquitto_passwd")
 
-#: Variables and files -> secrets, each another one; those with WRONG are refused by who gets them.
+#: Variables and files -> secrets, all different; their receivers refuse those with WRONG.
 SECRETS = {
     "PAGE_TOKEN": "page-token-Zq81kd93mvLx0",
     "reader.token": "reader-token-Yw72jc84nuKw",
@@ -46,7 +46,7 @@ SECRETS = {
     "phone.password": "broker-Xe63+hb75/mtJv",
     "SINK_PASSWORD": "WRONG-sink-Lg63xr75cjZl",
 }
-#: What someone sends in place of a token.
+#: Wrong tokens that a client sends.
 GUESSES = ("page-token-Zq81kd93mvLx1", "Kf54wq66biYk-guessed-by-nobody")
 
 PLANT = """
@@ -118,14 +118,14 @@ def test_the_plant_has_every_key_that_names_a_secret() -> None:
 
 
 def forms(secret: str) -> set[bytes]:
-    """As it could be written somewhere; of an address and a header the part that is secret."""
+    """Return the encodings of a secret; of an address or a header only the secret part counts."""
     bare = secret.rpartition("/")[2] if secret.startswith("http") else secret.removeprefix("Bearer ")
     encoded = b64encode(bare.encode()).rstrip(b"=")
     return {bare.encode(), quote(bare, safe="").encode(), encoded, b64encode(f"me:{bare}".encode()).rstrip(b"=")}
 
 
 def found_in(content: bytes) -> list[str]:
-    """Names of the secrets that stand in something."""
+    """Return the names of the secrets that appear in the content."""
     whole = SECRETS | {f"guess {k}": guess for k, guess in enumerate(GUESSES)}
     return [name for name, secret in whole.items() if any(form in content for form in forms(secret))]
 
@@ -138,7 +138,7 @@ def test_the_search_finds_a_secret_in_each_form() -> None:
 
 @dataclass
 class Running:
-    """A plant in its folder, with a broker and servers; seen: what came out, by where."""
+    """A plant in its folder, with a broker and servers; `seen` holds each output by its place."""
 
     place: Path
     web: Server
@@ -151,7 +151,7 @@ class Running:
         return Acting(Service(lambda: load_plant(self.place / "plant.toml"), NoticeLog(text, form)), text)
 
     def ask(self, acting: Acting, path: str, token: str | None, method: str = "GET") -> int:
-        """What the page answers is kept; of a stream, its beginning."""
+        """Send a request and keep the answer of the page; of a stream, keep the beginning."""
         page = acting.service._page
         assert page is not None
         connection = http.client.HTTPConnection(urlsplit(page.url).netloc, timeout=10)
@@ -265,7 +265,7 @@ def test_no_secret_comes_out_anywhere(
 
 
 def _reload_of(place: Path) -> None:
-    """A plant that cannot be read."""
+    """Reload a plant that cannot be read."""
     text = (place / "plant.toml").read_text()
     (place / "plant.toml").write_text(text.replace('kind = "webhook"', 'kind = "webhok"'))
     os.kill(os.getpid(), signal.SIGHUP)
@@ -273,7 +273,7 @@ def _reload_of(place: Path) -> None:
 
 @contextmanager
 def listening(broker: Broker) -> Iterator[tuple[list[bytes], Callable[[], None]]]:
-    """(all that is published, what publishes no samples)"""
+    """Yield all published messages, and a function that publishes a message without samples."""
     from paho.mqtt import client as mqtt
     from paho.mqtt.enums import CallbackAPIVersion
 
@@ -288,7 +288,7 @@ def listening(broker: Broker) -> Iterator[tuple[list[bytes], Callable[[], None]]
 
 
 def _were_used(running: Running, seen: dict[str, bytes], messages: bytes) -> None:
-    """Otherwise that they are nowhere would say nothing."""
+    """Check that every secret was used; otherwise its absence would prove nothing."""
     assert SECRETS["HOOK_SECRET"] in [headers.get("Authorization") for _, headers, _ in running.web.got]
     assert SECRETS["ANGRY_SECRET"] in [headers["Authorization"] for _, headers, _ in running.angry.got]
     assert any(path.endswith("hook-path-Ri27dx39ipFr") for path, _, _ in running.web.got)
@@ -320,7 +320,7 @@ def test_no_secret_comes_out_of_a_start_that_is_refused(running: Running, monkey
             with monkeypatch.context() as patch:
                 content = None if name.isupper() else (running.place / name).read_text()
                 _spoil(running.place, name, how, patch)
-                late = threading.Timer(120, os.kill, (os.getpid(), signal.SIGTERM))  # it would serve for ever
+                late = threading.Timer(120, os.kill, (os.getpid(), signal.SIGTERM))  # the service has no end of its own
                 late.start()
                 reported = called("serve", str(running.place / "plant.toml"), "--json", "--until-end", code=2)
                 late.cancel()

@@ -1,4 +1,4 @@
-"""`pmfid serve` from its command line: the same events as `pmfid monitor`, reloads, restarts, what is refused."""
+"""`pmfid serve` from its command line: the events of `pmfid monitor`, reloads, restarts, refusals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Events = list[dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def folder(plant_folder: Path) -> Path:
-    """axis.toml and run.csv, in which the mass grows by a third; other.toml is the same, a little more patient."""
+    """Write axis.toml, and run.csv in which the mass grows by a third; other.toml is slightly more patient."""
     heavier = Schedule(((0.0, CART), (8.0, replace(CART, mass=1.33 * CART.mass))))
     u, counts = changing(heavier, 5, INCREMENTS, 16.0)
     rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
@@ -219,13 +219,13 @@ def test_a_fleet_has_the_names_of_its_pattern(tmp_path: Path) -> None:
 
 @dataclass
 class Acting:
-    """Does things to a service from a thread while it runs in this one, then ends it by SIGTERM."""
+    """A service that receives actions from another thread while it runs, and then ends by SIGTERM."""
 
     service: Service
     text: StringIO
 
     def run(self, *steps: Callable[[], None]) -> Events:
-        """What was reported, of a service whose log is JSON."""
+        """Return the notices of a service whose log is JSON."""
         self.act(*steps)
         return events(self.text.getvalue(), "alarm", "state", "settled", "reload", "ended", "gap", "unusable")
 
@@ -327,7 +327,7 @@ def test_systemd_is_reported(folder: Path, acting: Acting, tmp_path: Path, monke
 
 
 def wrapped(folder: Path, place: Path, bits: int, start: int) -> Events:
-    """What is reported run.csv when its counter has N bits and stands at `start` at first."""
+    """Return the notices for run.csv if its counter has `bits` bits and begins at `start`."""
     text = (folder / "axis.toml").read_text().replace("[model]", f"bits = {bits}\n\n[model]")
     (place / "axis.toml").write_text(text)
     (place / "normal.csv").write_text((folder / "normal.csv").read_text())

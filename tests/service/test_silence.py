@@ -1,4 +1,4 @@
-"""An axis, a source or a sink that is silent is an alarm, once, until it is back, over restarts as well."""
+"""A silent axis, source or sink raises one alarm until it is back, also over restarts."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Sink:
 
 @dataclass
 class Outlet:
-    """Keeps what is reported."""
+    """An outlet that keeps the notices."""
 
     reported: list[Notice] = field(default_factory=list)
 
@@ -91,7 +91,7 @@ class Watched:
         return engine
 
     def run(self, seconds: float, *axes: str, source: str = "hall", other: str = "lab") -> None:
-        """N seconds, in which these axes send by one source; the other one sends what nobody knows."""
+        """Let these axes send through one source for some seconds, while the other source sends unknown names."""
         for _ in range(round(seconds)):
             self.at += 1.0
             self.engine.silence.tick(self.at)
@@ -108,7 +108,7 @@ class Watched:
         return Block(axis, 0, first, np.nan, CART_DT, np.zeros(5), np.arange(first, first + 5))
 
     def again(self) -> None:
-        """A restart from a checkpoint of now."""
+        """Restart from a checkpoint of this moment."""
         found = read_snapshot(b"".join(snapshot(self.engine)))
         self.engine = self._engine()
         found.restore(self.engine)
@@ -116,7 +116,7 @@ class Watched:
         self.engine.set_groups(arrange_groups(groups, dict.fromkeys(self.axes, self.prepared), Pace(0.0, 1.0))[0])
 
     def taken(self) -> list[tuple[str, str, str]]:
-        """(event, what is silent, its name) since the last time."""
+        """Return the new notices as (event, kind of the silent object, its name)."""
         reported, self.outlet.reported = self.outlet.reported, []
         kinds = ("alarm", "cleared")
         return [(n.what["event"], n.what["silent"], n.what["name"]) for n in reported if n.what["event"] in kinds]
@@ -153,7 +153,7 @@ def test_an_axis_that_never_sends_is_silent_too(watched: Watched) -> None:
 def test_an_axis_that_sends_what_cannot_be_used_is_silent(watched: Watched) -> None:
     watched.run(2, "x1", "x2", "x3")
     for _ in range(round(LIMIT) + 2):
-        watched.first["x2"] = 0  # the same samples again and again
+        watched.first["x2"] = 0  # the same samples repeatedly
         watched.run(1, "x1", "x2", "x3")
     assert watched.taken() == [("alarm", "axis", "x2")]
 
@@ -200,7 +200,7 @@ def test_a_restart_neither_repeats_nor_forgets_an_alarm(watched: Watched) -> Non
         ("alarm", "sink", "db"),
         ("alarm", "source", "lab"),
     ]
-    watched.sink.state = None  # nothing to write yet
+    watched.sink.state = None  # without an order to write yet
     watched.again()
     watched.run(2, "x1", other="")
     assert watched.taken() == []
@@ -278,12 +278,12 @@ def test_an_acknowledged_silence_is_no_other_alarm(watched: Watched) -> None:
     assert link.retained()["pmfid/hall-3/alarms/x2/silent"] == b""
 
 
-# --- where it goes ----------------------------------------------------------------------------------------------------
+# --- outlets of the alarms --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def reported(watched: Watched) -> list[Notice]:
-    """Alarms of an axis, a source and a sink, then that they are over."""
+    """Return the alarms of an axis, a source and a sink, and the ends of these alarms."""
     watched.run(1, *watched.axes)
     watched.sink.state = False
     watched.run(LIMIT + 2, "x1", "x3", other="")
@@ -330,7 +330,7 @@ def events_of(place: Path, kind: str) -> list[str]:
 
 
 def events_in(file: Path) -> list[str]:
-    """Of the notices of a database; its alarms have rows of their own."""
+    """Return the events of a database's notices; its alarms have their own rows."""
     with closing(sqlite3.connect(file)) as database:
         rows = database.execute("SELECT event FROM notices WHERE event IN ('alarm', 'cleared') ORDER BY id")
         found = [event for (event,) in rows]
@@ -424,7 +424,7 @@ def acting(place: Path) -> Acting:
 
 
 def reported_in_order(one: Acting) -> list[tuple[str, str]]:
-    """(what is silent, event)"""
+    """Return (silent object, event) of each notice."""
     return [(reported["silent"], reported["event"]) for reported in events(one.text.getvalue(), "alarm", "cleared")]
 
 
@@ -504,7 +504,7 @@ def test_the_plant_of_the_examples_is_silent_killed_and_back(
 
 
 def sent(broker: Broker, seconds: float) -> float:
-    """The twelve carts send for N seconds; when they ended."""
+    """Let the twelve carts send for some seconds; return the time of their end."""
     words = [EXAMPLES / "plant_machines.py", "--port", broker.port, "--seconds", seconds, "--step", 1000]
     subprocess.run([sys.executable, *map(str, words)], check=True, capture_output=True)
     return time.time()

@@ -1,4 +1,4 @@
-"""All kinds of sinks have what a section of PLANT.toml needs, and are light until they are used."""
+"""All kinds of sinks fit a section of PLANT.toml, and load their libraries only on use."""
 
 from __future__ import annotations
 

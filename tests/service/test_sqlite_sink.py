@@ -1,4 +1,4 @@
-"""Alarms in SQLite: each once, all or none, and there after a kill."""
+"""Alarms in SQLite: each alarm once, a batch completely or not at all, and present after a kill."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def written(path: Path, *outcomes: EstimateRows | Notice) -> None:
 
 @contextmanager
 def full_at(size: int) -> Iterator[None]:
-    """No file grows beyond N bytes, as on a full disk."""
+    """Limit the size of files, as a full disk does."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))

@@ -1,4 +1,4 @@
-"""Blocks of many axes as one table: what is found is what the same blocks give one by one, bit by bit."""
+"""Blocks of many axes as one table give the bits of the same blocks one by one."""
 
 from __future__ import annotations
 
@@ -34,8 +34,10 @@ def engine_of(prepared: Prepared, outlet: Collected, axes: Sequence[str] = AXES)
 
 
 def sent(name: str, random: Random) -> list[Block]:
-    """Blocks of an axis: some lost, some twice, some late; a clock that is set, one that has another rate, none at
-    all; now and then a new epoch or another period."""
+    """Return blocks of an axis, of which some are lost, repeated or late.
+
+    The clock is set, has another rate, or is absent. At times a new epoch or another sample period begins.
+    """
     rng = np.random.default_rng(random.randrange(2**32))
     rate, timed = random.choice([1.0, 1.0, 1.02]), random.random() < 0.8
     blocks, epoch, begun, shift, place = list[Block](), 0, 0, 0.0, 0.0
@@ -66,7 +68,7 @@ def table(blocks: Sequence[Block]) -> Table:
 
 
 def deliveries(random: Random) -> list[Delivery]:
-    """Tables of blocks of several axes, also of one that nobody knows; now and then a line, or a block alone."""
+    """Return tables of blocks of several axes and of an unknown axis; at times a line or a single block."""
     left = {name: sent(name, random)[::-1] for name in (*AXES[:5], "nobody")}
     lines = [Line(k * CART_DT, 0.1 * k, k) for k in range(1000)][::-1]
     found = list[Delivery]()

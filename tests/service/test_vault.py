@@ -1,4 +1,4 @@
-"""Checkpoints: two generations, damaged ones set aside, disks that are full, read-only or somebody else's."""
+"""Checkpoints: two generations, damaged files set aside, and disks that are full, read-only or not owned."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Report = list[dict[str, Any]]
 
 
 def as_text(body: bytes) -> str:
-    """A reader that knows what it has written."""
+    """Read a state that this test has written."""
     if not body.startswith(b"state "):
         raise ValueError("it is no state")
     return body.decode()
@@ -57,7 +57,7 @@ def flip(data: bytes, place: int) -> bytes:
     return data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :]
 
 
-#: What may happen to a file, by the kind of damage.
+#: Damages of a file by their kind.
 DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda data: b"",
     "cut short": lambda data: data[:-1],
@@ -151,7 +151,7 @@ def _restored(body: bytes, prepared: Prepared) -> None:
 
 
 class Broken:
-    """A sink that takes nothing until it works."""
+    """A sink that accepts no rows until `works` is true."""
 
     name, works = "alarms", False
 
@@ -160,10 +160,9 @@ class Broken:
             raise OSError(errno.ECONNREFUSED, "nobody is there")
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Takes them."""
+        """Accept the rows."""
 
-    def close(self) -> None:
-        """Nothing is open."""
+    def close(self) -> None: ...
 
 
 def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> None:
@@ -244,7 +243,7 @@ def test_a_large_state_is_not_written_all_the_time(
         if k == 50:
             engine.urgent = True
     keeper.offer(engine, last=True)
-    # what people asked for, at the fourth, is kept at once
+    # a request of a user, as the fourth is, is saved at once
     assert [b - a for a, b in pairwise(made)] == [10.0, 10.0, 10.0, 3.0, 6.0]
 
 

@@ -1,4 +1,4 @@
-"""Alarms by POST: each once, bounded in time, to that address alone, and no secret in what is reported."""
+"""Alarms by POST: each once, within a time limit, only to the given address, and without secrets in notices."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_after_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) 
 def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     host = Host(tmp_path)
-    # the second is tried three times, the third is refused for what it says
+    # the second alarm is tried three times, the third is refused because of its content
     with web_server(200, 500, 503, 200, 422, 422, 200) as server:
         outlet = WebhookSection(url=server.url).outlet("hook", host)
         for number in (1, 2, 3, 4, 5):
@@ -161,7 +161,7 @@ def test_certificates_are_verified(tmp_path: Path) -> None:
     with web_server(context=context) as server:
         with pytest.raises(OSError, match="CERTIFICATE_VERIFY_FAILED"):
             hook(tmp_path, f"https://localhost:{server.port}").put([alarm(1)])
-        with pytest.raises(OSError, match="CERTIFICATE_VERIFY_FAILED"):  # it is that of another name
+        with pytest.raises(OSError, match="CERTIFICATE_VERIFY_FAILED"):  # the certificate has another name
             hook(tmp_path, f"https://127.0.0.1:{server.port}", ca="cert.pem").put([alarm(1)])
         assert server.got == []
         hook(tmp_path, f"https://localhost:{server.port}", ca="cert.pem").put([alarm(1)])

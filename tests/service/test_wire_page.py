@@ -1,4 +1,4 @@
-"""What docs/wire.md shows is understood."""
+"""The examples of docs/wire.md are understood."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a service is made of comes together: its log, the history of configurations, whether it is alive."""
+"""The parts of a service work together: its log, the history of configurations, and its health."""
 
 from __future__ import annotations
 

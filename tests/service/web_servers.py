@@ -1,4 +1,4 @@
-"""Web servers that answer, or do not, for the tests of sinks."""
+"""Web servers that answer, or do not answer, for the tests of sinks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 @dataclass
 class Server:
-    """answers: status of the next answers, the last one for all others; got: headers and body of each request."""
+    """The answers and the requests of a server.
+
+    `answers` are the status codes of the next answers; the last one serves for all later answers. `got` holds headers
+    and
+    body of each request.
+    """
 
     answers: list[int] = field(default_factory=lambda: [200])
     got: list[tuple[str, dict[str, str], bytes]] = field(default_factory=list)
@@ -26,7 +31,7 @@ class Server:
 
 @contextmanager
 def web_server(*answers: int, context: object = None) -> Iterator[Server]:
-    """A server on a port of this machine; context: an SSLContext for https."""
+    """Start a server on a port of this machine; `context` is an SSLContext for https."""
     reported = Server(list(answers) or [200])
 
     class Handler(BaseHTTPRequestHandler):
@@ -62,7 +67,7 @@ def web_server(*answers: int, context: object = None) -> Iterator[Server]:
 
 @contextmanager
 def bad_server(says: bytes, every: float = 0.0) -> Iterator[int]:
-    """The port of a server that takes connections, and says this again and again with a pause, or nothing ever."""
+    """Yield the port of a server that repeats a text with a pause, or never answers."""
     listening = socket.create_server(("127.0.0.1", 0))
     connections: list[socket.socket] = []
     ended = threading.Event()

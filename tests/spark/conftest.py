@@ -1,4 +1,4 @@
-"""One Spark session of two cores for all tests here; they skip where PySpark or Java is missing."""
+"""One Spark session with two cores for all tests of this folder; they skip if PySpark or Java is missing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MISSING = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """PySpark leaves sockets and processes to the collector, and warns of pandas 3, which is not used here."""
+    """Ignore PySpark's warnings: it leaves sockets and processes to the collector, and warns of an unused pandas 3."""
     for item in items:
         if str(item.path).startswith(HERE):
             item.add_marker(pytest.mark.filterwarnings("ignore::ResourceWarning"))
@@ -34,7 +34,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def spark() -> Iterator[SparkSession]:
-    """local[2], within this process."""
+    """Return a session local[2] within this process."""
     if MISSING:
         pytest.skip(MISSING)
     from pmfid.fleet.spark.engine import session_of

@@ -1,6 +1,7 @@
-"""One process of a stream, for those who kill it: `python -m tests.spark.incarnation FOLDER SHARDS`.
+"""One process of a stream, made to be killed: `python -m tests.spark.incarnation FOLDER SHARDS`.
 
-FOLDER: `axis.toml` and its calibration, made by who calls; blocks in `in`, results in `out`, state in `checkpoint`.
+FOLDER has `axis.toml` and its calibration, made by the caller. Blocks are in `in`, results in `out`, and the state in
+`checkpoint`.
 """
 
 from __future__ import annotations
@@ -13,22 +14,22 @@ from pmfid.fleet.shards import StreamPlan
 from pmfid.pipeline.monitored import setup
 from pmfid.stream.groups import Pace, prepare
 
-#: Of simulated normal work: enough for thresholds that nobody relies on.
+#: Hours of simulated normal work: enough for thresholds on which no test relies.
 HOURS = 0.5
 PACE = Pace(window=0.6, every=0.1)
-#: A session that starts quickly.
+#: Settings of a session that starts fast.
 QUICK = {"spark.driver.memory": "700m", "spark.default.parallelism": "2"}
 
 
 def plan_of(folder: Path, shards: int) -> StreamPlan:
-    """The plan of the stream in a folder."""
+    """Return the plan of the stream in a folder."""
     setup.simulated_hours = lambda hours: HOURS
     os.environ["PMFID_CACHE"] = str(folder / "cache")
     return StreamPlan(prepare(folder / "axis.toml"), PACE, shards)
 
 
 def main(folder: Path, shards: int) -> None:
-    """Does all that is there, a file in a batch."""
+    """Process all files, one file in a batch."""
     from pmfid.fleet.spark.stream import Pacing, stream_files
 
     pacing = Pacing(files=1, once=True)

@@ -1,8 +1,8 @@
-"""A stream on Spark killed again and again, the driver with all of its process group, at named points and at random:
+"""Kill a stream on Spark repeatedly, with the process group of its driver, at named points and at random:
 `python -m tests.spark.kill_campaign --kills 20`.
 
-After the last restart the states of all axes must be those of one process without Spark, bit by bit, and the files of
-the results must hold each of its estimates once and no others.
+After the last restart the states of all axes must have the bits of one process without Spark. The result files must
+hold each estimate of that process once, and no others.
 """
 
 from __future__ import annotations
@@ -32,24 +32,25 @@ from tests.spark.streams import Row, essence, estimates_of, in_one_process, part
 
 REPOSITORY = Path(__file__).parents[2]
 SHARDS = 2
-#: Of the driver's own: the rows of a batch are there, a file is half on its way, half of the files, all of them.
+#: Crash points of the driver: the rows of a batch exist, a file is partly moved, half of the files are moved, all are
+#: moved.
 NAMED = ("stream.given", "stream.part", "stream.half", "stream.written")
-#: Seen from outside: Spark has noted what a batch will be, and that it is done.
+#: Crash points seen from outside: Spark has noted the content of a batch, or its completion.
 NOTED = ("offsets", "commits")
-#: A driver takes no longer for the work of a campaign [s].
+#: Longest time of a driver for the work of a campaign [s].
 LONGEST = 900.0
 
 
 @dataclass
 class Campaign:
-    """kills: N; at: what it was that killed."""
+    """The number of kills, and the kills by crash point."""
 
     kills: int = 0
     at: Counter[str] = field(default_factory=Counter)
 
 
 def started(folder: Path, setting: str) -> subprocess.Popen[bytes]:
-    """A driver in a process group of its own."""
+    """Start a driver in its own process group."""
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1", CRASH_AT: setting}
     environment["JAVA_TOOL_OPTIONS"] = "-XX:TieredStopAtLevel=1 -XX:+UseSerialGC"
     command = [sys.executable, "-m", "tests.spark.incarnation", str(folder), str(SHARDS)]
@@ -60,7 +61,10 @@ def started(folder: Path, setting: str) -> subprocess.Popen[bytes]:
 
 
 def kill_once(folder: Path, rng: random.Random) -> str | None:
-    """How a driver was killed; None where all was done before. Raises AssertionError where it ended with an error."""
+    """Kill a driver and return the crash point; return None if the work was already complete.
+
+    Raises AssertionError if the driver ended with an error.
+    """
     point = rng.choice([*NAMED, *NOTED, "random", "random"])
     driver = started(folder, f"{point}:{rng.randint(1, 4)}" if point in NAMED else "")
     watched = point if point in NOTED else "offsets"
@@ -79,28 +83,28 @@ def kill_once(folder: Path, rng: random.Random) -> str | None:
 
 
 def _noted(folder: Path, kind: str) -> int:
-    """N batches, those of which Spark has cleared its notes among them."""
+    """Return the number of batches, including those whose notes Spark has removed."""
     place = folder / "checkpoint" / SPARK / kind
     numbers = [int(path.name) for path in place.iterdir() if path.name.isdigit()] if place.is_dir() else []
     return 1 + max(numbers, default=-1)
 
 
 def _kill(driver: subprocess.Popen[bytes]) -> None:
-    """The whole group: the driver, and Java."""
+    """Kill the whole process group: the driver and Java."""
     with suppress(ProcessLookupError):
         os.killpg(driver.pid, signal.SIGKILL)
     driver.wait()
 
 
 def finish(folder: Path) -> None:
-    """The last driver does what is left."""
+    """Let a last driver complete the work."""
     driver = started(folder, "")
     assert driver.wait(LONGEST) == 0, (folder / "said").read_text()[-2000:]
     _kill(driver)
 
 
 def assert_same(folder: Path, plan: StreamPlan, rows: Sequence[Row]) -> tuple[int, int]:
-    """Whether the stream ended as one process does; how many axes and estimates were compared."""
+    """Check that the stream ended as one process; return the numbers of compared axes and estimates."""
     bodies, table = in_one_process(plan, [rows])
     expected = States.from_bodies(bodies, plan.prepared.digest)
     states = states_of(folder / "checkpoint", plan.prepared.digest, "local[2]")
@@ -125,7 +129,7 @@ def assert_same(folder: Path, plan: StreamPlan, rows: Sequence[Row]) -> tuple[in
 
 
 def campaign(folder: Path, kills: int, axes: int, seconds: float, files: int, seed: int = 0) -> Campaign:
-    """N kills while files come; raises AssertionError where one of them left a trace."""
+    """Kill the stream while files arrive; raise AssertionError if a kill changed the output."""
     write_axis(folder, 60.0)
     plan, rows, done, rng = plan_of(folder, SHARDS), rows_of(axes, seconds), Campaign(), random.Random(seed)
     write_parts(folder / "in", parts_of(rows, files))
@@ -143,7 +147,7 @@ def campaign(folder: Path, kills: int, axes: int, seconds: float, files: int, se
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints how many kills there were of each kind."""
+    """Print the number of kills of each kind."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--axes", type=int, default=12)

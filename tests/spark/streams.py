@@ -1,4 +1,4 @@
-"""Streams of blocks for the tests on Spark, and the same in one process."""
+"""Streams of blocks for the tests on Spark, and the same work in one process."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ from tests.service.orders import made
 
 #: Disorder of the blocks [samples].
 WINDOW = 60
-#: When the first file was written, in s since 1970: before now, as Spark leaves out what is much older than the newest.
+#: Time of the first file, in s since 1970: in the past, because Spark ignores files much older than the newest.
 EARLIER = 1_700_000_000
 
 Row = tuple[str, bytes]
 
 
 def rows_of(axes: int, seconds: float) -> list[Row]:
-    """Name and bytes of the blocks of some axes as they come: some twice, some never, out of order; every third axis
-    becomes heavier."""
+    """Return name and bytes of the blocks of some axes in order of arrival.
+
+    Some blocks come twice, some never, and some out of order. Every third axis becomes heavier.
+    """
     found = list[tuple[float, Row]]()
     for k in range(axes):
         later = [(seconds / 2, replace(CART, mass=1.3 * CART.mass))] if k % 3 == 0 else []
@@ -42,19 +44,19 @@ def rows_of(axes: int, seconds: float) -> list[Row]:
 
 
 def block_of(name: str, seconds: float = 1.0, seed: int = 0) -> Block:
-    """The first block of an axis."""
+    """Return the first block of an axis."""
     u, counts = changing(Schedule(((0.0, CART),)), seed, INCREMENTS, seconds)
     return Block(name, 0, 0, 0.0, CART_DT, u, counts)
 
 
 def parts_of(rows: Sequence[Row], files: int) -> list[list[Row]]:
-    """The rows in N files."""
+    """Split the rows into the given number of files."""
     size = math.ceil(len(rows) / files)
     return [list(rows[k : k + size]) for k in range(0, len(rows), size)]
 
 
 def write_parts(folder: Path, parts: Sequence[Sequence[Row]]) -> None:
-    """A Parquet file for each, a second older than the next: Spark takes them by their age in ms, not by their name."""
+    """Write a Parquet file for each part, a second apart: Spark orders files by their age in ms, not by name."""
     folder.mkdir(parents=True, exist_ok=True)
     for k, part in enumerate(parts):
         frame = pl.DataFrame({"axis": [name for name, _ in part], "block": [data for _, data in part]})
@@ -64,7 +66,7 @@ def write_parts(folder: Path, parts: Sequence[Sequence[Row]]) -> None:
 
 
 def in_one_process(plan: StreamPlan, batches: Sequence[Sequence[Row]]) -> tuple[dict[int, bytes], pl.DataFrame]:
-    """The bodies of all shards after these batches, and all that was given out, without a restart."""
+    """Return the bodies of all shards after these batches, and all output, of one process without a restart."""
     shards, tables = dict[int, StreamShard](), list[pl.DataFrame]()
     for batch in batches:
         by_shard: dict[int, list[bytes]] = {}
@@ -80,14 +82,16 @@ def in_one_process(plan: StreamPlan, batches: Sequence[Sequence[Row]]) -> tuple[
 
 
 def estimates_of(table: pl.DataFrame) -> pl.DataFrame:
-    """Estimates alone, in a fixed order."""
+    """Return only the estimates, in a fixed order."""
     rows = table.filter(pl.col("row") == "estimate") if "row" in table.columns else table
     return rows.drop("row", "told", strict=False).sort("axis", "number")
 
 
 def essence(saved: Saved) -> dict[str, object]:
-    """What of the state of each axis decides what comes, in a fixed order of the axes; not what counts how often
-    something came too late or was reported, which depends on where batches end."""
+    """Return the part of each axis's state that decides its future output, in a fixed order of the axes.
+
+    The counts of late and reported deliveries are left out, because they depend on the ends of batches.
+    """
     order = sorted(range(len(saved.axes)), key=saved.axes.__getitem__)
     names = [name for name in saved.seats.dtype.names or () if name != "seat"]
     gaps = {saved.axes[int(k)]: own.get("gaps") for k, own in saved.rare.items()}

@@ -1,5 +1,4 @@
-"""The history of a fleet on Spark: the bytes of the local engine, from files and from DataFrames, whatever is wrong
-with them."""
+"""The history of a fleet on Spark has the bytes of the local engine, from files and DataFrames with any fault."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ TABLES = ("periods", "axes", "problems")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set with faults: a file that is none, one with another column, a number as text, rows twice."""
+    """Write a data set with faults: an invalid file, another column, a number as text, repeated rows."""
     folder = tmp_path_factory.mktemp("lake")
     own = machines(AXES, 0, SAMPLES * DT, seed=7)
     made = [Machine(one.name, one.number, one.drive, Change("mass", 1.2, 160.0) if k == 2 else None) for k, one in
@@ -56,7 +55,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that there are several."""
+    """Make the budget small, so that several shards result."""
     set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=40_000)
 
 
@@ -66,7 +65,7 @@ def estimated(data: object, config: Path, out: Path | None = None, engine: fleet
 
 @pytest.fixture(scope="module")
 def frames(folder: Path) -> list[pl.DataFrame]:
-    """What of the folder can be one frame."""
+    """Return the files of the folder that fit one frame."""
     names = [*(f"early-{k}.parquet" for k in range(4)), "mixed/late.parquet"]
     return [pl.read_parquet(folder / name) for name in names]
 
@@ -74,7 +73,7 @@ def frames(folder: Path) -> list[pl.DataFrame]:
 def test_files_have_the_bytes_of_the_local_engine(
     spark: SparkSession, folder: Path, config: Path, tmp_path: Path
 ) -> None:
-    """All three tables, the faults in them, and a second call on another engine has nothing to do."""
+    """All three tables and the faults in them are equal, and a second call on another engine has no work to do."""
     plain = estimated(folder, config, tmp_path / "local")
     found = estimated(folder, config, tmp_path / "spark", fleet.Spark())
     assert found.engine == "spark"

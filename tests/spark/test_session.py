@@ -1,4 +1,4 @@
-"""How a Spark session is taken or made, and what is said where there can be none."""
+"""Taking or making a Spark session, and the message if no session is possible."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_settings_that_can_change_are_set(spark: SparkSession) -> None:
 
 
 def test_nobody_else_can_reach_it(spark: SparkSession) -> None:
-    """The driver listens on the loopback alone, and there is no page."""
+    """The driver listens only on the loopback, without a web page."""
     assert spark.sparkContext.uiWebUrl is None
     children = set(subprocess.run(["pgrep", "-P", str(os.getpid())], capture_output=True, text=True).stdout.split())
     listening = [line for child in children for line in _listening(child)]
@@ -66,7 +66,7 @@ def test_nobody_else_can_reach_it(spark: SparkSession) -> None:
 
 
 def _listening(process: str) -> list[str]:
-    """Local addresses, in the kernel's own writing, of the sockets of a process that listen."""
+    """Return the local addresses, in the kernel's notation, of the listening sockets of a process."""
     folder, found = f"/proc/{process}/fd", []
     own = {os.readlink(f"{folder}/{name}") for name in os.listdir(folder)}
     for table in ("tcp", "tcp6"):

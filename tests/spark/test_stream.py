@@ -1,4 +1,4 @@
-"""`pmfid fleet stream` on Spark: the bits of one process, kills, states that come and go, and what is refused."""
+"""`pmfid fleet stream` on Spark: the bits of one process, kills, states that move, and refusals."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SHARDS = 2
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """axis.toml, calibrated."""
+    """Write axis.toml and calibrate the axis."""
     monkeypatch.setattr(setup, "simulated_hours", lambda hours: 0.5)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
     write_axis(tmp_path, 60.0)
@@ -41,21 +41,22 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def called(folder: Path, *words: str) -> tuple[int, str]:
-    """`pmfid fleet` with these words."""
+    """Call `pmfid fleet` with these words."""
     done = CliRunner().invoke(main, ["fleet", *words, "--config", str(folder / "axis.toml")])
     return done.exit_code, done.output
 
 
 def streamed(folder: Path, source: str, number: int, *more: str) -> tuple[int, str]:
-    """`pmfid fleet stream` of a folder, with the number of the stream."""
+    """Call `pmfid fleet stream` on a folder; `number` names the output of the stream."""
     places = ["--out", str(folder / f"out-{number}"), "--checkpoint", str(folder / f"checkpoint-{number}")]
     pace = ["--shards", str(SHARDS), "--window", "0.6", "--every", "0.1", "--once"]
     return called(folder, "stream", str(folder / source), *places, *pace, *more)
 
 
 def test_a_stream_moves_to_another_one_and_gives_what_one_process_gives(spark: SparkSession, folder: Path) -> None:
-    """Parquet files through one stream, its states through the folder of a service into another one, which reads files
-    of blocks that grow."""
+    """Parquet files go through one stream, and its states through a service's folder into a second one, which reads
+    growing files.
+    """
     plan, rows = StreamPlan(prepare(folder / "axis.toml"), PACE, SHARDS), rows_of(4, 16.0)
     before, after = parts_of(rows, 2)
     bodies, table = in_one_process(plan, [before, after])
@@ -92,7 +93,7 @@ def test_a_stream_moves_to_another_one_and_gives_what_one_process_gives(spark: S
 @pytest.mark.skipif(bool(GCC.missing), reason=GCC.missing)
 @pytest.mark.parametrize("target", [GCC if M7.missing else M7], ids=lambda target: target.name)
 def test_a_state_goes_from_firmware_through_spark_and_back(spark: SparkSession, folder: Path, target: Target) -> None:
-    """Firmware, Python, Spark, `Fleet`, firmware: what is estimated is what it is without the moves."""
+    """A state goes through firmware, Python, Spark, `Fleet` and firmware without a change of the estimates."""
     prepared = prepare(folder / "axis.toml")
     motion = block_of("x1", 5 * LEG * CART_DT, seed=5)
     legs = [(motion.u[k : k + LEG], motion.counts[k : k + LEG]) for k in range(0, 5 * LEG, LEG)]
@@ -120,7 +121,7 @@ def test_a_state_goes_from_firmware_through_spark_and_back(spark: SparkSession, 
 
 
 def test_kills_leave_no_trace(spark: SparkSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The campaign of `python -m tests.spark.kill_campaign`, small."""
+    """A small form of the campaign of `python -m tests.spark.kill_campaign`."""
     monkeypatch.setattr(setup, "simulated_hours", setup.simulated_hours)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
     assert campaign(tmp_path, kills=2, axes=3, seconds=10.0, files=8).kills == 2
