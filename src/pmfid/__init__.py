@@ -1,4 +1,4 @@
-"""Physical parameters of a drive from its input and a coarse encoder, while it runs."""
+"""Identification of a drive's physical parameters from its input and a coarse encoder, while the drive runs."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ if TYPE_CHECKING:
     from pmfid.pipeline.validation import Validation as Validation
     from pmfid.status import Status as Status
 
-#: Public name -> module. Modules are imported when a name is used: `pmfid --help` stays quick.
+#: The module that defines each public name. A module is imported when a name is first used, so that `pmfid --help`
+#: starts quickly.
 _PUBLIC = {
     "BCLS": "pmfid.estimators.ls",
     "BCRLS": "pmfid.estimators.recursive",

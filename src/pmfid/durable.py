@@ -1,4 +1,4 @@
-"""Files that are whole or absent: checksums, locks, two generations, crash points."""
+"""Files that are either whole or absent: checksums, locks, two generations, and crash points for tests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from pmfid.errors import UsageError
 
 __all__ = ["CRASH_AT", "arm", "crash_point"]
 
-#: The variable that names a point and the time of passing it that ends the process, as "checkpoint.renamed:3".
+#: Name of the environment variable that sets a crash point. Its value is a point and a count, as
+#: "checkpoint.renamed:3": the process ends at the third pass.
 CRASH_AT = "PMFID_CRASH_AT"
 
 
@@ -25,7 +26,7 @@ _left: dict[str, int] = {}
 
 
 def arm(setting: str) -> None:
-    """Ends the process at a point, as in the variable; "" for none."""
+    """Set the crash point that ends the process. `setting` is a value of the environment variable; "" sets none."""
     _left.clear()
     if setting:
         name, _, times = setting.partition(":")
@@ -33,7 +34,7 @@ def arm(setting: str) -> None:
 
 
 def crash_point(name: str) -> None:
-    """Kills the process if this point is armed and its number of passes is reached."""
+    """Kill the process if this point is set and the number of passes is reached."""
     if _left and name in _left:
         _left[name] -= 1
         if _left[name] == 0:
@@ -44,23 +45,23 @@ arm(os.environ.get(CRASH_AT, ""))
 
 MAGIC, VERSION = b"PMFIDCKP", 1
 _HEAD, _REST = struct.Struct("<8sII"), struct.Struct("<QQ")
-#: Bytes before the body; a multiple of 8, so that float64 in a mapped body is aligned.
+#: Number of bytes before the body. The number is a multiple of 8, so that float64 values in a mapped body are aligned.
 _BEFORE = _HEAD.size + _REST.size
-#: Longest body [bytes]; a header with a longer one is refused.
+#: Longest body [bytes]. A header that states a longer body is refused.
 _LONGEST = 2**36
 
 Event = dict[str, Any]
-#: Contiguous bytes, which are not copied.
+#: Contiguous bytes that are written without a copy.
 Chunk = bytes | memoryview
 
 
 class DamagedError(Exception):
-    """Why a file is not whole."""
+    """Error with the reason why a file is not whole."""
 
 
 @dataclass(frozen=True)
 class WholeFile:
-    """A file that is whole: its sequence number and its body."""
+    """Sequence number and body of a file that is whole."""
 
     path: Path
     sequence: int
@@ -68,7 +69,10 @@ class WholeFile:
 
 
 def put(file: IO[bytes], sequence: int, chunks: Sequence[Chunk], half: str) -> None:
-    """Writes chunks of bytes (n,) where the file stands; half: the point of `crash` in their middle. Raises OSError."""
+    """Write the header and `chunks` at the current position of the file.
+
+    `half` names the crash point in the middle of the chunks. Raises OSError if the file cannot be written.
+    """
     rest = _REST.pack(sequence, sum(map(len, chunks)))
     checksum = zlib.crc32(rest)
     for chunk in chunks:
@@ -84,7 +88,7 @@ def put(file: IO[bytes], sequence: int, chunks: Sequence[Chunk], half: str) -> N
 
 
 def read(path: Path) -> WholeFile:
-    """A file in memory. Raises OSError, and DamagedError for what is not whole."""
+    """Return the content of a file in memory. Raises OSError, or DamagedError if the file is not whole."""
     with open(path, "rb") as file:
         head = file.read(_BEFORE)
         length = _length(head, os.fstat(file.fileno()).st_size)
@@ -92,8 +96,10 @@ def read(path: Path) -> WholeFile:
 
 
 def map_file(path: Path) -> WholeFile:
-    """A file mapped into memory; changes of the body stay in this process. The file must not be cut while it is in
-    use. Raises like `read`."""
+    """Return the content of a file that is mapped into memory. Changes of the body stay in this process.
+
+    Nobody may truncate the file while it is mapped. Raises OSError, or DamagedError if the file is not whole.
+    """
     with open(path, "rb") as file:
         head, size = file.read(_BEFORE), os.fstat(file.fileno()).st_size
         _length(head, size)
@@ -121,7 +127,7 @@ def _check_body(path: Path, head: bytes, body: Chunk) -> WholeFile:
 
 
 def set_aside(path: Path, problem: str, tell: Callable[[Event], None]) -> None:
-    """Renames what cannot be used, so that people can look at it and nothing overwrites it."""
+    """Rename a damaged file, so that people can examine it and no new file overwrites it."""
     place = next(p for k in range(1, 10**6) if not (p := path.with_name(f"{path.name}.damaged-{k}")).exists())
     try:
         path.rename(place)
@@ -132,7 +138,7 @@ def set_aside(path: Path, problem: str, tell: Callable[[Event], None]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """The name of a new file is durable once its folder is."""
+    """Flush a folder to disk. Only then does the name of a new file survive a power failure."""
     if os.name != "posix":
         return
     number = os.open(folder, os.O_RDONLY)
@@ -147,8 +153,11 @@ NAME = "lock"
 
 
 def lock(file: int) -> bool:
-    """Locks a file for this process until the process closes the file or ends; False if another process has the lock.
-    Always True on systems without such locks."""
+    """Lock a file for this process until the process closes the file or ends. Return False if another process has the
+    lock.
+
+    The result is always True on systems without such locks.
+    """
     try:
         import fcntl
     except ImportError:
@@ -161,8 +170,11 @@ def lock(file: int) -> bool:
 
 
 def hold(folder: Path, setting: str, other: str) -> IO[bytes]:
-    """Makes a folder and locks it until the returned file is closed. setting: name of the folder's setting; other: the
-    possible other owner. Raises UsageError if another owner has it, and if it cannot be made, locked or written."""
+    """Make a folder and lock it until the returned file is closed.
+
+    `setting` names the setting of the folder, and `other` the possible other owner, for messages. Raises UsageError if
+    another owner has the folder, or if the folder cannot be made, locked or written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         held: IO[bytes] = open(folder / NAME, "ab")  # noqa: SIM115
@@ -185,15 +197,15 @@ Content = TypeVar("Content")
 
 @dataclass
 class CheckpointFolder:
-    """A folder with two generations of checkpoints; it is made if absent, and has one owner at a time.
+    """Folder with two generations of checkpoints and one owner at a time. The folder is made if it is absent.
 
-    Raises UsageError if another owner has the folder, and if it cannot be made.
+    Raises UsageError if another owner has the folder, or if the folder cannot be made.
     """
 
     folder: Path
     sequence: int = 0
 
-    #: Words of errors: the setting that names the folder, and the possible other owner.
+    #: Words for error messages: the setting that names the folder, and the possible other owner.
     setting: ClassVar[str] = "folder"
     other: ClassVar[str] = "another process"
 
@@ -201,8 +213,11 @@ class CheckpointFolder:
         self._lock: IO[bytes] = hold(self.folder, self.setting, self.other)
 
     def load(self, read: Callable[[bytes], Content], tell: Callable[[Event], None]) -> Content | None:
-        """Result of `read` for the newest whole checkpoint; None if there is none. A checkpoint that is damaged, or
-        that `read` refuses with ValueError, is renamed and reported, and the older one is taken."""
+        """Return the result of `read` for the newest whole checkpoint, or None if no checkpoint is whole.
+
+        A checkpoint that is damaged, or that `read` refuses with ValueError, is renamed and reported. The older
+        checkpoint takes its place.
+        """
         for one in self.whole(tell):
             try:
                 return read(bytes(one.body))
@@ -211,7 +226,7 @@ class CheckpointFolder:
         return None
 
     def whole(self, tell: Callable[[Event], None]) -> list[WholeFile]:
-        """The whole checkpoints, the newest first; damaged ones are renamed and reported."""
+        """Return the whole checkpoints, the newest first. Damaged checkpoints are renamed and reported."""
         found = []
         for path in self._places():
             try:
@@ -227,7 +242,9 @@ class CheckpointFolder:
         return self.folder / "checkpoint-0", self.folder / "checkpoint-1"
 
     def write(self, chunks: Sequence[Chunk]) -> None:
-        """A new checkpoint in place of the older one; it is durable when this returns. Raises OSError."""
+        """Replace the older checkpoint by a new one, which is on disk when this method returns. Raises OSError if
+        it fails.
+        """
         sequence = self.sequence + 1
         part = self.folder / "checkpoint.part"
         try:
@@ -248,5 +265,5 @@ class CheckpointFolder:
         crash_point("checkpoint.durable")
 
     def close(self) -> None:
-        """Another one may have the folder."""
+        """Unlock the folder for other owners."""
         self._lock.close()

@@ -1,4 +1,4 @@
-"""Counts to position, direction and standstill: the encoder's data sheet and what the kernel needs of it."""
+"""Encoder: its data sheet, its constants for the kernel, and the position of each count."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
 
-#: Acceleration times dt^2, in counts, that the direction tracker expects (Kalata's tracking index). At 10 it
-#: follows a piecewise constant acceleration within a sample and still damps the staircase of two counts.
+#: Acceleration times dt^2 [counts] for which the direction tracker is tuned (Kalata's tracking index). With the value
+#: 10, the tracker follows a piecewise constant acceleration within a sample. The same value still damps the staircase
+#: of two counts.
 TRACKING_INDEX = 10.0
 
 
@@ -28,12 +29,12 @@ class Encoder:
     bits : int
         Width of the counter, 1 to 32; the counter wraps at 2**bits.
     standstill_time : float
-        Time without a count after which the axis is taken to be at rest [s], > 0.
+        Time without a count after which the axis counts as being at rest [s], > 0.
     max_speed : float, optional
-        A larger change in one sample is a jump [unit/s]: flagged, not believed.
+        Highest speed [unit/s]. A faster change in one sample is flagged as a jump and left out.
     guard : bool
-        Samples that no motion explains (a counter set to another value, a wrong reading, a spike of the input) are
-        flagged and left out, also without max_speed. False lets every sample in.
+        If True, samples that no motion explains are flagged and left out, even without max_speed. Examples are a counter
+        that was set to another value, a wrong reading, and a spike of the input. False lets every sample in.
 
     Raises
     ------
@@ -66,7 +67,7 @@ class Encoder:
             )
 
     def kernel_config(self, dt: float) -> dict[str, float]:
-        """The encoder's part of the kernel configuration at sample period dt [s]."""
+        """Return the encoder's part of the kernel configuration for the sample period dt [s]."""
         return {
             "velocity_per_count": self.resolution / dt,
             "position_per_count": self.resolution,
@@ -90,9 +91,9 @@ class Encoder:
         return max(1, math.ceil(min(self.max_speed * dt / self.resolution, 2**31 - 1)))
 
     def position(self, counts: ArrayLike, zero: int = 0) -> NDArray[np.float64]:
-        """Position of each count, in the middle of its step; a wrapping counter is unwrapped.
+        """Return the position (n,) of each count, in the middle of its step and in the unit of the resolution.
 
-        counts: (n,) integers; zero: the count at position 0. Returns (n,) in the unit of the resolution.
+        `counts` (n,) are integers; a counter that wraps is unwrapped. `zero` is the count at position 0.
         """
         counts = np.asarray(counts, np.int64)
         half = 2 ** (self.bits - 1)
@@ -125,12 +126,14 @@ def quantize(y: ArrayLike, resolution: float) -> NDArray[np.int64]:
     return np.floor(np.asarray(y, float) / resolution).astype(np.int64)
 
 
-#: Counts in the range of an output that is measured as a number: beyond the resolution of any converter.
+#: Number of counts in the range of an output that is a measured number. The resolution exceeds any converter's.
 FINE = 2**30
 
 
 def fine_counts(y: NDArray[np.float64]) -> tuple[Encoder, NDArray[np.int64]]:
-    """An encoder so fine that it does not matter, and its counts of a finite output y (n,)."""
+    """Return an encoder for a finite output y (n,), and the counts (n,). The encoder is so fine that quantisation
+    has no effect.
+    """
     size = float(np.max(np.abs(y), initial=0.0)) or 1.0
     resolution = size / FINE
     return Encoder(resolution), quantize(y, resolution)
@@ -138,15 +141,16 @@ def fine_counts(y: NDArray[np.float64]) -> tuple[Encoder, NDArray[np.int64]]:
 
 @cache
 def tracker_gains(tracking_index: float) -> dict[str, float]:
-    """Steady gains of a Kalman filter for piecewise constant white acceleration, and of its one-step smoother.
+    """Return the steady gains of a Kalman filter and of its one-step smoother, for piecewise constant white
+    acceleration.
 
-    Position is measured in counts, velocity is in counts per sample (Kalata 1984). The smoother's gains carry an
-    innovation back to the velocity one and two samples earlier (Rauch, Tung and Striebel 1965).
+    The position is in counts, the velocity in counts per sample (Kalata 1984). The smoother's gains carry an innovation
+    back to the velocities one and two samples earlier (Rauch, Tung and Striebel 1965).
     """
     A = np.array([[1.0, 1.0], [0.0, 1.0]])
     B = np.array([0.5, 1.0])
     predicted = np.eye(2)
-    for _ in range(200):  # the Riccati recursion contracts by a constant factor: 200 turns are exact
+    for _ in range(200):  # the Riccati recursion contracts by a constant factor, so the result after 200 steps is exact
         gain = predicted[:, 0] / (predicted[0, 0] + 1.0)
         filtered = predicted - np.outer(gain, predicted[0])
         predicted = A @ filtered @ A.T + tracking_index**2 * np.outer(B, B)

@@ -1,4 +1,4 @@
-"""Errors meant for people: one sentence that names what is wrong, the value and the remedy."""
+"""Errors for users. Each message is one sentence with the cause, the value and the remedy."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = [
     "whole_number",
 ]
 
-#: Exit code of a command that Ctrl-C ended: 128 + SIGINT.
+#: Exit code of a command that the user ends with Ctrl-C (128 + SIGINT).
 INTERRUPTED = 130
 
 
 class PmfidError(Exception):
-    """Base of all errors that pmfid raises on purpose; its text is the whole message for the user.
+    """Base class of all errors that pmfid raises on purpose. The text of the error is the whole message for the user.
 
     Examples
     --------
@@ -32,12 +32,12 @@ class PmfidError(Exception):
     (True, 2)
     """
 
-    #: Of the command that ends with it.
+    #: Exit code of a command that ends with this error.
     exit_code: ClassVar[int] = 2
 
 
 class UsageError(PmfidError):
-    """Bad configuration, or input that cannot be read or used (exit code 2).
+    """Error for an invalid configuration, or for input that cannot be read or used (exit code 2).
 
     Examples
     --------
@@ -51,7 +51,7 @@ class UsageError(PmfidError):
 
 
 class NotIdentifiableError(PmfidError):
-    """The data are in order, but cannot identify the parameters (exit code 3).
+    """Error for valid data that cannot identify the parameters (exit code 3).
 
     Examples
     --------
@@ -64,19 +64,23 @@ class NotIdentifiableError(PmfidError):
 
 
 class UnknownParameterError(UsageError, KeyError):
-    """A result was asked for a parameter that it does not have; a KeyError, as of any mapping."""
+    """Error for a parameter name that a result does not contain. The error is a KeyError too, as for any mapping."""
 
     def __str__(self) -> str:
-        return str(self.args[0])  # KeyError's own method would quote the sentence
+        return str(self.args[0])  # the string method of KeyError would quote the sentence
 
 
 def printable(text: str) -> str:
-    """`text` with its control characters, but for line feeds, as escapes: a name must not steer a terminal."""
+    """Return `text` with escapes in place of control characters except line feeds. A name must not control the
+    terminal.
+    """
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
 
 def place_of(name: str, names: Sequence[str]) -> int:
-    """Place of a parameter among its names. Raises UnknownParameterError listing them."""
+    """Return the index of the parameter `name` in `names`. Raises UnknownParameterError with a list of all names if
+    `name` is unknown.
+    """
     if name not in names:
         listed = ", ".join(names)
         raise UnknownParameterError(f"there is no parameter {name!r}; there are {listed}{did_you_mean(name, names)}")
@@ -84,15 +88,19 @@ def place_of(name: str, names: Sequence[str]) -> int:
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str:
-    """Text `"; did you mean 'x'?"` with the choice closest to `word` (case ignored), or an empty text."""
+    """Return the text `"; did you mean 'x'?"` with the choice closest to `word`. The comparison ignores case. The
+    text is empty if no choice is close.
+    """
     by_folded = {choice.casefold(): choice for choice in choices}
     closest = get_close_matches(word.casefold(), by_folded, n=1, cutoff=0.5)
     return f"; did you mean {by_folded[closest[0]]!r}?" if closest else ""
 
 
 def whole_number(name: str, value: object, low: int | None, remedy: str) -> int:
-    """`value` as an int, also of a float that is whole, such as 2.0. Raises UsageError for anything else, and for what
-    is below `low`."""
+    """Return `value` as an int; a float without a fraction, such as 2.0, is accepted.
+
+    Raises UsageError for any other value, and for a value below `low`.
+    """
     number: int | None = None
     try:
         if isinstance(value, Real) and not isinstance(value, bool):

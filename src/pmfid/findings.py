@@ -1,7 +1,7 @@
-"""Findings: what there is to say of a record or of an estimate. One list, most important first, for every reader.
+"""Findings on a record or an estimate, in one list for all readers, sorted by importance.
 
-Terminal, JSON, HTML and Python show the same list: who wants to say something makes a `Finding`, and nobody else makes
-sentences of it.
+The terminal, JSON, HTML and Python show the same list. Each check returns a `Finding`; no other code writes such
+sentences.
 """
 
 from __future__ import annotations
@@ -15,26 +15,27 @@ __all__ = ["MOVE", "Finding", "advise", "codes", "make_notes", "sort_findings", 
 #: The remedy that helps most often.
 MOVE = "record a motion with reversals and varying speed"
 Severity = Literal["wrong", "doubt", "note"]
-#: Most important first. wrong: no result that follows is valid; doubt: an error may exceed its error bar; note: what
-#: was done, and how.
+#: All severities, the most important first. After "wrong", no further result is valid. With "doubt", an error may
+#: exceed its error bar. A "note" says how the result was computed.
 SEVERITIES: tuple[Severity, ...] = ("wrong", "doubt", "note")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that was found in a record or a result.
+    """One observation on a record or a result: a status word, a sentence and a remedy.
 
     Attributes
     ----------
     code : str
-        Its name in the status, such as "feedback".
+        Name of the finding in the status, such as "feedback".
     sentence : str
-        What is the case, and what comes of it.
+        The observation and its consequence.
     remedy : str
-        What to do, literally; empty if the sentence says so or nothing is to be done.
+        Instruction for the user. Empty if the sentence contains the instruction or if no action is needed.
     severity : str
+        One of `SEVERITIES`.
     detail : str
-        What only the report, JSON and Python add; empty if there is no more to say.
+        Further text that only the report, JSON and Python show; may be empty.
 
     Examples
     --------
@@ -51,22 +52,22 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """Sentence and remedy, on one line."""
+        """Sentence and remedy on one line."""
         return f"{self.sentence}: {self.remedy}" if self.remedy else self.sentence
 
     @property
     def line(self) -> str:
-        """Sentence and remedy, with their severity in front."""
+        """Severity, sentence and remedy on one line."""
         return f"{self.severity}: {self.text}"
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The same for a terminal: a line for the sentence, and one for the remedy."""
+        """Lines for a terminal: one with the severity and the sentence, and one with the remedy if the finding has one."""
         return (f"{self.severity}: {self.sentence}", *([f"  {self.remedy}"] if self.remedy else []))
 
     @property
     def paragraph(self) -> str:
-        """All of it, for a report."""
+        """Severity, sentence, remedy and detail, for a report."""
         return f"{self.line}. {self.detail}" if self.detail else self.line
 
     def to_json(self) -> dict[str, str]:
@@ -74,25 +75,25 @@ class Finding:
 
 
 def advise(findings: Iterable[Finding], usual: str = MOVE) -> str:
-    """What to say after a refusal: the most important finding that is more than a note, else what usually helps."""
+    """Return the advice after a refusal: the text of the most important finding that is no note, or else `usual`."""
     return next((finding.text for finding in sort_findings(findings) if finding.severity != "note"), usual)
 
 
 def make_notes(code: str, sentences: Iterable[str]) -> list[Finding]:
-    """Sentences on what was done, as findings."""
+    """Return one note for each sentence that is not empty."""
     return [Finding(code, sentence, severity="note") for sentence in sentences if sentence]
 
 
 def sort_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """The findings, most important first, each once; of the same weight in the order in which they were found."""
+    """Return the findings without duplicates, the most important first. Findings of equal severity keep their order."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
 def codes(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """Names for the status: of what is more than a note, each once."""
+    """Return the status words of all findings except notes, without duplicates."""
     return tuple(dict.fromkeys(finding.code for finding in findings if finding.severity != "note"))
 
 
 def texts(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """The sentences, with their remedies, each once."""
+    """Return the texts of the findings, without duplicates."""
     return tuple(dict.fromkeys(finding.text for finding in findings))

@@ -1,4 +1,4 @@
-"""Public names of a package that are imported at their first use."""
+"""Import of a package's public names at their first use."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from pmfid.deprecation import warn_renamed
 def make_getattr(
     package: str, public: Mapping[str, str], renamed: Mapping[str, str] | None = None
 ) -> Callable[[str], object]:
-    """The `__getattr__` of a package. public: name -> module below the package that defines it; renamed: old name ->
-    name."""
+    """Return the `__getattr__` function of a package.
+
+    `public` maps each name to the module, below the package, that defines the name. `renamed` maps old names to new
+    ones.
+    """
     new_names = renamed or {}
 
     def load(name: str) -> object:

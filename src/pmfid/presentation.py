@@ -1,6 +1,6 @@
-"""What every result shows of itself: a few lines, a table for notebooks, numbers for programs, a figure.
+"""Presentation of results: a few lines, a table for notebooks, numbers for programs, and a figure.
 
-A class of results says what is in it, by `summary`, `columns` and `to_dict`; the rest is here, once for all of them.
+Each class of results defines `summary`, `columns` and `to_dict`. This module derives all other views from these three.
 """
 
 from __future__ import annotations
@@ -21,18 +21,21 @@ if TYPE_CHECKING:
     import polars as pl
     from matplotlib.figure import Figure
 
-#: Lines of a table, and remarks below it, that a `repr` has; longer remarks are cut.
+#: A `repr` has at most MOST_LINES lines and MOST_REMARKS remarks, each cut to LONGEST characters.
 MOST_LINES, MOST_REMARKS, LONGEST = 8, 3, 300
-#: Of a cell of a table where no notebook has a style: columns must not run into each other.
+#: Style of a table cell where the notebook has none: adjacent columns need a space.
 CELL = ' style="text-align: left; padding: 0.1em 1em 0.1em 0"'
-#: The one look upward, by name and at the call: a result is below the room that draws it.
+#: This is the only import from a higher layer, by name and at the call: results are below the package that draws them.
 _load = make_getattr("pmfid.report", {"figure_of": "plots"})
 
 
 @dataclass(frozen=True)
 class Summary:
-    """title: one line; header, rows: a table of text; lines: the same in words, a line for each row; remarks: status
-    and notes, the most important first."""
+    """Content of a result for people: a title, a table and remarks.
+
+    `title` is one line; `header` and `rows` are a table of text. `lines` holds one sentence for each row of the table.
+    `remarks` are status and notes, the most important first.
+    """
 
     title: str
     header: Sequence[str]
@@ -42,7 +45,7 @@ class Summary:
 
     @property
     def text(self) -> str:
-        """About five lines."""
+        """Text of about five lines."""
         lines = list(self.lines) or [", ".join(filter(None, row)) for row in self.rows]
         more = [f"... and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
         further = len(self.remarks) - MOST_REMARKS
@@ -53,7 +56,7 @@ class Summary:
 
     @property
     def html(self) -> str:
-        """A self-contained table; names from files are plain text in it, whatever they hold."""
+        """HTML of a self-contained table. Names from files appear as plain text, so that no name can contain markup."""
         head = "".join(f"<th{CELL}>{_safe(name)}</th>" for name in self.header)
         body = "".join(f"<tr>{''.join(f'<td{CELL}>{_safe(cell)}</td>' for cell in row)}</tr>" for row in self.rows)
         remarks = "".join(f"<p>{_safe(remark)}</p>" for remark in self.remarks)
@@ -69,19 +72,21 @@ def _safe(text: str) -> str:
 
 
 class Presentable(ABC):
-    """A result for people and programs: `repr`, `_repr_html_` in notebooks, `plot`, `to_dict`, `to_frame`."""
+    """Base class of results with the methods `repr`, `_repr_html_` for notebooks, `plot`, `to_dict` and `to_frame`."""
 
     @abstractmethod
     def summary(self) -> Summary:
-        """What a person sees of it."""
+        """Return the content that a person sees."""
 
     @abstractmethod
     def columns(self) -> Mapping[str, object]:
-        """The columns of `to_frame` by name, all of one length."""
+        """Return the columns of `to_frame` by name, all of one length."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, object]:
-        """Texts, numbers, lists and dicts alone, as JSON has them; what is not finite is None."""
+        """Return the result as text, numbers, lists and dicts, as JSON requires. A number that is not finite
+        becomes None.
+        """
 
     def __repr__(self) -> str:
         return self.summary().text
@@ -90,29 +95,31 @@ class Presentable(ABC):
         return self.summary().html
 
     def to_frame(self) -> pl.DataFrame:
-        """The result as a polars DataFrame."""
+        """Return the result as a polars DataFrame."""
         return frame_of(self.columns())
 
     def plot(self, **options: object) -> Figure:
-        """The report's figure of the result, a matplotlib Figure; options: see `pmfid.report.plots`."""
+        """Return the figure of the result, a matplotlib Figure. `options` are those of `pmfid.report.plots`."""
         return figure_of(self, **options)
 
 
 def frame_of(columns: Mapping[str, object]) -> pl.DataFrame:
-    """Columns by name as a polars DataFrame."""
+    """Return named columns as a polars DataFrame."""
     import polars as pl  # slow to import
 
     return pl.DataFrame(dict(columns))
 
 
 def figure_of(shown: object, **options: object) -> Figure:
-    """The figure of any result."""
+    """Return the report's figure of any result."""
     draw = _load("figure_of")
     return cast("Figure", draw(shown, **options))  # type: ignore[operator]
 
 
 def plain(value: object) -> object:
-    """The same in texts, numbers, lists and dicts alone; what is not finite is None, a complex number a pair."""
+    """Return `value` as text, numbers, lists and dicts. A number that is not finite becomes None, a complex number
+    a pair.
+    """
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -127,13 +134,16 @@ def plain(value: object) -> object:
 
 
 def plain_dict(content: Mapping[str, object]) -> dict[str, object]:
-    """`plain` of what is a dict."""
+    """Return a mapping as a dict of plain values, as `plain` makes them."""
     return {str(key): plain(item) for key, item in content.items()}
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """p parameters: names, units, theta, std (p,). For summaries and frames of what has nothing else."""
+    """Names, units, estimates and standard errors of p parameters, for results without further content.
+
+    `theta` (p,) holds the estimates and `std` (p,) their standard errors.
+    """
 
     names: Sequence[str]
     units: Sequence[str]
@@ -144,7 +154,7 @@ class Parameters:
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """The rows of text, as of `header`."""
+        """Rows of text with the columns of `header`."""
         found = zip(self.names, self.theta, self.std, self.units, strict=True)
         return [(name, f"{value:.6g}", f"{std:.2g}", unit) for name, value, std, unit in found]
 
@@ -163,16 +173,16 @@ class Parameters:
 
     @property
     def content(self) -> dict[str, object]:
-        """The content by name, for `to_dict`."""
+        """Value, standard error and unit of each parameter by name, for `to_dict`."""
         found = zip(self.names, self.theta, self.std, self.units, strict=True)
         return {name: {"value": plain(value), "std": plain(std), "unit": unit} for name, value, std, unit in found}
 
     def summary(self, title: str, remarks: Sequence[str] = ()) -> Summary:
-        """The summary, with a title and warnings."""
+        """Return the summary with a title and remarks."""
         columns = len(self.header) if any(self.units) else len(self.header) - 1
         return Summary(title, self.header[:columns], [row[:columns] for row in self.rows], self.lines, remarks)
 
 
 def remarks_of(status: Sequence[str], notes: Sequence[str] = ()) -> list[str]:
-    """Lines on status names and notes."""
+    """Return one line with the names of the status bits, if any is set, and one line for each note."""
     return [*([f"status: {', '.join(status)}"] if status else []), *(f"note: {note}" for note in notes)]

@@ -1,4 +1,4 @@
-"""Status of an estimate: the kernel's bits, each with its advice."""
+"""Status bits of an estimate, as the kernel defines them, each with an advice for the user."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _BITS = constants_of(None)
 
 
 class Status(IntFlag):
-    """Bits of `Estimate.status` and `Track.status`; their values are defined in csrc/pmf.h.
+    """Bits of `Estimate.status` and `Track.status`. The file csrc/pmf.h defines the value of each bit.
 
     Examples
     --------
@@ -33,18 +33,19 @@ class Status(IntFlag):
     UNMODELLED = _BITS["PMF_UNMODELLED"]
     FEEDBACK = _BITS["PMF_FEEDBACK"]
     DEAD_TIME = _BITS["PMF_DEAD_TIME"]
-    #: Several bits: theta says nothing, or nothing new; the sample was left out; the covariance is too small.
+    #: Each of the following three names covers several bits. With NOT_AN_ESTIMATE, theta is no estimate or no new one.
+    #: With SAMPLE_REJECTED, the sample was left out. With DISTORTED, the covariance is too small.
     NOT_AN_ESTIMATE = _BITS["PMF_NOT_AN_ESTIMATE"]
     SAMPLE_REJECTED = _BITS["PMF_SAMPLE_REJECTED"]
     DISTORTED = _BITS["PMF_DISTORTED"]
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """One sentence for each bit that is set."""
+        """One sentence of advice for each bit that is set."""
         return tuple(ADVICE[bit] for bit in Status if bit in self)
 
 
-#: Bit -> what is the case, what to do, and what only `pmfid explain` and the report add.
+#: The texts of each bit: the state, the remedy, and a detail that only `pmfid explain` and the report show.
 _WORDS: dict[Status, tuple[str, str, str]] = {
     Status.STARTING: ("no estimate yet", "wait for motion that excites every parameter", ""),
     Status.SETTLING: ("the filters still remember their start or a gap: samples are not used yet", "", ""),
@@ -104,10 +105,10 @@ ADVICE = {
 
 
 def status_findings(status: int) -> list[Finding]:
-    """What the bits that are set say."""
+    """Return the finding of each bit that is set."""
     return [_FINDINGS[bit] for bit in Status if bit & status]
 
 
 def status_names(status: int) -> list[str]:
-    """The names of the bits that are set."""
+    """Return the name of each bit that is set."""
     return [bit.name.lower() for bit in Status(status) if bit.name]

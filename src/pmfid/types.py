@@ -1,4 +1,4 @@
-"""Arrays by what they hold; the shape is in the docstring of what takes or gives them."""
+"""Types of arrays, named after their content. The shape stands in the docstring of each function that uses an array."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-#: True or False of each element.
+#: Truth values, one for each element.
 Flags = NDArray[np.bool_]
-#: What an encoder's counter shows, unwrapped.
+#: Counts of an encoder after unwrapping.
 Counts = NDArray[np.int64]
-#: Places in another array.
+#: Indices into another array.
 Places = NDArray[np.int64]
-#: Real numbers in their own type.
+#: Real numbers of any integer or floating-point type.
 Numbers = NDArray[np.integer | np.floating]
