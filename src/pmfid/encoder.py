@@ -33,8 +33,8 @@ class Encoder:
     max_speed : float, optional
         Highest speed [unit/s]. A faster change in one sample is flagged as a jump and left out.
     guard : bool
-        If True, samples that no motion explains are flagged and left out, even without max_speed. Examples are a counter
-        that was set to another value, a wrong reading, and a spike of the input. False lets every sample in.
+        If True, samples that no motion explains are flagged and left out, even without max_speed. Examples are a
+        counter that was set to another value, a wrong reading, and a spike of the input. False lets every sample in.
 
     Raises
     ------

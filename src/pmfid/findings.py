@@ -62,7 +62,7 @@ class Finding:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Lines for a terminal: one with the severity and the sentence, and one with the remedy if the finding has one."""
+        """Lines for a terminal: the severity and the sentence, then the remedy if the finding has one."""
         return (f"{self.severity}: {self.sentence}", *([f"  {self.remedy}"] if self.remedy else []))
 
     @property

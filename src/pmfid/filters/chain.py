@@ -1,9 +1,11 @@
 """Poisson moment functionals as a chain of first-order stages, in two discretisations.
 
-F(s) = (cutoff / (s + cutoff))^order (paper eq. 9 with unit gain). All signals of the kernel hold for one sampling
-interval: the mean velocity, the input, the direction, so one chain serves them all. With
-s_T = (2/dt) (z-1)/(z+1), the mean velocity is s_T y times (z+1)/2, and the matched filter sends input-like signals of
-a plant of relative degree 2 through 2/(z+1): in both cases the first stage has its zero cancelled in the coefficients.
+The chain is F(s) = (cutoff / (s + cutoff))^order (paper eq. 9 with unit gain). All signals of the kernel (mean
+velocity, input and direction) are constant during a sampling interval, so that one chain serves all of them.
+
+With s_T = (2/dt) (z-1)/(z+1), the mean velocity is s_T y times (z+1)/2. For a plant of relative degree 2, the matched
+filter applies the factor 2/(z+1) to signals like the input. In both cases the coefficients of the first stage cancel
+its zero.
 """
 
 from __future__ import annotations
@@ -16,24 +18,27 @@ from scipy.linalg import expm
 
 from pmfid.filters.network import Network, Taps
 
-#: (network, source, cutoff, order, dt) -> taps of F(s) applied to the held signal at `source`
+#: Function of (network, source, cutoff, order, dt) that returns the taps of F(s) for the held signal at `source`.
 HoldFilter = Callable[[Network, int, float, int, float], Taps]
 
 
 def lag(network: Network, source: int, pole: float, dt: float) -> int:
-    """pole / (s + pole) by the trapezoidal rule."""
+    """Append the lag pole / (s + pole) by the trapezoidal rule, and return its node."""
     gain = pole / (2 / dt + pole)
     return network.stage(source, _tustin_pole(pole, dt), gain, gain, ("lasting", pole * dt / 2))
 
 
 def differentiating_lag(network: Network, source: int, pole: float, dt: float) -> int:
-    """s pole / (s + pole) by the trapezoidal rule."""
+    """Append the differentiating lag s pole / (s + pole) by the trapezoidal rule, and return its node."""
     gain = (2 / dt) * pole / (2 / dt + pole)
     return network.stage(source, _tustin_pole(pole, dt), gain, -gain, ("changing", pole * dt / 2))
 
 
 def chain(network: Network, source: int, cutoff: float, order: int, dt: float, cancelled: int = 1) -> list[int]:
-    """Nodes of the stages 1 to `order`; the first, or as many as `cancelled`, with their zero at z = -1 cancelled."""
+    """Append the stages 1 to `order` of the chain and return their nodes.
+
+    In the first `cancelled` stages, the zero at z = -1 is cancelled.
+    """
     nodes: list[int] = []
     for i in range(order):
         before = nodes[-1] if nodes else source
@@ -48,11 +53,12 @@ def chain(network: Network, source: int, cutoff: float, order: int, dt: float, c
 def matched_input(
     network: Network, source: int, cutoff: float, order: int, dt: float, relative_degree: int
 ) -> list[int]:
-    """Nodes of the chain after M_r(z) = 2^r B_r(z) / (r! (z+1)^r), for a held input of a plant of relative degree r.
+    """Append M_r(z) = 2^r B_r(z) / (r! (z+1)^r) and the chain, and return the chain's nodes. The source is a held
+    input of a plant of relative degree r.
 
-    B_r are the Euler-Frobenius polynomials (Astrom, Hagander and Sternby 1984): the zeros that sampling gives an
-    integrator chain after a hold, in place of (z+1)^r of the trapezoidal rule. Zeros at -1 cancel in the coefficients;
-    what is left of B_r are first-order stages. order >= derivative + relative_degree.
+    B_r are the Euler-Frobenius polynomials (Astrom, Hagander and Sternby 1984). Their roots are the zeros of a sampled
+    chain of integrators after a hold. The trapezoidal rule has (z+1)^r instead. Zeros at -1 cancel in the coefficients,
+    and the other factors of B_r are first-order stages. The order must be at least derivative + relative_degree.
     """
     roots = [root for root in np.roots(euler_frobenius(relative_degree)).real if abs(root + 1) > 1e-6]
     for root in sorted(roots):
@@ -61,23 +67,30 @@ def matched_input(
 
 
 def euler_frobenius(degree: int) -> list[int]:
-    """Coefficients (degree,) of B_r(z), palindromic: sum_l (-1)^l C(r+1, l) (k+1-l)^r for the k-th."""
+    """Return the coefficients (degree,) of B_r(z), which are palindromic. The k-th is sum_l (-1)^l C(r+1, l) (k+1-l)^r."""
     return [sum((-1) ** i * comb(degree + 1, i) * (k + 1 - i) ** degree for i in range(k + 1)) for k in range(degree)]
 
 
 def derivative(nodes: list[int], j: int, cutoff: float) -> Taps:
-    """s^j F w from the stages of w: s^j L^N = cutoff^j sum_k C(j, k) (-1)^k L^(N-j+k), L one stage; j < order."""
+    """Return the taps of s^j F w on the stages of w, for j < order.
+
+    With L for one stage, s^j L^N = cutoff^j sum_k C(j, k) (-1)^k L^(N-j+k).
+    """
     first = len(nodes) - 1 - j
     return [(nodes[first + k], cutoff**j * comb(j, k) * (-1.0) ** k) for k in range(j + 1)]
 
 
 def hold_matched(network: Network, source: int, cutoff: float, order: int, dt: float) -> Taps:
-    """Tustin with the factor 2/(z+1): no bias of first order for a plant of relative degree 1 or 2."""
+    """Return the taps of Tustin's rule with the factor 2/(z+1). A plant of relative degree 1 or 2 then has no bias
+    of first order.
+    """
     return [(chain(network, source, cutoff, order, dt)[-1], 1.0)]
 
 
 def hold_exact(network: Network, source: int, cutoff: float, order: int, dt: float, j: int = 0) -> Taps:
-    """s^j F(s) after a zero-order hold, exactly (paper section III-A): a sum of stages of pole exp(-cutoff dt)."""
+    """Return the taps of s^j F(s) after a zero-order hold, without approximation (paper section III-A). The stages
+    have the pole exp(-cutoff dt).
+    """
     pole = float(np.exp(-cutoff * dt))
     nodes = [network.stage(source, pole, 1 - pole, 0.0)]
     for _ in range(order - 1):
@@ -90,20 +103,23 @@ HOLD_FILTERS: dict[str, HoldFilter] = {"matched": hold_matched, "paper": hold_ex
 
 
 def mean_velocity_correction(network: Network, node: int) -> Taps:
-    """Two samples' look-ahead in one of delay: (-w[k] + 14 w[k-1] - w[k-2]) / 12.
+    """Return the taps of (-w[k] + 14 w[k-1] - w[k-2]) / 12: a correction of two samples' look-ahead with a delay of
+    one sample.
 
-    For a plant of relative degree r the term of order n-1 is matched by M_(r+1)/M_r = 1 - dt^2 s_T^2 / 12 (r = 2), the
-    next member of the expansion that gives M_r itself; it removes a viscous error of d dt^2 <a^2> / (12 <v^2>).
+    For a plant of relative degree r, the factor M_(r+1)/M_r = 1 - dt^2 s_T^2 / 12 (r = 2) matches the term of order
+    n-1. The factor is the next member of the expansion that leads to M_r. It removes a viscous error of d dt^2 <a^2> /
+    (12 <v^2>).
     """
     one = network.delay(node)
     return [(node, -1 / 12), (one, 14 / 12), (network.delay(one), -1 / 12)]
 
 
 def correct_uneven_velocity(network: Network, nodes: list[int], cutoff: float, dt: float) -> Taps:
-    """The same, one sample late, where the step h varies; nodes: of the chain.
+    """Return the taps of the mean velocity correction for a step h that varies, with a delay of one sample. `nodes`
+    are those of the chain.
 
-    The term of each interval is h^2 times the derivative of its acceleration. Far below 1/h the filters see the mean of
-    h^2 over time. The derivative is a lag of one period late, as the rest is.
+    The correction in each interval is h^2 times the derivative of the acceleration. Far below the frequency 1/h, the
+    filters see the mean of h^2 over time. The derivative has the lag of one period, as the other terms have.
     """
     taps = [(network.delay(nodes[-1]), 1.0)]
     for node, weight in derivative(nodes, 1, cutoff):
@@ -112,14 +128,16 @@ def correct_uneven_velocity(network: Network, nodes: list[int], cutoff: float, d
 
 
 def correct_turns(network: Network, turns: int, cutoff: float, order: int, dt: float) -> Taps:
-    """What reversals inside an interval add to its direction: friction jumps there, and the acceleration with it, which
-    the mean velocity shows as it shows a jerk."""
+    """Return the taps by which reversals inside an interval change the direction signal.
+
+    Friction and acceleration jump at a reversal. The mean velocity shows this jump in the same way as a jerk.
+    """
     nodes = chain(network, turns, cutoff, order, dt)
     return [(node, -weight * dt / 12) for node, weight in derivative(nodes, 1, cutoff)]
 
 
 def _mean_jerk(network: Network, source: int, dt: float) -> int:
-    """Derivative of an acceleration, times the mean square of the step over the square of the period."""
+    """Return the node of an acceleration's derivative, times the mean square of the step over the squared period."""
     pole = 1 / dt
     gain = (2 / dt) * pole / (2 / dt + pole)
     return network.stage(source, _tustin_pole(pole, dt), gain, -gain, ("bending", pole * dt / 2))
@@ -130,7 +148,9 @@ def _tustin_pole(pole: float, dt: float) -> float:
 
 
 def _stage_responses(pole: float, order: int) -> np.ndarray:
-    """Impulse responses of the stages of `hold_exact`, (order, order) for `order` stages and samples."""
+    """Return the impulse responses of the stages of `hold_exact` (order, order): one row for each stage, one column
+    for each sample.
+    """
     responses = np.zeros((order, order))
     responses[0] = (1 - pole) * pole ** np.arange(order)
     for i in range(1, order):
@@ -140,7 +160,9 @@ def _stage_responses(pole: float, order: int) -> np.ndarray:
 
 
 def _hold_response(cutoff: float, order: int, dt: float, j: int) -> np.ndarray:
-    """First `order` samples of the response of s^j F(s) to an input held for one interval; matrix exponential."""
+    """Return the first `order` samples of the response of s^j F(s) to an input held for one interval, by a matrix
+    exponential.
+    """
     A = cutoff * (np.diag(np.ones(order - 1), -1) - np.eye(order))
     B = np.zeros(order)
     B[0] = cutoff

@@ -1,4 +1,4 @@
-"""From an equation to the stages and columns that the kernel runs."""
+"""Columns of an equation as stages and taps of the network that the kernel runs."""
 
 from __future__ import annotations
 
@@ -45,23 +45,28 @@ from pmfid.filters.network import (
 )
 from pmfid.models.equation import Equation, Term
 
-#: The nodes of signals that hold for a sampling interval, in the block from the counts.
+#: Nodes of the signals that are constant during a sampling interval, in the block from the counts.
 HELD = {"input": INPUT, "direction": DIRECTION, "moving": MOVING, "forward": FORWARD, "backward": BACKWARD}
-#: The part that each has in a reversal.
+#: Weight of a reversal in each signal.
 TURNS = {"direction": 1.0, "forward": 0.5, "backward": 0.5}
-#: ... and of the velocity in one direction.
+#: Nodes of the velocity in one direction, in the block from the counts.
 SPLIT = {"forward_output": FORWARD_VELOCITY, "backward_output": BACKWARD_VELOCITY}
-#: The measured velocity, split by the direction of the auxiliary model.
+#: Nodes of the measured velocity, split by the direction of the auxiliary model.
 SPLIT_BY_MODEL = {"forward_output": SPLIT_FORWARD, "backward_output": SPLIT_BACKWARD}
-#: The position while it moves, by the counts, by the counts while the auxiliary model moves, and of the model.
+#: Nodes of the position times a moving fraction. "measured" takes both from the counts. "modelled" takes the moving
+#: fraction from the auxiliary model. "simulated" takes both from the auxiliary model.
 POSITIONS = {"measured": POSITION, "modelled": SPLIT_POSITION, "simulated": MODEL_POSITION}
 
 
 @dataclass(frozen=True)
 class FilterSpec:
-    """cutoff: pole of the chain [rad/s], > 0 (paper eq. 9); order: stages, >= the equation's order;
-    dt: sample period [s]; discretization: a key of `HOLD_FILTERS`; prefilter_zeros: zeros of f(s) [rad/s], < 0,
-    one for each noisy column (paper eq. 19), or empty; uneven: the step varies, and dt is its mean."""
+    """Settings of the filters.
+
+    `cutoff` is the pole of the chain [rad/s], > 0 (paper eq. 9), and `order` the number of its stages, at least the
+    order of the equation. `dt` is the sample period [s]; if `uneven` is True, the step varies and `dt` is its mean.
+    `discretization` is a key of `HOLD_FILTERS`. `prefilter_zeros` are the zeros of f(s) [rad/s], < 0, one for each
+    noisy column (paper eq. 19), or empty.
+    """
 
     cutoff: float
     order: int
@@ -72,15 +77,16 @@ class FilterSpec:
 
 
 class ColumnBuilder:
-    """Builds the columns of an equation into a network.
+    """Builder that adds the columns of an equation to a network.
 
-    measured: output and direction from the counts; modelled: the direction from the auxiliary model; simulated: the
-    output from it as well. A regressor with a modelled direction has the same one simulated for its instrument.
+    The source of a column is "measured", "modelled" or "simulated". A measured column takes output and direction from
+    the counts. A modelled column takes the direction from the auxiliary model, and a simulated column the output as
+    well. The instrument of a modelled regressor is the same column as a simulated one.
     """
 
     def __init__(self, equation: Equation, spec: FilterSpec, network: Network | None = None) -> None:
         self.equation, self.spec = equation, spec
-        #: with an auxiliary model the kernel corrects all errors of the discretisation at once
+        #: with an auxiliary model, the kernel corrects all errors of the discretisation at once
         self.modelled = network is not None
         self.network = Network() if network is None else network
 
@@ -97,17 +103,18 @@ class ColumnBuilder:
         return taps
 
     def instruments(self) -> list[Taps]:
-        """Regressors, with the filtered input after 1/f(s) in place of the noisy ones."""
+        """Return the regressors, with the filtered input after 1/f(s) in place of the noisy ones."""
         columns = self.regressors()
         for column, power in zip(self.equation.noisy, self.equation.instrument_powers, strict=True):
             columns[column] = self.prefilter_input(power)
         return columns
 
     def prefilter_input(self, j: int) -> Taps:
-        """s^j / f(s) of the filtered input and what else is known; j differentiating lags and n - j lags, in series.
+        """Return the taps of s^j / f(s) for the filtered input and the other known terms.
 
-        f(s) = prod (1 - s / zero): the lag's pole in the trapezoidal rule is the zero's Tustin image, so that its pole
-        in z is exp(zero dt) (paper eq. 36), and the relation between the columns is exact in discrete time.
+        The filter is a series of j differentiating lags and n - j lags. With f(s) = prod (1 - s / zero), the lag's pole
+        in the trapezoidal rule is the Tustin image of the zero. Its pole in z is therefore exp(zero dt) (paper eq. 36),
+        and the relation between the columns is exact in discrete time.
         """
         taps = self._sum(self.equation.driving, "measured")
         poles = [tustin_image(-zero, self.spec.dt) for zero in self.spec.prefilter_zeros]
@@ -117,11 +124,11 @@ class ColumnBuilder:
         return taps
 
     def coefficient(self, term: Term, source: str) -> Taps:
-        """The term's filtered derivative times its coefficient."""
+        """Return the taps of the term's filtered derivative times its coefficient."""
         return scale_taps(self.term(term, source), term.coefficient)
 
     def term(self, term: Term, source: str) -> Taps:
-        """The filtered derivative that the term stands for, one sample late."""
+        """Return the taps of the term's filtered derivative, with a delay of one sample."""
         if term.facts.of_process:
             return self.process(term)
         if term.shape is not None:
@@ -141,14 +148,14 @@ class ColumnBuilder:
         return self.velocity(term.derivative - 1, simulated=source == "simulated")
 
     def _turns(self, term: Term, source: str) -> Taps:
-        """What reversals inside an uneven interval add to its direction."""
+        """Return the taps by which reversals inside an uneven interval change the term's direction."""
         spec, part = self.spec, TURNS.get(term.signal)
         if part is None or source != "measured" or self.modelled or not spec.uneven or spec.discretization != "matched":
             return []
         return scale_taps(correct_turns(self.network, TURN, spec.cutoff, spec.order, spec.dt), part)
 
     def process(self, term: Term) -> Taps:
-        """The same for a linear process: no moving fractions."""
+        """Return the taps of the filtered derivative of a process's term, without moving fractions."""
         if term.signal == "process_input":
             return self.process_input(term.derivative)
         if term.signal == "constant":
@@ -158,12 +165,13 @@ class ColumnBuilder:
         return self.process_output(term.derivative)
 
     def process_output(self, i: int) -> Taps:
-        """i-th derivative of the filtered output, less c = (n - i) / 12 times its second difference.
+        """Return the taps of the i-th derivative of the filtered output, minus c = (n - i) / 12 times its second
+        difference.
 
-        The trapezoidal s_T is s (1 - dt^2 s^2 / 12) to second order, and M_k / M_(k-1) is 1 - dt^2 s_T^2 / 12 for
-        k > 2: relative to y^(n) every lower derivative has one such factor more, as `mean_velocity_correction` has for
-        a drive. With M_(n-j) on u^(j) the error is then one of fourth order in dt, for a relative degree of 2 or more;
-        of 1 there is no such factor, for M_2 = M_1.
+        To second order, the trapezoidal s_T is s (1 - dt^2 s^2 / 12), and M_k / M_(k-1) is 1 - dt^2 s_T^2 / 12 for k >
+        2. Relative to y^(n), every lower derivative has one more such factor, like `mean_velocity_correction` for a
+        drive. With M_(n-j) on u^(j), the error is of fourth order in dt for a relative degree of 2 or more. A relative
+        degree of 1 has no such factor, because M_2 = M_1.
         """
         equation, delay = self.equation, self.network.delay
         c = (equation.order - i) / 12 if self._corrected else 0.0
@@ -184,14 +192,14 @@ class ColumnBuilder:
         return self.spec.discretization == "matched" and self.equation.relative_degree > 1
 
     def input_node(self) -> int:
-        """The held input of a process after its dead time."""
+        """Return the node of a process's held input after the dead time."""
         node = LATE_INPUT
         for _ in range(self.equation.delay):
             node = self.network.delay(node)
         return node
 
     def process_input(self, j: int) -> Taps:
-        """j-th derivative of the filtered input, delayed."""
+        """Return the taps of the j-th derivative of the filtered and delayed input."""
         spec, source = self.spec, self.input_node()
         r = self.equation.order - j if self._corrected else self.equation.relative_degree
         if spec.discretization == "matched":
@@ -204,12 +212,12 @@ class ColumnBuilder:
         return derivative(chain(self.network, source, spec.cutoff, spec.order, spec.dt), j, spec.cutoff)
 
     def velocity(self, j: int, *, simulated: bool) -> Taps:
-        """j-th derivative of the filtered velocity, of the counts or of the auxiliary model."""
+        """Return the taps of the j-th derivative of the filtered velocity, from the counts or from the auxiliary model."""
         spec = self.spec
         source = VELOCITY + (AUXILIARY if simulated else 0)
         nodes = chain(self.network, source, spec.cutoff, spec.order, spec.dt)
         taps = derivative(nodes, j, spec.cutoff)
-        if simulated:  # late already
+        if simulated:  # the simulated velocity already has the delay
             return taps
         if j == self.equation.order - 2 and spec.discretization == "matched" and not self.modelled:
             if spec.uneven:
@@ -218,11 +226,11 @@ class ColumnBuilder:
         return [(self.network.delay(node), weight) for node, weight in taps]
 
     def model_acceleration(self) -> Taps:
-        """The filtered mean acceleration of the auxiliary model, exactly."""
+        """Return the taps of the auxiliary model's filtered mean acceleration, without approximation."""
         return self._hold(ACCELERATION)
 
     def _rate(self, source: int) -> Taps:
-        """The filtered derivative of a held signal."""
+        """Return the taps of the filtered derivative of a held signal."""
         spec = self.spec
         if spec.discretization == "matched":
             return self._derivative(source, 1)
@@ -234,5 +242,5 @@ class ColumnBuilder:
 
 
 def tustin_image(pole: float, dt: float) -> float:
-    """(2/dt) tanh(pole dt / 2): the pole whose trapezoidal discretisation is exp(-pole dt) (paper eq. 35, 36)."""
+    """Return (2/dt) tanh(pole dt / 2), the pole whose trapezoidal discretisation is exp(-pole dt) (paper eq. 35, 36)."""
     return (2 / dt) * tanh(pole * dt / 2)

@@ -1,1 +1,1 @@
-"""Equations: what is known of the plant before the first sample."""
+"""Models of the plant: everything that is known before the first sample."""

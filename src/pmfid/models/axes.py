@@ -1,4 +1,4 @@
-"""Linear and rotary axes: the same equations, in other units and with another name for what is accelerated."""
+"""Linear and rotary axes, which have the same equations with different units and names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final, Literal
 AxisKind = Literal["linear", "rotary"]
 AXES: Final = ("linear", "rotary")
 INERTIA: Final = "kg m2"
-#: Unit on a linear axis -> on a rotary one.
+#: The unit on a rotary axis for each unit on a linear axis.
 _ROTARY = {
     "kg": INERTIA,
     "N": "N m",
@@ -36,10 +36,10 @@ LINEAR, ROTARY = Units("m", "m/s", "N", "kg", "mass"), Units("rad", "rad/s", "N 
 
 
 def rotary(unit: str) -> str:
-    """What a unit of a linear axis is on a rotary one."""
+    """Return the unit on a rotary axis that corresponds to a unit on a linear axis."""
     return _ROTARY.get(unit, unit)
 
 
 def units_by(inertia: str) -> Units:
-    """The units of an axis, by the unit of its mass or inertia."""
+    """Return the units of an axis, given the unit of its mass or inertia."""
     return ROTARY if inertia == INERTIA else LINEAR

@@ -1,4 +1,4 @@
-"""Models: the drive with viscous and Coulomb friction, and an equation of the user's own."""
+"""Models of a machine: a drive with viscous and Coulomb friction, and an equation with a user's own terms."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Late = float | Literal["estimate"]
 
 
 class Model(Protocol):
-    """What an estimator needs to know of a plant."""
+    """Properties and methods of a plant's model that an estimator uses."""
 
     kind: ClassVar[str]
 
@@ -32,40 +32,42 @@ class Model(Protocol):
 
     @property
     def symmetric(self) -> Model:
-        """The model with equal friction in both directions of motion, for the start of an identification."""
+        """Model with equal friction in both directions of motion, for the start of an identification."""
         ...
 
     @property
     def simple(self) -> Model:
-        """The same, and without a dead time or lag that is to be found: what methods that simulate no motion can
-        identify."""
+        """Model for methods that simulate no motion: equal friction in both directions, and no unknown dead time or
+        lag.
+        """
         ...
 
     def replace_dead_time(self, seconds: Late) -> Model:
-        """The same with another dead time of the input [s]."""
+        """Return a copy with another dead time of the input [s]."""
         ...
 
     def replace_lag(self, seconds: Late) -> Model:
-        """The same with another lag of the input [s]."""
+        """Return a copy with another lag of the input [s]."""
         ...
 
 
 @dataclass(frozen=True)
 class EquationModel:
-    """A model from a user's own terms: any `Equation`.
+    """A model from a user's own terms, which can be any `Equation`.
 
     Parameters
     ----------
     equation : Equation
+        Terms of the model.
 
     Notes
     -----
-    The methods that simulate (iv, riv, output-error, interval) need one unknown second derivative of the output and no
-    known term but the input; the others take every equation.
+    The methods that simulate (iv, riv, output-error, interval) need an unknown second derivative of the output. The
+    input must be the only known term for these methods. All other methods accept every equation.
 
     Examples
     --------
-    m x'' + d x' = u:
+    The equation of the example is m x'' + d x' = u:
 
     >>> from pmfid import Equation, EquationModel, Term
     >>> unknown = (Term("output", 2, "mass", "kg"), Term("output", 1, "damping", "N s/m"))
@@ -98,56 +100,62 @@ class EquationModel:
 
 @dataclass(frozen=True)
 class Drive:
-    """m x'' + d x' + F_c sign(x') [+ k x] [+ offset] = input_gain u  (paper eq. 37 and 42, F_c as a force).
+    """Model of a drive: m x'' + d x' + F_c sign(x') [+ k x] [+ offset] = input_gain u  (paper eq. 37 and 42, F_c as a
+    force).
 
     Parameters
     ----------
     input_gain : float or "estimate"
-        Force per unit of input [N/V, or 1 where u is a force], finite, not 0. "estimate" is for `pmfid.identify` with a
-        force that is known, given = {"mass": 1.25}.
+        Force per unit of input [N/V, or 1 if u is a force], finite, not 0. "estimate" makes the gain an unknown.
+        `pmfid.identify` then needs a known force, as given = {"mass": 1.25}.
     offset : bool
-        Estimate a constant force as well [N], as gravity or a biased current measurement give it.
+        If True, a constant force is estimated as well [N]. Gravity or a biased current measurement cause such a force.
     friction : {"symmetric", "directional"}
-        With "directional", viscous and Coulomb friction differ between forward and backward. That excludes an offset,
-        which the two Coulomb frictions already contain.
+        With "directional", viscous and Coulomb friction differ between forward and backward. Directional friction
+        excludes an offset, because the two Coulomb frictions already contain the offset.
     spring : bool
-        The load hangs on a spring [N/m]. x counts from the first sample; the spring's force there is the offset, an
-        unknown as well.
+        If True, the load hangs on a spring [N/m], and an offset is unknown too. The position x counts from the first
+        sample, so that the spring's force at the first sample is part of the offset.
     dead_time : float or "estimate"
-        Time by which u acts late, or the counts are [s], any part of a sample. "estimate": a parameter, up to 20
+        Delay of u, or of the counts, as any part of a sample [s]. "estimate" makes the dead time a parameter, up to 20
         samples, for the methods that simulate (iv, riv, output-error, interval).
     stribeck : float or "estimate", optional
-        Friction at rest beyond Coulomb's falls with exp(-(v / stribeck)^2), stribeck > 0 [m/s]. "estimate" finds that
-        speed as well, with output-error and interval.
+        Stribeck speed [m/s], > 0. The friction at rest beyond Coulomb friction falls with exp(-(v / stribeck)^2). With
+        "estimate", output-error and interval find the speed as well.
     quadratic : bool
-        Friction grows with v |v| as well.
+        If True, friction has a further part in proportion to v |v|.
     gravity : bool or float
-        A load out of balance on a rotary axis, forces with sin and cos of the angle: True if the angle is in rad, or a
+        Unbalanced load on a rotary axis: forces with the sin and cos of the angle. True if the angle is in rad, else a
         turn in the unit of y.
     cogging : float, optional
-        Pitch of a cogging force [m], with sin and cos as well.
+        Pitch [m] of a cogging force, which has a sin and a cos term.
     friction_period : float, optional
-        Period of friction that changes along the travel [m].
+        Period [m] of friction that changes along the travel.
     lag : float or "estimate"
-        Time constant [s] of a first-order lag that u goes through as well, as that of a current loop, up to 20 samples.
-        "estimate": a parameter, off-line (iv, output-error, interval).
+        Time constant [s] of a first-order lag of the input, as in a current loop, up to 20 samples. "estimate" makes
+        the lag a parameter, off-line (iv, output-error, interval).
     axis : {"linear", "rotary"}
-        With "rotary" y is an angle, forces are torques, and the mass is an inertia [kg m2]; m, N and their like above
-        are rad and N m.
+        With "rotary", y is an angle, forces are torques, and the mass is an inertia [kg m2]. The units m and N of this
+        page then stand for rad and N m.
 
     Raises
     ------
     UsageError
-        An input gain that is 0 or not finite, an unknown friction or axis, offset with directional friction, or a dead
-        time, lag, speed or period that is none.
+        The input gain is 0 or not finite, the friction or axis is unknown, or an offset stands with directional
+        friction. The same error names an invalid dead time, lag, speed or period.
 
     Notes
     -----
-    Parameters are mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]] [, stiffness [N/m]];
-    directional: mass, viscous_friction_forward, viscous_friction_backward, coulomb_friction_forward,
-    coulomb_friction_backward [, stiffness]. Then follow [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [,
-    gravity_sin, gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]]
-    [, lag [s]] [, stribeck_speed [m/s]]. Forces and friction of a place count it from the first sample on.
+    The parameters are mass [kg], viscous_friction [N s/m], coulomb_friction [N] [, offset [N]] [, stiffness [N/m]].
+
+    With directional friction, the parameters are mass, viscous_friction_forward, viscous_friction_backward,
+    coulomb_friction_forward, coulomb_friction_backward [, stiffness].
+
+    Further parameters follow in this order: [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [, gravity_sin,
+    gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]] [, lag [s]]
+    [, stribeck_speed [m/s]].
+
+    For forces and friction that depend on the position, the position counts from the first sample.
 
     Examples
     --------
@@ -193,7 +201,7 @@ class Drive:
             )
         if isinstance(self.stribeck, str) and self.stribeck != ESTIMATE:
             raise UsageError(f'stribeck must be a speed in unit of y per s, or "{ESTIMATE}", got {self.stribeck!r}')
-        _ = self.equation  # its shapes are checked where they are made
+        _ = self.equation  # the equation checks its shapes
 
     @cached_property
     def equation(self) -> Equation:
@@ -209,7 +217,7 @@ class Drive:
         unknown += self._make_shaped_terms()
         if turns:
             unknown = [replace(term, unit=rotary(str(term.unit))) for term in unknown]
-        # forces over the gain, where that is to be found
+        # forces are relative to the gain if the gain is unknown
         gain = 1.0 if isinstance(self.input_gain, str) else self.input_gain
         known = (Term("input", 0, coefficient=gain),)
         return Equation(tuple(unknown), known, dead_time=self.dead_time, lag=self.lag)
@@ -230,7 +238,7 @@ class Drive:
 
     @property
     def symmetric(self) -> Drive:
-        """The drive that can be identified before a motion is simulated, which tells the directions apart."""
+        """Drive that can be identified without a simulated motion, because its friction is equal in both directions."""
         both = self.friction == "symmetric"
         plain = replace(self, friction="symmetric", offset=self.offset or not both, stribeck=None, quadratic=False)
         return self if self == plain else plain
@@ -254,7 +262,7 @@ Machine = TypeVar("Machine", EquationModel, Drive)
 
 
 def remove_unknown_lateness(model: Machine) -> Machine:
-    """The same, with an input that acts at once where it is to be found how late."""
+    """Return the model without a dead time or lag if the model has an unknown one."""
     plain = model.replace_dead_time(0.0) if model.equation.dead_time == ESTIMATE else model
     return plain.replace_lag(0.0) if model.equation.lag == ESTIMATE else plain
 

@@ -1,4 +1,4 @@
-"""The equation object: terms, linear in the unknown coefficients, between derivatives of signals."""
+"""Equation of a plant: a sum of terms, linear in the unknown coefficients. Each term is a derivative of a signal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pmfid.models.shapes import Shape, Stribeck
 from pmfid.models.signals import PROCESS_SIGNALS, SIGNALS, Signal, SignalFacts
 from pmfid.types import Floats
 
-#: What the auxiliary model of the kernel takes each role from (csrc/pmf.h): signal and derivative of the term.
+#: Signal and derivative of the terms that fill each role in the kernel's auxiliary model (csrc/pmf.h).
 ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
     (("output", 2),),
     (("output", 1), ("forward_output", 1)),
@@ -30,7 +30,7 @@ ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
     (("input", 1),),
 )
 MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS, LATE = range(8)
-#: Roles that are never negative: inertia, friction and dead time.
+#: Roles whose value is never negative: inertia, friction and dead time.
 POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, LATE)
 DEAD_TIME, LAG = "dead_time", "lag"
 #: Longest dead time, and longest lag, in samples.
@@ -39,28 +39,29 @@ MOST_LATE = 20
 
 @dataclass(frozen=True)
 class Term:
-    """coefficient * d^derivative signal / dt^derivative; the coefficient is unknown (it has a name) or known.
+    """One term of an equation: coefficient * d^derivative signal / dt^derivative. A coefficient with a name is unknown.
 
     Parameters
     ----------
     signal : str
-        See `Signal`. The output itself counts from its first sample on.
+        One of `Signal`. The signal `output` counts from its first sample.
     derivative : int
-        0 to 2 of `output`, 1 of `forward_output` and `backward_output`, else 0, or 1 of `input` for a dead time (see
-        `Equation`). Of a process: 0 to 6 of the output, less than that of the input.
+        0 to 2 for `output`, 1 for `forward_output` and `backward_output`, 0 for other signals of a machine. 1 for
+        `input` means a dead time (see `Equation`). For a process, 0 to 6 for the output, and less than that for the
+        input.
     name : str, optional
-        Of an unknown coefficient.
+        Name of an unknown coefficient.
     unit : str
-        Of an unknown coefficient.
+        Unit of an unknown coefficient.
     coefficient : float
-        The known value; for an unknown one a factor, as -1 for the other side.
+        Value of a known coefficient. For an unknown coefficient it is a factor, as -1 for a term on the other side.
     shape : Shape, optional
-        Of a friction or a force at a place, whose size alone is unknown.
+        Form of a friction or of a force at a place. The size of the force remains unknown.
 
     Raises
     ------
     UsageError
-        Another signal, derivative or value.
+        The signal, derivative or a value is not one of these.
 
     Examples
     --------
@@ -110,49 +111,55 @@ class Term:
 
     @property
     def noisy(self) -> bool:
-        """Does the term carry the noise of the measured output? Not to speak of where it is not differentiated: there
-        a step of the encoder is as small as it is against the travel."""
+        """True if the term carries the noise of the measured output.
+
+        The output of a machine without a derivative counts as free of noise, because a step of the encoder is small
+        against the travel.
+        """
         return self.facts.measured and (self.facts.of_process or self.derivative > 0)
 
     @property
     def reads(self) -> str:
-        """The signal and its derivative, for people."""
+        """Signal and derivative as text for people."""
         read = f"{self.facts.reads}{chr(39) * self.derivative}"
         return read if self.shape is None else f"{self.shape.reads} {read}"
 
     @property
     def place(self) -> tuple[object, ...]:
-        """What tells it apart from other terms."""
+        """Key that distinguishes the term from all other terms."""
         return (self.signal, self.derivative) if self.shape is None else (self.signal, self.derivative, self.shape)
 
 
 @dataclass(frozen=True)
 class Equation:
-    """sum of `unknown` terms = sum of `known` terms (theory: sum theta_i D^j w_i = D^j w_0).
+    """Equation of a plant: the sum of the `unknown` terms equals the sum of the `known` terms.
+
+    In the notation of the theory, sum theta_i D^j w_i = D^j w_0.
 
     Parameters
     ----------
     unknown, known : tuple of Term
-        The order is the highest derivative of the output.
+        Terms of the two sides. The order of the equation is the highest derivative of the output.
     delay : int
-        Of the input, in whole samples; of a process only.
+        Dead time of the input in whole samples, for a process only.
     only_simulated : str
-        Of a process: why only methods that simulate it can estimate it; empty if others can.
+        Reason why only methods that simulate can estimate a process; empty if all methods can.
     further : tuple of (name, unit)
-        Unknowns in which the equation is not linear, for such methods. Unknowns of shapes are added.
+        Unknowns in which the equation is not linear, for methods that simulate. Unknown parameters of shapes are added
+        to this list.
     dead_time : float or "estimate"
-        Time by which the input of a machine acts late [s], any part of a sample. With "estimate" the equation has a
-        further unknown term, dead_time times the derivative of the input: the dead time to first order, around that of
-        the model that is simulated. Late counts are the same as a late input.
+        Dead time of a machine's input [s], any part of a sample. Late counts have the same effect as a late input. With
+        "estimate", the equation has a further unknown term: dead_time times the derivative of the input. This term is
+        the dead time to first order, around the dead time of the simulated model.
     lag : float or "estimate"
-        Time constant of a first-order lag that the input goes through as well [s], as that of a current loop. With
-        "estimate" the equation is not linear in it.
+        Time constant [s] of a first-order lag of the input, as in a current loop. With "estimate", the equation is not
+        linear in the lag.
 
     Raises
     ------
     UsageError
-        There is no unknown or no known term, two unknowns share a name, an unknown term has no name or a known one has,
-        or a term stands twice.
+        The equation has no unknown or no known term, two unknowns share a name, or a term occurs twice. The same error
+        is raised if an unknown term has no name, or a known term has one.
 
     Examples
     --------
@@ -205,7 +212,7 @@ class Equation:
             raise UsageError("a lag of a linear process is one of its poles; leave lag out, and take n one larger")
 
     def _late(self) -> tuple[Term, ...]:
-        """The term of a dead time that is to be found, where it is not there yet."""
+        """Return the term of an unknown dead time, unless the equation already contains that term."""
         late = [term for term in self.unknown if (term.signal, term.derivative) == ("input", 1)]
         if late and self.dead_time != ESTIMATE:
             raise UsageError('the derivative of the input is the term of a dead time: write dead_time = "estimate"')
@@ -215,31 +222,34 @@ class Equation:
         return (Term("input", 1, DEAD_TIME, "s", gains[0]),) if gains else ()
 
     def replace_dead_time(self, seconds: float | Literal["estimate"]) -> Equation:
-        """The same equation with another dead time [s]."""
+        """Return a copy with another dead time [s]."""
         unknown = tuple(term for term in self.unknown if (term.signal, term.derivative) != ("input", 1))
         return replace(self, unknown=unknown, dead_time=seconds)
 
     at_dead_time = rename_method("at_dead_time", "replace_dead_time")
 
     def replace_lag(self, seconds: float | Literal["estimate"]) -> Equation:
-        """The same equation with another lag of the input [s]."""
+        """Return a copy with another lag of the input [s]."""
         return replace(self, further=tuple(one for one in self.further if one[0] != LAG), lag=seconds)
 
     at_lag = rename_method("at_lag", "replace_lag")
 
     @property
     def at_once(self) -> Equation:
-        """The same equation with an input that acts at once."""
+        """Equation without dead time and lag of the input."""
         return self.replace_dead_time(0.0).replace_lag(0.0)
 
     @property
     def searched(self) -> tuple[str, ...]:
-        """Unknowns, other than a lag, in which the equation is not linear."""
+        """Unknowns in which the equation is not linear, except the lag of a machine."""
         return tuple(name for name, _ in self.further if name != LAG or self.process)
 
     def role_values(self, theta: Sequence[float] | Floats | None) -> list[float]:
-        """The value of each role in the simulated body: from the parameters (p,), and 0 for a role without a term. The
-        dead time is there also if it is known; theta None: the dead time alone."""
+        """Return the value of each role of the simulated body from the parameters (p,); a role without a term has the
+        value 0.
+
+        A known dead time is included. If `theta` is None, only the dead time differs from 0.
+        """
         known = [0.0 if index is None or theta is None else float(theta[index]) for index in self.roles]
         if self.dead_time != ESTIMATE:
             known[LATE] = self.dead_time
@@ -256,12 +266,12 @@ class Equation:
 
     @cached_property
     def process(self) -> bool:
-        """Is it one of a linear process, with no moving fractions?"""
+        """True for the equation of a linear process, which has no moving fractions."""
         return any(term.signal in PROCESS_SIGNALS for term in (*self.unknown, *self.known))
 
     @property
     def relative_degree(self) -> int:
-        """The relative degree of a process: highest derivative of the output less highest derivative of the input."""
+        """Relative degree of a process: the highest derivative of the output minus the highest derivative of the input."""
         terms = (*self.unknown, *self.known)
         return self.order - max(term.derivative for term in terms if term.signal == "process_input")
 
@@ -279,37 +289,44 @@ class Equation:
 
     @cached_property
     def noisy(self) -> tuple[int, ...]:
-        """Columns that carry noise, highest derivative first (what G selects in paper eq. 22)."""
+        """Indices of the columns that carry noise, the highest derivative first. The matrix G of paper eq. 22
+        selects these columns.
+        """
         columns = [i for i, term in enumerate(self.unknown) if term.noisy]
         return tuple(sorted(columns, key=lambda i: -self.unknown[i].derivative))
 
     @property
     def instrument_powers(self) -> tuple[int, ...]:
-        """Of s in the instruments over f(s), one for each of `noisy`: falling to 1, or to 0 for a process,
-        which has a term of y itself."""
+        """Powers of s over f(s) in the instruments, one for each entry of `noisy`.
+
+        The powers fall to 1 for a machine. They fall to 0 for a process, which has a term with y itself.
+        """
         lowest = 0 if self.process else 1
         return tuple(reversed(range(lowest, lowest + len(self.noisy))))
 
     @property
     def driving(self) -> tuple[Term, ...]:
-        """What the instruments are made from: the known side of a machine, the input alone of a process, the known side
-        of which is its output."""
+        """Terms from which the instruments are made.
+
+        For a machine, these are the known terms. For a process, the known terms contain the output, so that only the
+        input remains.
+        """
         return (Term("process_input"),) if self.process else self.known
 
     @property
     def leading(self) -> int:
-        """The parameter of the highest derivative: the mass of a drive."""
+        """Index of the leading parameter, which belongs to the highest derivative: the mass of a drive."""
         return self.noisy[0]
 
     @property
     def motion(self) -> Units:
-        """The units of travel, speed and force."""
+        """Units of travel, speed and force."""
         second = [term.unit for term in self.unknown if term.signal == "output" and term.derivative == 2]
         return units_by(second[0] if second else "")
 
     @cached_property
     def roles(self) -> tuple[int | None, ...]:
-        """The index of the parameter for each role of the auxiliary model, or None."""
+        """Index of the parameter for each role of the auxiliary model, or None if no parameter fills the role."""
         places = {term.place: i for i, term in enumerate(self.unknown)}
         body = tuple(next((places[place] for place in role if place in places), None) for role in ROLES)
         return (*body, *(i for i, term in enumerate(self.unknown) if term.shape is not None))
@@ -325,22 +342,26 @@ class Equation:
 
     @cached_property
     def shapes(self) -> tuple[tuple[ShapeTable, bool], ...]:
-        """The tables of the shapes, and whether each acts against the motion. Raises UsageError if one is not known."""
+        """The table of each shape, and whether the shape acts against the motion. Raises UsageError if a shape has
+        an unknown parameter.
+        """
         return tuple((term.shape.table(), term.signal == "friction") for term in self.shaped if term.shape is not None)
 
     @property
     def place_matters(self) -> bool:
-        """Does a force depend on the position?"""
+        """True if a force depends on the position."""
         return self.roles[STIFFNESS] is not None or any(not term.shape.of_speed for term in self.shaped if term.shape)
 
     def known_at(self, further: Sequence[float] | Floats) -> Equation:
-        """The equation with lag and shape parameters, the values of `further` (f,), known: all unknowns are linear."""
+        """Return the equation with the lag and the shape parameters set to the values `further` (f,). All its
+        unknowns are linear.
+        """
         lagging = self.lag == ESTIMATE
         plain = self.replace_lag(max(0.0, float(further[0]))) if lagging else self
         return plain.replace_shapes(further[lagging:])
 
     def replace_shapes(self, further: Sequence[float] | Floats) -> Equation:
-        """The equation with the shape parameters, the last of `further` (f,), known."""
+        """Return the equation with the shape parameters set to the last values of `further` (f,)."""
         if not self._free:
             return self
         values = iter(further[len(further) - len(self._free) :])
@@ -352,7 +373,7 @@ class Equation:
 
     @cached_property
     def positive(self) -> tuple[bool, ...]:
-        """Which unknowns are never negative in a machine: inertia and friction."""
+        """Truth values (p,), True for unknowns that are never negative in a machine: inertia and friction."""
         chosen = {self.roles[role] for role in POSITIVE_ROLES}
         return tuple(
             i in chosen or (term.shape is not None and term.shape.positive) for i, term in enumerate(self.unknown)
@@ -360,13 +381,16 @@ class Equation:
 
     @property
     def input_gain(self) -> float:
-        """Coefficient of the input."""
+        """Known coefficient of the input."""
         return next(term.coefficient for term in self.known if term.signal == "input")
 
     @property
     def symmetric(self) -> Equation:
-        """What the counts alone can tell: with friction that is the same in both directions, a constant load that
-        takes up what differs, and shapes of the place alone."""
+        """Equation that the counts alone can identify.
+
+        Friction is equal in both directions, a constant load takes up their difference, and only shapes of the place
+        remain.
+        """
         split = [term.facts.one_way for term in self.unknown]
         fast = [term.shape is not None and term.shape.of_speed for term in self.unknown]
         if not any(split) and not any(fast):
@@ -383,7 +407,7 @@ class Equation:
 
     @property
     def text(self) -> str:
-        """The equation in one line, for people."""
+        """Equation in one line, for people."""
         if not self.process:
             left = [f"{term.name} {term.reads}" for term in self.unknown if term.signal != "input"]
             late = DEAD_TIME if self.dead_time == ESTIMATE else f"{self.dead_time:.9g} s"
@@ -393,7 +417,7 @@ class Equation:
                 f", u lagging by {lag}" if self.lag else ""
             )
             return f"{' + '.join(left)} = {driven}{delay}"
-        # its output's highest derivative is the known term, and the input's side has factors -1
+        # the known term is the highest derivative of the output, and terms of the input have the factor -1
         highest = Term("process_output", self.order).reads
         left, right = (
             [f"{t.name} {t.reads}".strip() for t in self.unknown if (t.coefficient < 0) == right]
@@ -403,7 +427,7 @@ class Equation:
 
     @property
     def without_simulation(self) -> str:
-        """Why the auxiliary model cannot simulate this equation; empty if it can."""
+        """Reason why the auxiliary model cannot simulate the equation; empty if it can."""
         known = {(term.signal, term.derivative) for term in self.known}
         if self.process:
             return "it is one of a linear process"
@@ -418,13 +442,13 @@ class Equation:
 
 
 def check_late(name: str, value: object) -> None:
-    """Raises UsageError unless a dead time or a lag is a time [s] or "estimate"."""
+    """Raise UsageError unless `value` is a time [s] or "estimate". `name` is the dead time or the lag."""
     number = isinstance(value, Real) and not isinstance(value, bool) and 0 <= float(value) < math.inf
     if not number and value != ESTIMATE:
         raise UsageError(f'{name} must be a time in s from 0 on, or "estimate", got {value!r}')
 
 
-#: What takes the place of terms that tell the directions apart.
+#: Terms that replace the terms with a direction.
 SYMMETRIC = (
     Term("output", 1, "viscous_friction", "N s/m"),
     Term("direction", 0, "coulomb_friction", "N"),

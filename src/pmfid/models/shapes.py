@@ -1,8 +1,8 @@
-"""Forces of a given form and an unknown size: friction at a speed or along the travel, and forces at a place.
+"""Forces with a given form and an unknown size: friction at a speed, friction along the travel, and forces at a place.
 
-A wave and a square are computed. All others are tables that the kernel reads on straight lines between evenly spaced
-knots (csrc/pmf_shapes.h), so that a new form is one class here. A force of the form s and the coefficient c is
-c s(|v|) sign(v), as friction, or c s(x); x counts from the first sample on.
+The kernel computes a wave and a square. Every other form is a table of evenly spaced knots with straight lines between
+the knots (csrc/pmf_shapes.h). A new form is therefore one class in this module. A force with the form s and the
+coefficient c is c s(|v|) sign(v), as friction, or c s(x). The position x counts from the first sample.
 """
 
 from __future__ import annotations
@@ -21,20 +21,23 @@ from pmfid.errors import UsageError
 from pmfid.kernel.configuration import ShapeTable
 from pmfid.types import Floats
 
-#: Straight pieces of Stribeck's friction.
+#: Number of straight pieces in the table of Stribeck friction.
 PIECES = 64
-#: Stribeck speeds beyond which nothing is left of that friction: exp(-16).
+#: Speed, in multiples of the Stribeck speed, above which Stribeck friction has vanished: exp(-16).
 FADED = 4.0
-#: In place of a number that is to be found.
+#: Value that stands for a number that pmfid has to find.
 ESTIMATE: Literal["estimate"] = "estimate"
-#: Knots of a table of the user's own.
+#: Largest number of knots in a user's own table.
 MOST_KNOTS = 200
 SMALLEST, LARGEST = 1e-12, 1e12
 
 
 class Shape(ABC):
-    """A form. `of_speed`: it depends on the speed, else on the place. `free`: it has a parameter that is to be found.
-    `positive`: no machine has a negative coefficient."""
+    """Form of a force.
+
+    `of_speed` is True if the form depends on the speed, and False if it depends on the place. `free` is True if the
+    form has an unknown parameter. `positive` is True if no machine has a negative coefficient.
+    """
 
     of_speed: bool = False
     free: bool = False
@@ -42,20 +45,20 @@ class Shape(ABC):
 
     @abstractmethod
     def table(self) -> ShapeTable:
-        """The form as the kernel reads it. Raises UsageError if a parameter of it is not known yet."""
+        """Return the table that the kernel reads. Raises UsageError if a parameter of the form is unknown."""
 
     @property
     @abstractmethod
     def reads(self) -> str:
-        """The form, for people."""
+        """Text of the form for people."""
 
     def size(self, speed: float) -> float:
-        """The largest value of the form at speeds up to this one."""
+        """Return the largest value of the form at speeds up to `speed`."""
         table = self.table()
         return speed**2 if table.of == "square" else float(np.max(np.abs(table.knots)))
 
     def evaluate(self, place: ArrayLike) -> Floats:
-        """The form (n,) at speeds or places (n,), as the kernel reads it."""
+        """Return the values of the form (n,) at speeds or places (n,), as the kernel computes them."""
         table, at = self.table(), np.asarray(place, np.float64)
         if table.of == "square":
             return np.asarray(at**2)
@@ -69,12 +72,12 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Stribeck(Shape):
-    """exp(-(v / speed)^2): friction at rest beyond Coulomb's, falling with the speed.
+    """Stribeck friction exp(-(v / speed)^2): the friction at rest beyond Coulomb friction, which falls with the speed.
 
     Parameters
     ----------
     speed : float or "estimate"
-        > 0 [unit of y per s].
+        Stribeck speed [unit of y per s], > 0.
 
     Examples
     --------
@@ -101,7 +104,8 @@ class Stribeck(Shape):
             raise UsageError("the Stribeck speed is not known yet: output-error and interval find it; or give it")
         step = FADED / PIECES
         speeds = step * np.arange(PIECES + 1)
-        # the mean over every piece is the form's mean: straight lines between its own values lie on one side of it
+        # The mean over each piece equals the form's mean. Straight lines between the form's own values would lie on one
+        # side of it.
         bend = (4 * speeds**2 - 2) * step**2 / 12
         knots = np.exp(-(speeds**2)) * (1 - bend)
         return ShapeTable("speed", tuple(knots.tolist()), step=step * self.speed, positive=self.positive)
@@ -114,7 +118,7 @@ class Stribeck(Shape):
 
 @dataclass(frozen=True)
 class Square(Shape):
-    """v^2: friction that grows more than linearly, as in air or oil.
+    """Quadratic friction v^2, which grows faster than the speed, as in air or oil.
 
     Examples
     --------
@@ -136,15 +140,17 @@ class Square(Shape):
 
 @dataclass(frozen=True)
 class Wave(Shape):
-    """sin or cos of 2 pi x / period: gravity on a rotary axis (period: a turn), cogging (its pitch), a harmonic of the
-    travel.
+    """Force with sin or cos of 2 pi x / period.
+
+    On a rotary axis, gravity is such a force, with the period of one turn. Cogging and a harmonic of the travel are
+    further examples.
 
     Parameters
     ----------
     period : float
-        > 0 [unit of y].
+        Length of one period [unit of y], > 0.
     cosine : bool
-        cos in place of sin.
+        If True, the force is a cosine; if False, a sine.
 
     Examples
     --------
@@ -169,16 +175,16 @@ class Wave(Shape):
 
 @dataclass(frozen=True)
 class Along(Shape):
-    """A form along the travel, known but for its size.
+    """A force of known form along the travel and of unknown size.
 
     Parameters
     ----------
     start : float
         Place of the first value [unit of y].
     step : float
-        Distance of the values [unit of y].
+        Distance between neighbouring values [unit of y].
     values : sequence of float (k,)
-        2 to 200. The first and last hold beyond.
+        Values of the form, 2 to 200 of them. Before the first place and after the last, the end values hold.
 
     Examples
     --------

@@ -1,17 +1,25 @@
-"""The signals that the terms of an equation are derivatives of, and what is true of each."""
+"""Signals of an equation, and the facts about each signal. Each term of an equation is a derivative of one signal."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
-#: `output`: the measured position; `input`: what drives the plant; `direction`: sign of the velocity, at a
-#: reversal inside a sample as the signed moving fraction; `moving`: 1 while the plant moves (a constant load);
-#: `forward`, `backward`: 1 while it moves forward, -1 while it moves backward; `forward_output`, `backward_output`:
-#: the position as far as it changes in that direction; `friction`: a shape of the speed or the position, against the
-#: motion; `place`: a shape of the position, a force wherever the plant moves. Of a linear process, where rest means
-#: nothing: `process_output`, from count zero; `process_input`, held; `constant`: 1; `start`: an impulse at the first
-#: sample.
+#: Signals of a machine:
+#: `output`: the measured position.
+#: `input`: the input that drives the plant.
+#: `direction`: the sign of the velocity. If the motion reverses inside a sample, the value is the signed moving
+#: fraction.
+#: `moving`: 1 while the plant moves, for a constant load.
+#: `forward`, `backward`: 1 while the plant moves forward, and -1 while it moves backward.
+#: `forward_output`, `backward_output`: the part of the position that changes in that direction.
+#: `friction`: a shape of the speed or the position, which acts against the motion.
+#: `place`: a shape of the position, a force that acts while the plant moves.
+#: Signals of a linear process, for which rest has no meaning:
+#: `process_output`: the output, which counts from count zero.
+#: `process_input`: the held input.
+#: `constant`: 1.
+#: `start`: an impulse at the first sample.
 Signal = Literal[
     "output",
     "input",
@@ -32,13 +40,14 @@ Signal = Literal[
 
 @dataclass(frozen=True)
 class SignalFacts:
-    """What is true of a signal.
+    """Facts about a signal.
 
-    reads: for people. derivatives: the lowest and the highest; those without hold for a sampling interval.
-    measured: it is made of the measured output, and has its unit.
-    of_motion: it holds what the direction of motion is, or whether there is one. one_way: it counts in one direction.
-    keeps_sign: where input and output turn theirs. of_process: it is one of a linear process. shaped: its
-    term has a shape.
+    `reads` names the signal for people. `derivatives` are the lowest and the highest derivative. A signal without
+    derivatives is constant during a sampling interval. `measured` means that the signal comes from the measured output
+    and has the unit of the output. `of_motion` means that the signal depends on the direction of motion, or on whether
+    the plant moves. `one_way` means that the signal counts in one direction only. `keeps_sign` means that the signal
+    keeps its sign if input and output change theirs. `of_process` marks a signal of a linear process. `shaped` means
+    that the term of the signal has a shape.
     """
 
     reads: str

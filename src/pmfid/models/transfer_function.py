@@ -1,4 +1,4 @@
-"""Any linear process with one input and one output."""
+"""Model of a linear process with one input and one output."""
 
 from __future__ import annotations
 
@@ -19,33 +19,34 @@ MAX_DELAY = 20
 
 @dataclass(frozen=True)
 class TransferFunction:
-    """y^(n) + a_{n-1} y^(n-1) + ... + a_0 y = b_m u^(m) + ... + b_0 u [+ offset]  (paper eq. 6).
+    """Model of a process: y^(n) + a_{n-1} y^(n-1) + ... + a_0 y = b_m u^(m) + ... + b_0 u [+ offset]  (paper eq. 6).
 
     Parameters
     ----------
     n : int
         Order of the denominator, 1 to 6.
     m : int
-        Order of the numerator, 0 to n. With m = n a part of the input goes straight through. A held input acts from its
-        own sample on: y[k] sees u[k - delay].
+        Order of the numerator, 0 to n. With m = n, a part of the input acts on the output directly. A held input acts
+        from its own sample on: y[k] depends on u[k - delay].
     delay : int
         Dead time of the input in whole samples, 0 to 20.
     offset : bool
-        A constant on the right-hand side is unknown, too; the output without input is then offset / a_0.
+        If True, a constant on the right-hand side is unknown as well. The output without input is then offset / a_0.
     initial_conditions : bool
-        The state at the first sample is unknown, too (paper eq. 10). The filters need not settle then, and every sample
-        counts.
+        If True, the state at the first sample is unknown as well (paper eq. 10). The filters then need no time to
+        settle, and every sample counts.
     integrators : int
-        Number of poles known to be at 0, 0 to n, for every method off-line. The denominator is s^integrators
-        (s^(n-integrators) + ...) and has no coefficients below a{integrators}. Where the output starts, and how fast it
-        drifts, is part of the fit; offset is then a constant force, that makes the output a ramp or a parabola.
+        Number of poles that are known to be at 0, from 0 to n, for every method off-line. The denominator is
+        s^integrators (s^(n-integrators) + ...) and has no coefficients below a{integrators}. The fit then includes the
+        first value of the output and its drift. With integrators, the offset is a constant force, which makes the
+        output a ramp or a parabola.
     unstable : bool
-        Poles may be in the right half-plane, of a process that only its controller holds; give the reference of the
-        controller with the record. The modes that grow are computed backward in time; that is the predictor with
-        mirrored poles (Forssell and Ljung 2000).
+        If True, poles may be in the right half-plane, as in a process that only its controller stabilises. The record
+        must then contain the reference of the controller. Growing modes are computed backward in time, which equals the
+        predictor with mirrored poles (Forssell and Ljung 2000).
     dead_time : float or "estimate"
-        Of the input [s], any, and no whole number of samples, in place of `delay`. With "estimate" it is unknown, too,
-        from 0 to 20 samples, for `SRIVC` and `OE`.
+        Dead time of the input [s], which need not be a whole number of samples, in place of `delay`. "estimate" makes
+        the dead time an unknown from 0 to 20 samples, for `SRIVC` and `OE`.
 
     Raises
     ------
@@ -54,10 +55,13 @@ class TransferFunction:
 
     Notes
     -----
-    Parameters are a0 to a{n-1}, b0 to b{m} [, offset] [, dead_time] [, start0 to start{n-1}]. The last are what stood
-    in the plant at the start, the coefficients of the derivatives of the filters' impulse response; by themselves they
-    have no meaning. The position of the encoder counts from count zero. m = n, `unstable` and `dead_time` are for the
-    methods that simulate, `SRIVC`, `IV` and `OE`.
+    The parameters are a0 to a{n-1}, b0 to b{m} [, offset] [, dead_time] [, start0 to start{n-1}].
+
+    The parameters start0 to start{n-1} describe the state of the plant at the first sample. Each start parameter is a
+    coefficient of one derivative of the filters' impulse response and has no physical meaning. The position of the
+    encoder counts from count zero.
+
+    Only the methods that simulate, `SRIVC`, `IV` and `OE`, accept m = n, `unstable` and `dead_time`.
 
     Examples
     --------
@@ -95,7 +99,7 @@ class TransferFunction:
 
     @property
     def only_simulated(self) -> str:
-        """Why only the methods that simulate whole records take it; empty if others do."""
+        """Reason why only methods that simulate whole records accept the model; empty if all methods accept it."""
         if self.m == self.n:
             return "the numerator is of the order of the denominator (m = n)"
         if self.integrators == self.n:
@@ -135,7 +139,10 @@ class TransferFunction:
     at_lag = rename_method("at_lag", "replace_lag")
 
     def split(self, theta: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Numerator (m+1,) and denominator (n+1,) in descending powers of s, the first of these 1, from theta (p,)."""
+        """Return the numerator (m+1,) and the denominator (n+1,) in descending powers of s, from theta (p,).
+
+        The first coefficient of the denominator is 1.
+        """
         theta, free = np.asarray(theta, float), self.n - self.integrators
         a, b = theta[:free], theta[free : free + self.m + 1]
         return b[::-1].copy(), np.r_[1.0, a[::-1], np.zeros(self.integrators)]
@@ -147,5 +154,5 @@ def _check_whole(name: str, value: object, low: int, high: int, what: str) -> No
 
 
 def power_unit(power: int) -> str:
-    """The unit of a_i for y and u in the same unit."""
+    """Return the unit of a coefficient a_i if y and u have the same unit."""
     return f"s^{power}"
