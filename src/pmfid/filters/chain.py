@@ -67,7 +67,7 @@ def matched_input(
 
 
 def euler_frobenius(degree: int) -> list[int]:
-    """Return the coefficients (degree,) of B_r(z), which are palindromic. The k-th is sum_l (-1)^l C(r+1, l) (k+1-l)^r."""
+    """Return the palindromic coefficients (degree,) of B_r(z). The k-th is sum_l (-1)^l C(r+1, l) (k+1-l)^r."""
     return [sum((-1) ** i * comb(degree + 1, i) * (k + 1 - i) ** degree for i in range(k + 1)) for k in range(degree)]
 
 

@@ -212,7 +212,7 @@ class ColumnBuilder:
         return derivative(chain(self.network, source, spec.cutoff, spec.order, spec.dt), j, spec.cutoff)
 
     def velocity(self, j: int, *, simulated: bool) -> Taps:
-        """Return the taps of the j-th derivative of the filtered velocity, from the counts or from the auxiliary model."""
+        """Return the taps of the j-th derivative of the filtered velocity, from the counts or the auxiliary model."""
         spec = self.spec
         source = VELOCITY + (AUXILIARY if simulated else 0)
         nodes = chain(self.network, source, spec.cutoff, spec.order, spec.dt)
@@ -242,5 +242,5 @@ class ColumnBuilder:
 
 
 def tustin_image(pole: float, dt: float) -> float:
-    """Return (2/dt) tanh(pole dt / 2), the pole whose trapezoidal discretisation is exp(-pole dt) (paper eq. 35, 36)."""
+    """Return (2/dt) tanh(pole dt / 2): the pole with the trapezoidal discretisation exp(-pole dt) (paper eq. 35, 36)."""
     return (2 / dt) * tanh(pole * dt / 2)

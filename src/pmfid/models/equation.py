@@ -271,7 +271,7 @@ class Equation:
 
     @property
     def relative_degree(self) -> int:
-        """Relative degree of a process: the highest derivative of the output minus the highest derivative of the input."""
+        """Relative degree of a process: highest derivative of the output minus highest derivative of the input."""
         terms = (*self.unknown, *self.known)
         return self.order - max(term.derivative for term in terms if term.signal == "process_input")
 
