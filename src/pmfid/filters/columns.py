@@ -242,5 +242,5 @@ class ColumnBuilder:
 
 
 def tustin_image(pole: float, dt: float) -> float:
-    """Return (2/dt) tanh(pole dt / 2): the pole with the trapezoidal discretisation exp(-pole dt) (paper eq. 35, 36)."""
+    """Return the pole (2/dt) tanh(pole dt / 2): its trapezoidal discretisation is exp(-pole dt) (paper eq. 35, 36)."""
     return (2 / dt) * tanh(pole * dt / 2)
