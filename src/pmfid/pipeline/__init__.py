@@ -1,1 +1,1 @@
-"""From a record and AXIS.toml to a result, for every kind of plant."""
+"""The way from a record and AXIS.toml to a result, for every kind of plant."""

@@ -1,4 +1,4 @@
-"""The commands from Python: arrays and objects in, results out."""
+"""The commands as Python functions that take arrays or objects and return results."""
 
 from __future__ import annotations
 
@@ -53,24 +53,25 @@ def identify(
     Parameters
     ----------
     u : array_like (n,), Experiment, list of pairs (u, y), frame, dict of arrays, or path
-        Input, NaN where a sample is missing. Several records are [(u, y), (u, y)], or several `Experiment`. With
-        `axis`: a table of pandas, Polars or Arrow, or the path of a file.
+        The input. A missing sample is NaN. Several records are [(u, y), (u, y)], or several `Experiment`. With `axis`,
+        u is a table of pandas, Polars or Arrow, or the path of a file.
     y : array_like (n,), optional
-        Of a machine the counts of its encoder, integers (see `quantize`); of a transfer function the output.
+        For a machine, the counts of its encoder as integers (see `quantize`). For a transfer function, its output.
     model : Drive, EquationModel or TransferFunction
-        Not with `axis`.
+        The plant. Not allowed with `axis`.
     axis : Axis, path or str
-        AXIS.toml, in place of all other arguments but `u`.
+        The configuration in AXIS.toml. It replaces all other arguments except `u`.
     dt : float
         Sample period [s].
     cutoff : float, optional
-        Pole of the filters [rad/s]. By default the record of a machine decides.
+        Pole of the filters [rad/s]. By default, the record of a machine determines the pole.
     encoder : Encoder
-        Of a machine.
+        The encoder of a machine.
     **settings
         Keys of [estimator] in AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization,
-        prefilter_zeros, precision; of a machine also tolerance, given and prior. Prior information is written
-        given={"mass": 1.25} or prior={"mass": (1.0, 0.1)}; it replaces a known gain for Drive(input_gain="estimate").
+        prefilter_zeros and precision. A machine also has tolerance, given and prior. Examples of prior information are
+        given={"mass": 1.25} and prior={"mass": (1.0, 0.1)}. Drive(input_gain="estimate") needs prior information in
+        place of a known gain.
 
     Returns
     -------
@@ -80,9 +81,10 @@ def identify(
     Raises
     ------
     UsageError
-        Arguments do not fit each other.
+        The arguments contradict each other.
     NotIdentifiableError
-        The data cannot identify every parameter. The message begins with a mistake in the log that explains this.
+        The data cannot identify every parameter. If a mistake in the log explains the failure, the message begins with
+        that mistake.
 
     Examples
     --------
@@ -116,13 +118,13 @@ def identify(
 
 
 def _identify_by_axis(record: object, axis: Axis | Path | str) -> Result:
-    """The result of a frame, or of one or several files, with an AXIS.toml."""
+    """Return the result for a frame, or for one or several files, with an AXIS.toml."""
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     return run(_read(record, own), own)
 
 
 def _read(record: object, axis: Axis) -> Records:
-    """The records in a frame, or in one or several files, as an AXIS.toml describes them."""
+    """Read the records from a frame, or from one or several files, as an AXIS.toml describes them."""
     kind = kind_of(axis)
     if isinstance(record, str | Path):
         return kind.read([Path(record)], axis)
@@ -145,17 +147,17 @@ def check(
     Parameters
     ----------
     u, y, model, axis, dt, encoder
-        As for `identify`.
+        The record and its configuration, as in `identify`.
 
     Returns
     -------
     tuple of Finding
-        Empty if the log has no mistake.
+        The findings, or an empty tuple if the log has no mistake.
 
     Raises
     ------
     UsageError
-        Arguments do not fit each other.
+        The arguments contradict each other.
 
     Examples
     --------
@@ -194,23 +196,23 @@ def validate(
     Parameters
     ----------
     result : Result
-        Of `identify`.
+        A result of `identify`.
     u, y : array_like (n,)
-        The other record, as for `identify`.
+        The other record, as in `identify`.
     dt : float, optional
-        Sample period [s]; by default that of the result.
+        Sample period [s]. By default, it is the sample period of the result.
     encoder : Encoder, optional
-        By default that of the result.
+        By default, the encoder of the result.
 
     Returns
     -------
     Validation
-        Errors of the prediction over several horizons, and doubts in the model.
+        Errors of the prediction over several horizons, and doubts about the model.
 
     Raises
     ------
     UsageError
-        Arguments do not fit each other, or nothing can be simulated.
+        The arguments contradict each other, or the model cannot be simulated.
 
     Examples
     --------
@@ -257,31 +259,31 @@ def search_terms(
     other: tuple[ArrayLike, ArrayLike] | None = None,
     **settings: object,
 ) -> TermSearch:
-    """Search further terms of a drive beyond a model, as `pmfid terms` does.
+    """Search terms of a drive that a model does not have, as `pmfid terms` does.
 
     Parameters
     ----------
     u, counts : array_like (n,)
         Input and counts.
     model : Drive
-        The model to begin with.
+        The first model of the search.
     dt : float
         Sample period [s].
     cutoff : float, optional
         Pole of the filters [rad/s].
     encoder : Encoder
     turn : float, optional
-        Period of gravity on a rotary axis [unit of y]. Without it, gravity is not looked for.
+        Period of gravity on a rotary axis [unit of y]. Without a period, the search ignores gravity.
     pitch : float or sequence of float
-        Pitch of a cogging force [unit of y], one or several.
+        One or several pitches of a cogging force [unit of y].
     friction_period : float, optional
         Period of friction that changes along the travel [unit of y].
     scan : bool
-        Whether a pitch is looked for that is not given.
+        Whether the search looks for an unknown pitch.
     other : pair of array_like, optional
-        u and counts of a second record. The models predict that record in place of parts of the first.
+        Input and counts of a second record. The models predict the second record instead of parts of the first record.
     **settings
-        As for `identify`.
+        Keys of [estimator], as in `identify`.
 
     Returns
     -------
@@ -290,9 +292,9 @@ def search_terms(
     Raises
     ------
     UsageError
-        Arguments do not fit each other.
+        The arguments contradict each other.
     NotIdentifiableError
-        The record is too short, or cannot identify the model to begin with.
+        The record is too short, or cannot identify the first model.
 
     Examples
     --------
@@ -313,14 +315,14 @@ def search_terms(
 
 
 def _pairs(u: object) -> list[tuple[ArrayLike, ArrayLike]]:
-    """The pairs of several records of a machine; empty for any other object."""
+    """Return the pairs of arrays of several machine records, or an empty list for any other object."""
     if isinstance(u, list | tuple) and u and all(isinstance(pair, tuple) and len(pair) == 2 for pair in u):
         return list(u)
     return []
 
 
 def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
-    """The record of two arrays; a sample with NaN in one of them is missing."""
+    """Make a record from two arrays. A sample with NaN in either array is missing."""
     inputs, given = numbers("u", u), numbers("counts", counts)
     there = np.isfinite(given) if given.dtype.kind == "f" else np.ones(given.shape, bool)
     _, whole = check_arrays(inputs, np.where(there, given, 0))
@@ -330,7 +332,10 @@ def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
 
 
 def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, object]) -> Axis:
-    """The configuration of these objects as in an AXIS.toml. Raises UsageError for settings that do not fit."""
+    """Return the configuration of these objects, as AXIS.toml describes it.
+
+    Raises UsageError for settings that contradict each other.
+    """
     kind = "counts" if encoder is not None else "position"
     return axis_from(
         Axis,
@@ -354,7 +359,7 @@ def _encoder(encoder: Encoder | None, model: Model) -> dict[str, object]:
 
 
 def _model(model: Model) -> dict[str, object]:
-    """The keys of [model] that make the same model."""
+    """Return the keys of [model] that describe the model."""
     if isinstance(model, TransferFunction) and model.initial_conditions:
         raise UsageError("the starts of experiments are always part of the fit here: drop initial_conditions")
     if isinstance(model, Drive | TransferFunction):
@@ -365,9 +370,9 @@ def _model(model: Model) -> dict[str, object]:
     late, lag = equation.dead_time, equation.lag
     if equation != Equation(equation.unknown, equation.known, dead_time=late, lag=lag):
         raise UsageError("an equation with delay, only_simulated or further is that of a TransferFunction: give one")
-    free = equation.at_once.unknown  # without the term that the dead time brings along
+    free = equation.at_once.unknown  # without the term of the dead time
     unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))
-    for term in known:  # its coefficient is a number, of no name, no unit and no form
+    for term in known:  # the coefficient of a known term is a number, without name, unit or form
         del term["name"], term["unit"], term["shape"]
     for term, own in zip(unknown, free, strict=True):
         if own.shape is not None:

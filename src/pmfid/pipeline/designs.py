@@ -1,4 +1,4 @@
-"""SPEC.toml, and designs of an input from it."""
+"""The settings in SPEC.toml, and designs of an input for them."""
 
 from __future__ import annotations
 
@@ -30,13 +30,15 @@ __all__ = ["Spec", "load_spec", "make_problem"]
 Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-# not strict, because TOML has lists and a frozen object wants a tuple
+# not strict, because TOML has lists where a frozen object needs a tuple
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 
 
 class DriveSpec(FileSection):
-    """[drive]: mass x'' + viscous_friction x' + coulomb_friction sign(x') + offset = input_gain u, nominal values."""
+    """[drive]: the nominal values of mass x'' + viscous_friction x' + coulomb_friction sign(x') + offset =
+    input_gain u.
+    """
 
     input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
     mass: Positive = Field(description="the moving mass in kg, as near as it is known")
@@ -46,7 +48,7 @@ class DriveSpec(FileSection):
 
 
 class EncoderSpec(FileSection):
-    """[encoder]: what the position is measured with."""
+    """[encoder]: the measurement of the position."""
 
     resolution: Positive | None = Field(None, description="the travel in m per count, for example 22.75e-6")
     noise_std: Positive | None = Field(
@@ -75,7 +77,7 @@ class ExperimentSpec(FileSection):
 
 
 class MotionSpec(FileSection):
-    """[motion]: start, end and duration; the motion is forward throughout unless `directions` says otherwise."""
+    """[motion]: start, end and duration of the motion, which is always forward unless `directions` differs."""
 
     duration: Positive = Field(le=1e6, description="the length of the motion in s, at most 1e6")
     intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
@@ -92,7 +94,7 @@ class MotionSpec(FileSection):
 
 
 class LimitsSpec(FileSection):
-    """[limits]: bounds of the machine; a single number b stands for [-b, b]."""
+    """[limits]: bounds of the machine. A single number b stands for [-b, b]."""
 
     input: Positive | Pair | None = Field(None, description="the largest input in its unit, or [lowest, highest]")
     input_rate: Positive | None = Field(None, description="the largest change of the input per s")
@@ -118,7 +120,7 @@ class LimitsSpec(FileSection):
 
 
 class PriorSpec(FileSection):
-    """[prior]: standard deviations known beforehand, from an earlier estimate or a data sheet."""
+    """[prior]: standard deviations from an earlier estimate or a data sheet."""
 
     mass: Positive | None = Field(None, description="its standard deviation in kg")
     viscous_friction: Positive | None = Field(None, description="its standard deviation in N s/m")
@@ -127,7 +129,7 @@ class PriorSpec(FileSection):
 
 
 class RobustSpec(FileSection):
-    """[robust]: by how much the nominal values may be wrong; the limits hold then, too."""
+    """[robust]: the possible relative errors of the nominal values. The limits also hold for such errors."""
 
     mass: Annotated[float, Field(ge=0, lt=1)] = Field(0.0, description="the part it may be wrong by, as 0.2")
     viscous_friction: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="the part it may be wrong by")
@@ -138,18 +140,18 @@ class RobustSpec(FileSection):
 
 
 class SearchSpec(FileSection):
-    """[search]: how hard to look."""
+    """[search]: the effort of the search."""
 
     starts: int = Field(20, ge=1, le=1_000_000, description="the number of random starts, at most a million")
     seed: int = Field(0, ge=0, lt=2**63, description="a whole number, at least 0 and below 2**63")
 
 
-#: The columns of a recorded run, unless SPEC.toml names others.
+#: Columns of a recorded run, unless SPEC.toml names others.
 RECORD = RecordConfig(input="u", output="counts", output_kind="counts", time="t")
 
 
 class Spec(FileSection):
-    """The whole of SPEC.toml."""
+    """All sections of SPEC.toml."""
 
     drive: DriveSpec = Field(description="a section with input_gain, mass, viscous_friction and coulomb_friction")
     encoder: EncoderSpec = Field(description="a section with the resolution")
@@ -165,14 +167,14 @@ class Spec(FileSection):
 def load_spec(path: Path, overrides: Mapping[str, object] | None = None) -> Spec:
     """Read and validate a SPEC.toml.
 
-    `overrides` holds dotted keys, {"experiment.criterion": "trace"}, that replace the file's values; None is ignored.
-    Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
+    The dotted keys of `overrides`, such as {"experiment.criterion": "trace"}, replace the file's values. An override of
+    None has no effect. Raises UsageError with all problems if the file cannot be read or a value is not allowed.
     """
     return load_sections(Spec, path, overrides, "a SPEC.toml")
 
 
 def make_problem(spec: Spec) -> Problem:
-    """The problem of a specification. Raises UsageError if its parts do not fit each other."""
+    """Return the design problem of a specification. Raises UsageError if its parts contradict each other."""
     nominal = _nominal(spec.drive)
     experiment, motion = spec.experiment, spec.motion
     noise = spec.encoder.noise_std
@@ -206,7 +208,7 @@ def _nominal(drive: DriveSpec) -> dict[str, float]:
 
 
 def _prior(prior: PriorSpec, names: tuple[str, ...]) -> np.ndarray | None:
-    """Information matrix (p, p) of independent standard deviations."""
+    """Return the information matrix (p, p) of independent standard deviations."""
     stds = {name: std for name, std in prior.model_dump().items() if std is not None}
     others = [name for name in stds if name not in names]
     if others:
@@ -215,7 +217,7 @@ def _prior(prior: PriorSpec, names: tuple[str, ...]) -> np.ndarray | None:
 
 
 def _scenarios(robust: RobustSpec, nominal: Mapping[str, float]) -> tuple[dict[str, float], ...]:
-    """Every corner of the box that the tolerances span."""
+    """Return the nominal values at every corner of the box that the tolerances span."""
     wrong = {name: part for name, part in robust.model_dump(exclude={"average"}).items() if part > 0}
     signs = product((-1, 1), repeat=len(wrong)) if wrong else ()
     return tuple(
@@ -224,12 +226,15 @@ def _scenarios(robust: RobustSpec, nominal: Mapping[str, float]) -> tuple[dict[s
     )
 
 
-#: (starts done, starts in all, best value so far)
+#: Callback with the number of finished starts, the number of all starts and the best value so far.
 Progress = Callable[[int, int, float], None]
 
 
 def run_design(spec: Spec, *, certify: float | None = None, progress: Progress | None = None) -> Design:
-    """The design that a specification asks for; certify: seconds for a proved bound, None: none. Raises as `solve`."""
+    """Return the design for a specification.
+
+    `certify` is the time limit [s] for a proved bound, or None for no bound. Raises the errors of `solve`.
+    """
     return solve(
         make_problem(spec),
         spec.experiment.criterion,
@@ -241,7 +246,7 @@ def run_design(spec: Spec, *, certify: float | None = None, progress: Progress |
 
 
 def run_appraisal(spec: Spec, design: Design) -> Appraisal:
-    """A design of the specification compared with the standard inputs."""
+    """Compare a design for the specification with the standard inputs."""
     return appraise(design, spec.search.seed)
 
 
@@ -252,9 +257,12 @@ def run_commissioning(
     truth: Mapping[str, float] | None = None,
     rounds: int = 10,
 ) -> Commissioning:
-    """The estimate from the runs, and the next design; with the truth {name: value}, all rounds on a simulated axis.
+    """Return the estimate from the runs and the next design.
 
-    Raises UsageError for a truth with names that the drive does not have, and as `sequential` and `redesign` do.
+    With the true parameters `truth`, all rounds run on a simulated axis.
+
+    Raises UsageError if `truth` contains a name that the drive does not have, and the errors of `sequential` and
+    `redesign`.
     """
     problem = make_problem(spec)
     criterion, starts, seed = spec.experiment.criterion, spec.search.starts, spec.search.seed
@@ -272,7 +280,10 @@ def run_commissioning(
 
 
 def read_run(spec: Spec, path: Path) -> DesignedRun:
-    """A recorded run, columns as [record] says (without it: t, u, counts). Raises UsageError as `read_record` does."""
+    """Read a recorded run with the columns that [record] names, by default t, u and counts.
+
+    Raises UsageError as `read_record` does.
+    """
     resolution = spec.encoder.resolution
     if resolution is None:
         raise UsageError(f"{path}: [encoder] has no resolution; give the travel per count of the record in m")

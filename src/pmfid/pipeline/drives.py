@@ -1,4 +1,4 @@
-"""From a record of a drive to a result."""
+"""The way from a record of a drive to a result."""
 
 from __future__ import annotations
 
@@ -60,9 +60,10 @@ __all__ = ["check_direction"]
 
 
 def check_direction(record: Record, axis: Axis) -> str:
-    """The mistake of an equation of first order with a direction if the output is a velocity; otherwise empty.
+    """Describe the mistake in an equation of first order with a direction if its output is a velocity.
 
-    The direction follows the output's change. If the output is a velocity, this is the direction of the acceleration.
+    The text is empty for any other equation. The direction follows the change of the output. If the output is a
+    velocity, this is the direction of the acceleration.
     """
     model, config = axis.model.make(), axis.estimator
     above = _integrate_equation(model.equation)
@@ -87,7 +88,7 @@ def check_direction(record: Record, axis: Axis) -> str:
 
 
 def _integrate_equation(equation: Equation) -> Equation | None:
-    """An equation of first order with the output replaced by its integral; None for any other equation."""
+    """Return an equation of first order with the output replaced by its integral, or None for any other equation."""
     terms = (*equation.unknown, *equation.known)
     if equation.order != 1 or any(term.facts.measured and term.facts.one_way for term in terms):
         return None
@@ -102,7 +103,7 @@ def _integrate_equation(equation: Equation) -> Equation | None:
 
 
 class Drives(Kind[Record]):
-    """Machines with friction, and equations of the user's own: one record of counts."""
+    """Machines with friction and user-defined equations, which have one record of counts."""
 
     on_line: ClassVar[str] = "riv"
 
@@ -182,7 +183,7 @@ class Drives(Kind[Record]):
 
 
 def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
-    """The result of the method of `axis`; asked: the axis as configured, with prior information."""
+    """Return the result of the method in `axis`. The configured axis `asked` contains the prior information."""
     estimator, reason, choice = make_estimator(axis, data), "", None
     if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
         choice = first_choice(estimator, data.u, data.counts)
@@ -195,8 +196,10 @@ def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progres
 
 
 def match_kind(record: Record, axis: Axis) -> Axis:
-    """The same axis, rotary if the file says that its output is an angle. Raises UsageError if parameters of a linear
-    axis are known."""
+    """Return the axis as a rotary axis if the file says that its output is an angle.
+
+    Raises UsageError if parameters of a linear axis are known.
+    """
     if not record.rotary or axis.model.kind != "drive" or axis.model.axis == "rotary":
         return axis
     if axis.estimator.given or axis.estimator.prior or axis.monitor.nominal:
@@ -207,7 +210,7 @@ def match_kind(record: Record, axis: Axis) -> Axis:
 
 
 def take_own_instants(record: Record, axis: Axis) -> Record:
-    """The record at its own instants, if the clock is uneven and the method takes the step that was."""
+    """Return the record at its own instants if its clock is uneven and the method supports varying steps."""
     if record.own is None:
         return record
     with suppress(UsageError):
@@ -218,7 +221,7 @@ def take_own_instants(record: Record, axis: Axis) -> Record:
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:
-    """The estimator that a configuration asks for, at the record's sample period and resolution."""
+    """Return the configured estimator for the record's sample period and resolution."""
     estimator = _construct(axis, record)
     if type(estimator).instrumental and axis.estimator.prefilter_zeros is None:
         return replace(estimator, prefilter_zeros=choose_prefilter_zeros(estimator, record.u, record.counts))
@@ -241,15 +244,14 @@ def _construct(axis: Axis, record: Record) -> Estimator:
 
 
 def _check_known(result: DriveResult) -> None:
-    """Raises NotIdentifiableError for a mass below its standard deviation, and for a model whose simulated motion is
-    another one."""
+    """Raise NotIdentifiableError for a mass below its standard deviation, or for a simulated motion that differs."""
     _check_sizes(result.estimator, result.theta, result.theta_std, advise(result.findings))
     if "not_followed" in result.status or not np.isfinite(result.relative_error):
         raise NotIdentifiableError(advise(result.findings))
 
 
 def _check_sizes(estimator: Estimator, theta: Floats, theta_std: Floats, advice: str = MOVE) -> None:
-    """Raises NotIdentifiableError, with advice, for a mass below its standard deviation."""
+    """Raise NotIdentifiableError, with advice, if the mass is below its standard deviation."""
     leading = estimator.equation.leading
     mass, std = theta[leading], theta_std[leading]
     if not np.all(np.isfinite((*theta, *theta_std))):
@@ -260,8 +262,11 @@ def _check_sizes(estimator: Estimator, theta: Floats, theta_std: Floats, advice:
 
 
 def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> list[Finding]:
-    """The note on an equation whose error exceeds the input. The steps of a coarse encoder in the acceleration cause
-    that, even at the right parameters. Raises NotIdentifiableError if no simulated motion confirms the parameters."""
+    """Return a note if the error of the filtered equation exceeds the input.
+
+    The steps of a coarse encoder in the acceleration cause such an error even at the right parameters. Raises
+    NotIdentifiableError if no simulated motion confirms the parameters.
+    """
     if not relative > 1:
         return []
     sentence, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", judgement.adequacy
@@ -296,11 +301,11 @@ def _estimate(
         known, there = known.rescale(fit)
         estimator, residual = known.estimator, fit.residual * known.estimator.equation.input_gain / before
         fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
-    if known is None:  # what is refused needs no judgement
+    if known is None:  # a refused estimate needs no judgement
         _check_sizes(estimator, fit.theta, fit.theta_std)
     asked = all_known(estimator, record, fit.theta, fit.theta_std)
     judgement = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
-    further = fit.theta.size - judgement.spread.size  # parameters that are not linear in the equation
+    further = fit.theta.size - judgement.spread.size  # number of parameters that are not linear
     spread = np.r_[judgement.spread, np.full(further, np.nan)]
     unused = []
     if axis.estimator.window is not None and not isinstance(estimator, OE):
@@ -316,7 +321,7 @@ def _estimate(
 
 
 def _clock_findings(record: Record) -> tuple[Finding, ...]:
-    """What the estimate of a resampled record owes to its clock."""
+    """Return findings on the clock of a resampled record."""
     if not record.jitter or record.steps is not None:
         return ()
     varies = f"the steps of the clock vary by {record.jitter:.0%}"
@@ -331,7 +336,7 @@ def _clock_findings(record: Record) -> tuple[Finding, ...]:
 
 
 def _widen_errors(result: DriveResult, record: Record) -> Floats:
-    """Standard errors (p,) that include the effect of imputed samples."""
+    """Return standard errors (p,) that include the effect of imputed samples."""
     if record.doubt is None:
         return result.theta_std
     most = float(np.max(record.doubt, initial=0.0))
@@ -340,13 +345,15 @@ def _widen_errors(result: DriveResult, record: Record) -> Floats:
 
 
 def _collect_status(record: Record) -> int:
-    """Status bits that the record's notes explain: its gaps."""
+    """Return the status bits of the gaps, which the record's notes explain."""
     return int(Status.SAMPLE_REJECTED | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
-    """Whether the model explains the counts. Only a free lag needs a test here: the lag from instrumental variables is
-    not the lag that fits best."""
+    """Return the adequacy of the model if it is known or needs a test.
+
+    Only a free lag needs a test here, because the lag from instrumental variables is not the best fit.
+    """
     if choice is not None:
         tested = choice.adequacy
         return tested if tested is not None and tested.difference.equation == estimator.equation else None
@@ -362,7 +369,7 @@ def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoi
 def all_known(
     estimator: Estimator, record: Record, theta: Floats, std: Floats
 ) -> tuple[Estimator, Floats, Counts, Floats, Floats]:
-    """The arguments of `verdict`, with the parameters that are not linear in the equation fixed at their estimates."""
+    """Return the arguments of `verdict` with all nonlinear parameters fixed at their estimates."""
     equation = estimator.equation
     p = len(equation.names)
     if not equation.further:
@@ -372,13 +379,13 @@ def all_known(
 
 
 def _needs_simulation(estimator: Estimator) -> bool:
-    """Does the equation have regressors that only a simulated motion gives?"""
+    """Return whether the equation has regressors that only a simulated motion gives."""
     of_speed = any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
     return of_speed or estimator.equation.lag == ESTIMATE
 
 
 def _batch_twin(estimator: Estimator) -> BatchEstimator:
-    """The off-line method on the same columns."""
+    """Return the off-line method for the same columns."""
     if isinstance(estimator, BatchEstimator):
         return estimator
     if isinstance(estimator, RIV):
@@ -393,7 +400,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
 
 
 def late_of(estimator: Estimator) -> int | None:
-    """The index of the dead time, if it is a parameter."""
+    """Return the index of the dead time if it is a parameter."""
     return estimator.equation.roles[LATE]
 
 
@@ -417,7 +424,7 @@ def _recursive(
     if _needs_simulation(estimator):
         simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
         columns = simulating.columns_at(theta, record.u, record.counts)
-    elif late is not None:  # the equation at the estimated dead time, which is then no unknown
+    elif late is not None:  # the equation at the estimated dead time, which is then known
         at = estimator.model.replace_dead_time(max(0.0, float(theta[late])))
         columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
         free = np.delete(free, late, axis=1)
@@ -440,11 +447,11 @@ def _recursive(
 
 
 def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32]) -> float:
-    """The relative error of the filtered equation, each sample with the estimate of its time."""
+    """Return the relative error of the filtered equation, with the estimate at the time of each sample."""
     known = columns.used & ((status & (Status.SETTLING | Status.STARTING)) == 0)
     rows = known[columns.used]
     z = columns.z[rows]
-    with np.errstate(over="ignore", invalid="ignore"):  # of a track that has diverged: infinite is right, and no result
+    with np.errstate(over="ignore", invalid="ignore"):  # a diverged track has an infinite error and no result
         residual = z - np.sum(columns.phi[rows] * theta[known], axis=1)
         return float(np.linalg.norm(residual) / np.linalg.norm(z))
 
@@ -452,8 +459,10 @@ def _relative_error(columns: Columns, theta: Floats, status: NDArray[np.uint32])
 def _run(
     estimator: RecursiveEstimator, record: Record, progress: Progress | None, known: Known | None
 ) -> tuple[Track, Track]:
-    """The tracks of a run over the record, without and with prior information. Chunks give the same numbers as one run;
-    in a gap the estimate stays."""
+    """Return the tracks of a run over the record, without and with prior information.
+
+    Several chunks give the same numbers as one run. In a gap the estimate does not change.
+    """
     n, parts, reported = record.u.size, list[Track](), list[Track]()
     chunk = TUNING.drives_chunk if known is None else ESTIMATOR_TUNING.known_piece
     edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), n]

@@ -1,4 +1,4 @@
-"""From AXIS.toml to the estimator that a drive runs, sample by sample with its own counter."""
+"""The way from AXIS.toml to the recursive estimator that runs on a drive with its own counter."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from pmfid.records.record import Record
 def drive_estimator(
     axis: Axis, record: Record | None = None, dt: float | None = None, steps: bool = False
 ) -> RecursiveEstimator:
-    """The recursive estimator of a configuration, for the raw counts of its counter.
+    """Return the recursive estimator of a configuration for the raw counts of a counter.
 
-    record: gives the sample period, and the pre-filter zeros if the configuration has none. Without a record dt [s] or
-    [record] dt is the sample period, and the zeros are the method's default. steps: each sample comes with the time
-    since the last one. Raises UsageError for an off-line method
-    or without a sample period.
+    The record determines the sample period. It also determines the pre-filter zeros if the configuration has none.
+    Without a record, dt [s] or [record] dt is the sample period, and the zeros are the method's default. If `steps`,
+    each sample comes with the time since the previous sample. Raises UsageError for an off-line method or a missing
+    sample period.
     """
     if record is not None:
         axis = kind_of(axis).prepare_axis(record, axis)
@@ -46,8 +46,10 @@ def drive_estimator(
 
 
 def check_exportable(axis: Axis) -> EstimatorConfig:
-    """[estimator] with the method that a drive runs in place of "auto". Raises UsageError for a method or data that no
-    drive has, before a record is read."""
+    """Return [estimator] with the method that a drive runs if the configured method is "auto".
+
+    Raises UsageError for a method or data that a drive cannot have. The check needs no record.
+    """
     kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
     check_numbers_known(axis, "firmware")
     if axis.encoder.resolution == NO_ENCODER:

@@ -1,4 +1,4 @@
-"""A free friction curve from a record and AXIS.toml, or from arrays."""
+"""Estimate of a free friction curve from a record and AXIS.toml, or from arrays."""
 
 from __future__ import annotations
 
@@ -47,25 +47,25 @@ def friction_curve(
     nodes: int = ESTIMATOR_TUNING.friction_curve_nodes,
     rising_from: float | None = None,
 ) -> FrictionCurve:
-    """Estimate friction over velocity without an assumed law, and the mass, as `pmfid friction` does.
+    """Estimate the mass, and friction over velocity without an assumed law, as `pmfid friction` does.
 
     Parameters
     ----------
     u : array_like (n,)
-        Input.
+        The input.
     counts : array_like (n,)
         Counts of the encoder.
     model : Drive
-        Its input_gain and dead_time are used, its friction is not.
+        A drive whose input_gain and dead_time are used. The function ignores the friction of the model.
     encoder : Encoder
     dt : float
         Sample period [s].
     cutoff : float, optional
-        Pole of the filters [rad/s]. By default the record decides.
+        Pole of the filters [rad/s]. By default, the record determines the pole.
     nodes : int
         Number of speeds in each direction.
     rising_from : float, optional
-        Speed [unit of y per s] above which friction does not fall. By default friction may fall anywhere.
+        Speed [unit of y per s] above which friction does not fall. By default, friction may fall at any speed.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def friction_curve(
     Raises
     ------
     UsageError
-        Arguments do not fit each other.
+        The arguments contradict each other.
     NotIdentifiableError
         The record does not separate friction from other forces.
 
@@ -98,7 +98,7 @@ def friction_curve(
 def record_curve(
     record: Record, axis: Axis, nodes: int = ESTIMATOR_TUNING.friction_curve_nodes, rising_from: float | None = None
 ) -> FrictionCurve:
-    """The friction curve of a record that was read for `axis`, without samples that no motion explains."""
+    """Return the friction curve of a record that was read for `axis`, without samples that no motion explains."""
     record, axis = unbroken(record), match_kind(record, axis)
     repaired, encoder = repair_as_configured(record, axis), axis.encoder.make_encoder(record.resolution)
     found = _estimate_curve(repaired.record.u, repaired.record.counts, record.dt, encoder, axis, nodes, rising_from)
@@ -141,5 +141,5 @@ def _estimate_curve(
 
 
 def curve_json(found: FrictionCurve, name: str) -> dict[str, object]:
-    """The object that `--json` prints."""
+    """Return the object that `--json` prints."""
     return {"record": name, **found.to_dict()}

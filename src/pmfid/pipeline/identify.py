@@ -16,10 +16,10 @@ from pmfid.pipeline.kinds import Kind, Progress, Records
 from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import DriveResult, Result
 
-#: Flags of results that a mistake in the columns may explain, however long it takes to find.
+#: Flags of results that a mistake in the columns may explain. They justify slow checks of the log.
 SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback", "not_followed", "unmodelled"}
 KINDS: dict[str, Kind[Records]] = {
-    # a kind gets what it has read itself, which is one of these
+    # each kind receives only records that it has read itself
     "drive": cast("Kind[Records]", Drives()),
     "equation": cast("Kind[Records]", Drives()),
     "transfer_function": cast("Kind[Records]", Processes()),
@@ -27,22 +27,23 @@ KINDS: dict[str, Kind[Records]] = {
 
 
 def kind_of(axis: Axis) -> Kind[Records]:
-    """The kind of plant that [model] describes."""
+    """Return the kind of plant that [model] describes."""
     return KINDS[axis.model.kind]
 
 
 def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Result:
-    """Estimates the parameters from the records that `kind_of(axis).read` gives; `progress` is called while a recursive
-    method runs.
+    """Estimate the parameters from the records that `kind_of(axis).read` returns.
 
-    Raises UsageError for a configuration that does not fit the data, and NotIdentifiableError if the data cannot
-    identify every parameter. A mistake in the log that explains the error is named first.
+    `progress` is called while a recursive method runs.
+
+    Raises UsageError if the configuration contradicts the data, and NotIdentifiableError if the data cannot identify
+    every parameter. If a mistake in the log explains the error, the message names the mistake first.
     """
     kind, given = kind_of(axis), axis
     axis = kind.prepare_axis(data, given)
     kind.check(data, axis)
     whole = kind.complete_record(data, axis)
-    if whole is not data:  # the complete record may suit another pole
+    if whole is not data:  # the complete record may need another pole
         data, axis = whole, kind.prepare_axis(whole, given)
     try:
         result = kind.estimate(data, axis, progress)
@@ -54,7 +55,7 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
 
 
 def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
-    """The settings that were chosen by the record, for people."""
+    """Return notes on the settings that the record determined."""
     if given.estimator.cutoff == prepared.estimator.cutoff:
         return ()
     cutoff = f"cutoff = {prepared.estimator.pole:.6g}"
@@ -62,13 +63,15 @@ def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
 
 
 def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
-    """The most important mistake in the log, which may have caused the error; the error itself without one."""
+    """Return an error with the most important mistake in the log, or the error itself if the log has no mistake."""
     return NotIdentifiableError(findings[0].text) if codes(findings) else error
 
 
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
-    """Possible mistakes in a log, most important first. For a machine's log without mistakes, the doubts of `identify`
-    in the model."""
+    """Return possible mistakes in a log, most important first.
+
+    For a machine's log without mistakes, the function returns the doubts of `identify` about the model.
+    """
     kind = kind_of(axis)
     log = kind.check_record(data, axis)
     if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG:
@@ -87,7 +90,10 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results by method, and the reason for each method without a result; name, samples: of the record or records."""
+    """Results by method, and the reason for each method without a result.
+
+    `name` and `samples` describe the record or records.
+    """
 
     name: str
     samples: int
@@ -95,17 +101,17 @@ class Comparison:
     refused: dict[str, str]
 
     def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints."""
+        """Return the object that `--json` prints."""
         methods: dict[str, object] = {name: result.to_json() for name, result in self.results.items()}
         methods |= {name: {"error": reason} for name, reason in self.refused.items()}
         return {"record": self.name, "samples": self.samples, "methods": methods}
 
 
 def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparison:
-    """Runs every method with the settings of `axis` on the records that `kind_of(axis).read` gives.
+    """Run every method with the settings of `axis` on the records that `kind_of(axis).read` returns.
 
-    `done` is called with the part that has run. Raises UsageError as `identify` does, and the first method's error if
-    no method succeeds.
+    `done` is called with the completed part of the work. Raises UsageError as `identify` does. If no method succeeds,
+    the function raises the error of the first method.
     """
     kind, methods = kind_of(axis), methods_for(axis.model.make())
     axis = kind.prepare_axis(data, axis)

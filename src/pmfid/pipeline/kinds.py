@@ -1,4 +1,4 @@
-"""Kinds of plant: the interface of their records, estimates and checks."""
+"""The kinds of plant, with the interface for their records, estimates and checks."""
 
 from __future__ import annotations
 
@@ -23,77 +23,86 @@ from pmfid.pipeline.stored import Stored
 from pmfid.records.record import Record
 from pmfid.types import Floats
 
-#: Called with the part of the work that is done, 0 to 1.
+#: Callback with the completed part of the work, from 0 to 1.
 Progress = Callable[[float], None]
 
 Data = TypeVar("Data")
-#: What some kind of plant reads.
+#: Data that a kind of plant reads.
 Records = Record | Sequence[Experiment]
 
 
 class Kind(ABC, Generic[Data]):
-    """A kind of plant: how its records are read, estimated and checked. `Data` is the type of its records: one record
-    of a machine, or the experiments of one transfer function."""
+    """A kind of plant, which reads, estimates and checks its records.
 
-    #: the method for "auto" on a drive, sample by sample
+    `Data` is the type of its records: one record of a machine, or the experiments of one transfer function.
+    """
+
+    #: method for "auto" on a drive, sample by sample
     on_line: ClassVar[str]
 
     @abstractmethod
     def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> Data:
-        """The records at `paths`. Raises UsageError for files that are no such records, or for too many files."""
+        """Read the records at `paths`. Raises UsageError for files without such records, or for too many files."""
 
     @abstractmethod
     def read_table(self, table: Table, axis: Axis) -> Data:
-        """The records in a table of columns. Raises UsageError as `read` does."""
+        """Read the records from a table of columns. Raises UsageError as `read` does."""
 
     def prepare_axis(self, data: Data, axis: Axis) -> Axis:
-        """The configuration with settings chosen by the record; the same if it leaves none to the record."""
+        """Return the configuration with all settings that it leaves to the record."""
         return axis
 
     def complete_record(self, data: Data, axis: Axis) -> Data:
-        """The records with missing samples filled by the model of a complete configuration."""
+        """Return the records, where a complete configuration lets the model fill missing samples."""
         return data
 
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
-        """The result of the configured method. Raises UsageError for a method that cannot take the model or the data,
-        and NotIdentifiableError if the data cannot identify every parameter."""
+        """Return the result of the configured method.
+
+        Raises UsageError for a method that does not support the model or the data, and NotIdentifiableError if the data
+        cannot identify every parameter.
+        """
 
     @abstractmethod
     def name_and_samples(self, data: Data) -> tuple[str, int]:
-        """The name of the records, and their number of samples."""
+        """Return the name of the records and their number of samples."""
 
     @abstractmethod
     def free_runs(self, data: Data, axis: Axis, theta: Floats) -> list[FreeRun]:
-        """Simulations of the model with parameters theta (p,), in the order of `simulator`, and the measured outputs.
-        Raises UsageError if nothing can be simulated."""
+        """Return simulations of the model with parameters theta (p,), and the measured outputs.
+
+        The parameters have the order of `simulator`. Raises UsageError if the model cannot be simulated.
+        """
 
     @abstractmethod
     def check_known(self, stored: Stored, data: Data, axis: Axis) -> None:
-        """Raises UsageError if the parameters of a file were estimated with other known values."""
+        """Raise UsageError if the parameters of a file were estimated with other known values."""
 
     def unit_of_output(self, axis: Axis) -> str:
-        """The unit of the output; empty if the user defines it."""
+        """Return the unit of the output, or an empty text if the user defines it."""
         return ""
 
     def check(self, data: Data, axis: Axis) -> None:
-        """Raises UsageError for a mistake that makes every estimate wrong."""
+        """Raise UsageError for a mistake that makes every estimate wrong."""
 
     def check_on_line(self, axis: Axis) -> None:
-        """Raises UsageError for settings that a drive cannot follow sample by sample."""
+        """Raise UsageError for settings that a drive cannot follow sample by sample."""
 
     def scan_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
-        """Possible mistakes in the log, by checks that cost next to nothing."""
+        """Return possible mistakes in the log that fast checks find."""
         return ()
 
     def check_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
-        """Possible mistakes in the log, by all checks."""
+        """Return possible mistakes in the log that all checks find."""
         return self.scan_record(data, axis)
 
 
 def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the parameters (p,) of a simulation of the model. Raises UsageError for an equation that
-    nothing simulates."""
+    """Return the names and units of the parameters (p,) of a simulation of the model.
+
+    Raises UsageError for an equation that cannot be simulated.
+    """
     equation = model.equation
     if OE.refuses(equation):
         reason = equation.without_simulation
@@ -105,7 +114,7 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def simulator(axis: Axis, dt: float, resolution: float) -> OE:
-    """The method that simulates the model of `axis`; dt [s], resolution [unit of the output]."""
+    """Return the method that simulates the model of `axis`, with dt [s] and the resolution [unit of the output]."""
     check_sampling(axis, dt)
     return OE(
         axis.model.make(), axis.encoder.make_encoder(resolution), dt, axis.estimator.pole, order=axis.estimator.order
@@ -113,7 +122,7 @@ def simulator(axis: Axis, dt: float, resolution: float) -> OE:
 
 
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
-    """The options of [estimator] that a method takes, by name."""
+    """Return the options of [estimator] that a method supports, by name."""
     config = axis.estimator
     options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
@@ -125,5 +134,5 @@ def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
 
 
 def method_of(axis: Axis, automatic: str) -> str:
-    """The configured method, or the first method of "auto"."""
+    """Return the configured method, or the first method of "auto"."""
     return automatic if axis.estimator.method == AUTO else axis.estimator.method

@@ -1,4 +1,4 @@
-"""Prior information: [estimator] given and prior, and input_gain = "estimate", on the way to a result."""
+"""Prior information: the keys `given` and `prior` of [estimator], and input_gain = "estimate"."""
 
 from __future__ import annotations
 
@@ -24,23 +24,25 @@ CONTRADICTED_REMEDY = "check the values, their units, the input_gain and the mod
 
 
 def finds_gain(axis: Axis) -> bool:
-    """Is the input gain a parameter to be estimated?"""
+    """Return whether the input gain is an unknown parameter."""
     return axis.model.input_gain == ESTIMATE
 
 
 def set_gain(axis: Axis, gain: float) -> Axis:
-    """A copy of the axis with another input gain."""
+    """Return a copy of the axis with another input gain."""
     return axis.model_copy(update={"model": axis.model.model_copy(update={INPUT_GAIN: gain})})
 
 
 def set_any_gain(axis: Axis) -> Axis:
-    """The same axis with a number as input gain, for questions that do not depend on its value."""
+    """Return the axis with a number as input gain, for uses that do not depend on the number."""
     return set_gain(axis, 1.0) if finds_gain(axis) else axis
 
 
 def set_stored_gain(axis: Axis, stored: Stored) -> Axis:
-    """The same axis with the input gain of a file's parameters, if it was estimated. Raises UsageError if the file has
-    none."""
+    """Return the axis with the input gain of a file's parameters if the gain was estimated.
+
+    Raises UsageError if the file has no input gain.
+    """
     if not finds_gain(axis):
         return axis
     if stored.input_gain is None:
@@ -49,8 +51,11 @@ def set_stored_gain(axis: Axis, stored: Stored) -> Axis:
 
 
 def try_both_signs(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
-    """The result of `identified` on an axis with a number as input gain. An unknown gain may have either sign; with the
-    wrong one no model follows the record. Raises as `identified` does."""
+    """Return the result of `identified` on an axis with a number as input gain.
+
+    An unknown gain may have either sign. With the wrong sign, no model follows the record. Raises the errors of
+    `identified`.
+    """
     if not finds_gain(axis):
         return identified(axis)
     try:
@@ -62,8 +67,11 @@ def try_both_signs(axis: Axis, identified: Callable[[Axis], Found]) -> Found:
 
 
 def known_of(axis: Axis, estimator: Estimator) -> Known | None:
-    """The prior information of [estimator] on the parameters of a method; None without any. Information on parameters
-    that the method does not have is left out. Raises UsageError if nothing remains that determines the gain."""
+    """Return the prior information of [estimator] on the parameters of a method, or None without any.
+
+    The function ignores information on parameters that the method does not have. Raises UsageError if no remaining
+    information determines the gain.
+    """
     config, find = axis.estimator, finds_gain(axis)
     names = (*estimator.names, *([INPUT_GAIN] if find else []))
     given = {name: value for name, value in config.given.items() if name in names}
@@ -72,8 +80,10 @@ def known_of(axis: Axis, estimator: Estimator) -> Known | None:
 
 
 def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Posterior) -> DriveResult:
-    """A result with prior information; estimate: the combination of both. Raises NotIdentifiableError for a gain below
-    its standard deviation."""
+    """Return a result with prior information. `estimate` is the combination of record and prior information.
+
+    Raises NotIdentifiableError if the gain is below its standard deviation.
+    """
     config, estimator = axis.estimator, result.estimator
     unused = [name for name in (*config.given, *config.prior) if name not in known.names]
     notes = [f"{estimator.method} has no {name}: prior information on it is not used" for name in unused]
@@ -98,8 +108,10 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
 
 
 def check_numbers_known(axis: Axis, what: str) -> None:
-    """Raises UsageError without a number as input gain, and for prior information; `what` uses the one and cannot use
-    the other."""
+    """Raise UsageError if the input gain is not a number, or if the axis has prior information.
+
+    `what` names the user of the axis, who needs the number and does not support prior information.
+    """
     if finds_gain(axis):
         raise UsageError(
             f'{what} needs a number for the gain of the input: run pmfid identify with input_gain = "estimate", and '

@@ -1,4 +1,4 @@
-"""Transfer functions: from records to a result, and the search for a structure."""
+"""The way from records of a transfer function to a result, and the search for its structure."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from pmfid.status import Status, status_findings
 from pmfid.types import Floats
 
 AUTOMATIC = "srivc"
-#: Methods that take several records, gaps, missing samples and uneven spacing.
+#: Methods that support several records, gaps, missing samples and uneven spacing.
 FREE = ", ".join(name for name, cls in ESTIMATORS.items() if issubclass(cls, ProcessSolver))
 
 
 class Processes(Kind[Sequence[Experiment]]):
-    """Transfer functions: one estimate from one or more records."""
+    """Transfer functions, with one estimate from one or more records."""
 
     on_line: ClassVar[str] = "rsrivc"
 
@@ -96,7 +96,7 @@ class Processes(Kind[Sequence[Experiment]]):
 
 
 def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:
-    """The estimator that a configuration asks for, at the period of the first record."""
+    """Return the configured estimator for the sample period of the first record."""
     model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
     check_sampling(axis, dt)
     if any(abs(experiment.period / dt - 1) > ESTIMATOR_TUNING.same_period for experiment in experiments):
@@ -120,7 +120,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
 
 
 def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
-    """The single record. Raises UsageError unless it is evenly spaced and complete."""
+    """Return the single record. Raises UsageError unless the record is complete and evenly spaced."""
     first = experiments[0]
     stretches = first.stretches()
     whole = len(stretches) == 1 and stretches[0].grid.uniform and stretches[0].rows.size == first.u.size
@@ -132,7 +132,7 @@ def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
 
 
 def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tuple[np.ndarray, np.ndarray, int]:
-    """theta, covariance and status of a method on the kernel's columns."""
+    """Return theta, covariance and status of a method that uses the kernel's columns."""
     record = _plain(experiments, estimator.method)
     if isinstance(estimator, BatchEstimator):
         fit = estimator.fit_output(record.u, record.y)
@@ -149,7 +149,7 @@ def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tup
 
 
 def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None) -> Search:
-    """The structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
+    """Return the structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
     cutoff, offset = axis.estimator.pole, axis.model.offset
     check_sampling(axis, experiments[0].period)
     found = search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
@@ -157,7 +157,10 @@ def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[
 
 
 def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandidate) -> str:
-    """The reason against a structure: no estimate, or none to recommend; "" without a reason."""
+    """Return the reason against a structure, or an empty text.
+
+    The reason is a missing estimate or an estimate without recommendation.
+    """
     places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
     model = axis.model.model_copy(update={"kind": "transfer_function", **places})
     try:
@@ -168,7 +171,7 @@ def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandi
 
 
 def search_json(search: Search) -> dict[str, object]:
-    """The object that `pmfid terms --json` prints."""
+    """Return the object that `pmfid terms --json` prints."""
     rows = [
         {
             "n": row.n,

@@ -1,4 +1,4 @@
-"""The result of an identification: parameters, intervals, findings."""
+"""The result of an identification: parameters, intervals and findings."""
 
 from __future__ import annotations
 
@@ -26,13 +26,16 @@ from pmfid.records.record import Record
 from pmfid.types import Floats
 
 UNKNOWN = "–"
-#: Columns with spaces, which may take several lines.
+#: Columns with spaces, which may need several lines.
 FOLDED = ("model spread", "95 %")
 
 
 class Parametric(Protocol):
-    """The p parameters of a `Result`: theta, theta_std, model_spread (p,), interval_95 (p, 2); beforehand: by name,
-    which prior information there is."""
+    """The p parameters of a `Result`.
+
+    theta, theta_std and model_spread have shape (p,), and interval_95 has shape (p, 2). `beforehand` gives the kind of
+    prior information by name.
+    """
 
     @property
     def names(self) -> tuple[str, ...]: ...
@@ -53,13 +56,16 @@ class Parametric(Protocol):
 
 
 def parameter_header(result: Parametric) -> tuple[str, ...]:
-    """The names of the columns of `parameter_rows`."""
+    """Return the names of the columns of `parameter_rows`."""
     beyond = () if result.model_spread is None else FOLDED
     return ("parameter", "value", "std", *beyond, "unit")
 
 
 def parameter_rows(result: Parametric) -> list[list[str]]:
-    """One row of text for each parameter; of a machine also the model spread and the interval that includes it."""
+    """Return one row of text for each parameter.
+
+    For a machine, the row includes the model spread and the interval that contains it.
+    """
     names, units = result.names, result.units
     found = zip(names, result.theta, result.theta_std, _list_beyond_noise(result), units, strict=True)
     return [
@@ -69,7 +75,7 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
 
 
 def findings_lines(result: Parametric) -> list[str]:
-    """The findings, most important first, a paragraph each."""
+    """Return the findings as paragraphs, most important first."""
     return [f"{finding.paragraph[0].upper()}{finding.paragraph[1:].rstrip('.')}." for finding in result.findings]
 
 
@@ -79,7 +85,7 @@ def _format_name(result: Parametric, name: str) -> str:
 
 
 def format_interval(low: float, high: float) -> str:
-    """An interval with the digits that its width needs, five at least."""
+    """Return an interval as text, with the digits that its width needs and at least five digits."""
     width, size = high - low, max(abs(low), abs(high))
     digits = 5 if not width > 0 else max(5, min(15, 2 + math.ceil(math.log10(size / width))))
     return f"{low:.{digits}g} to {high:.{digits}g}"
@@ -96,21 +102,21 @@ def _list_beyond_noise(result: Parametric) -> list[list[str]]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Presentable):
-    """Parameters of a plant, their uncertainty, and what to think of them.
+    """The parameters of a plant, their uncertainty, and the findings on them.
 
     Attributes
     ----------
     estimator : Estimator
-        Its names and units are those of the parameters.
+        The estimator, with the names and units of the parameters.
     theta : ndarray (p,)
-        Parameters; `result["mass"]` is one of them.
+        Parameters, for example `result["mass"]`.
     theta_std : ndarray (p,)
         Standard deviations of errors that vary from record to record.
     findings : tuple of Finding
-        On the parameters and the record, most important first; `status` has their codes.
+        Findings on the parameters and the record, most important first. Their codes are in `status`.
     model_spread : ndarray (p,), optional
-        Of machines: root mean square change of the parameters by unmodelled effects. NaN: not known, as for an equation
-        that nothing simulates.
+        For machines, the root mean square change of the parameters by unmodelled effects. NaN stands for an unknown
+        change, for example if the equation cannot be simulated.
 
     Examples
     --------
@@ -142,12 +148,12 @@ class Result(Presentable):
         return texts(self.findings)
 
     def with_findings(self, *further: Finding) -> Self:
-        """The same result with further findings."""
+        """Return the result with further findings."""
         return replace(self, findings=sort_findings((*further, *self.findings)))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters (p,): those of the estimator, and an estimated input gain."""
+        """The names of the parameters (p,), including an estimated input gain."""
         return self.estimator.names
 
     @property
@@ -156,13 +162,16 @@ class Result(Presentable):
 
     @property
     def beforehand(self) -> dict[str, str]:
-        """The prior information by parameter: "given" or "prior"."""
+        """The kind of prior information for each parameter, "given" or "prior"."""
         return {}
 
     @property
     def interval_95(self) -> Floats | None:
-        """(p, 2): intervals that hold the parameters in 95 % of the records, with the model spread. NaN: not known;
-        None: there is no model spread. The interval of a positive mass or friction does not extend below zero."""
+        """The intervals (p, 2) that hold the parameters in 95 % of the records, including the model spread.
+
+        An unknown interval is NaN. The property is None without a model spread. The interval of a positive mass or
+        friction does not extend below zero.
+        """
         if self.model_spread is None:
             return None
         half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(self.theta_std, self.model_spread)
@@ -179,18 +188,18 @@ class Result(Presentable):
     @property
     @abstractmethod
     def samples(self) -> int:
-        """Number of samples of the output."""
+        """The number of samples of the output."""
 
     @abstractmethod
     def particulars(self) -> dict[str, object]:
         """The entries of `to_json` that only this kind of result has."""
 
     def __getitem__(self, name: str) -> float:
-        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
         return float(self.theta[place_of(name, self.names)])
 
     def __str__(self) -> str:
-        """A line for each parameter, then the status and the findings."""
+        """Return a line for each parameter, and then the status and the findings."""
         lines = [self.title, *(f"  {line}" for line in self._lines)]
         lines += [f"  95 % with unmodelled effects: {line}" for line in self._list_beyond_noise()]
         return "\n".join([*lines, *self._remarks])
@@ -208,7 +217,7 @@ class Result(Presentable):
 
     @property
     def _remarks(self) -> list[str]:
-        """The status, and a line for each finding."""
+        """The status, and one line for each finding."""
         status = [f"status: {', '.join(self.status)}"] if self.status else []
         return [*status, *(finding.line for finding in self.findings)]
 
@@ -216,7 +225,10 @@ class Result(Presentable):
         return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
 
     def columns(self) -> dict[str, object]:
-        """A row for each parameter; of a machine with model_spread, and low and high of the interval of 95 %."""
+        """The columns of a table with one row for each parameter.
+
+        For a machine, the columns include model_spread, and low and high of the 95 % interval.
+        """
         own = Parameters(self.names, self.units, self.theta, self.theta_std).columns
         if self.model_spread is None or self.interval_95 is None:
             return own
@@ -224,11 +236,11 @@ class Result(Presentable):
         return own | {"model_spread": self.model_spread, "low": low, "high": high}
 
     def to_dict(self) -> dict[str, object]:
-        """The object that `--json` prints, as plain values."""
+        """Return the object that `--json` prints, as plain values."""
         return plain_dict(self.to_json())
 
     def _list_beyond_noise(self) -> list[str]:
-        """One line for each parameter with a known model spread."""
+        """Return one line for each parameter with a known model spread."""
         if self.model_spread is None or self.interval_95 is None:
             return []
         rows = zip(self.names, self.model_spread, self.interval_95, strict=True)
@@ -239,7 +251,7 @@ class Result(Presentable):
         ]
 
     def _describe_beyond_noise(self) -> dict[str, dict[str, object]]:
-        """The entries of `to_json` on the model spread, by parameter; null: not known."""
+        """Return the entries of `to_json` on the model spread by parameter. An unknown spread is null."""
         names = self.names
         if self.model_spread is None or self.interval_95 is None:
             return {name: {} for name in names}
@@ -252,7 +264,7 @@ class Result(Presentable):
         }
 
     def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints."""
+        """Return the object that `--json` prints."""
         estimator = self.estimator
         rows = zip(self.names, self.units, self.theta, self.theta_std, strict=True)
         further = self._describe_beyond_noise()
@@ -275,9 +287,12 @@ class Result(Presentable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveResult(Result):
-    """The result of a machine with friction. relative_error: of the filtered equation at theta; fit or track: details
-    of an off-line or a recursive method, without prior information; known: prior information; matter: how far
-    unmodelled effects may move the parameters, which decides the status."""
+    """The result of a machine with friction.
+
+    `relative_error` belongs to the filtered equation at theta. `fit` or `track` holds details of an off-line or a
+    recursive method, without prior information. `known` is the prior information. `matter` says how far unmodelled
+    effects may move the parameters, and it decides the status.
+    """
 
     record: Record
     relative_error: float
@@ -327,7 +342,7 @@ class DriveResult(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ProcessResult(Result):
-    """The result of a transfer function, which `process` is; assessment: fit and residual tests over all records."""
+    """The result of a transfer function `process`. `assessment` covers all records."""
 
     experiments: tuple[Experiment, ...]
     process: Process
@@ -351,7 +366,7 @@ class ProcessResult(Result):
 
     @property
     def fit(self) -> float | None:
-        """The fit of the assessment [%]; None for an unexpectedly unstable process, whose simulation means nothing."""
+        """The fit of the assessment [%], or None if an unexpectedly unstable process makes the simulation useless."""
         expected = expects_unstable(self.estimator)
         return None if np.any(self.process.poles.real > 0) and not expected else self.assessment.fit
 
@@ -360,7 +375,7 @@ class ProcessResult(Result):
         return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
 
     def particulars(self) -> dict[str, object]:
-        """Poles and zeros as [real, imaginary], fit in percent."""
+        """The entries of `to_json` for a transfer function: poles and zeros as [real, imaginary], and the fit [%]."""
         process, checks = self.process, self.assessment
         return {
             "records": [experiment.name for experiment in self.experiments],
@@ -377,10 +392,10 @@ class ProcessResult(Result):
 
 
 def delay_of(estimator: Estimator) -> int:
-    """The known dead time of a transfer function [samples]."""
+    """Return the known dead time of a transfer function [samples]."""
     return estimator.model.delay if isinstance(estimator.model, TransferFunction) else 0
 
 
 def expects_unstable(estimator: Estimator) -> bool:
-    """Does the model allow poles in the right half-plane?"""
+    """Return whether the model allows poles in the right half-plane."""
     return isinstance(estimator.model, TransferFunction) and estimator.model.unstable

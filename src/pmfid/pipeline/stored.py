@@ -1,6 +1,7 @@
-"""RESULT.json: the parameters that an identification has written, validated on load.
+"""RESULT.json: the parameters of an earlier identification, validated on load.
 
-The model must be the one that AXIS.toml describes, and every value must be a number."""
+Every value must be a number, and the model must be that of AXIS.toml.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ __all__ = ["Stored", "read_stored"]
 
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml that it was identified with"
-#: Prefixes of names that are no parameters of the motion: unknowns of a pre-filter, and an estimated input gain, which
-#: has a check of its own.
+#: Prefixes of names that are not parameters of the motion: unknowns of a pre-filter, and an estimated input gain. The
+#: gain has its own check.
 NOT_OF_MOTION = ("prefilter_", "input_gain")
 
 
@@ -47,8 +48,12 @@ class _File(_Section):
 
 @dataclass(frozen=True)
 class Stored:
-    """Parameters and units of a file; kind: of the model; method: of the estimate; input_gain, dead_time [s], equation:
-    known at the time of the estimate, None if the file does not have them; source: name of the file."""
+    """Parameters and units in a file.
+
+    `kind` is the kind of the model, and `method` is the method of the estimate. The values of input_gain, dead_time [s]
+    and equation were known before the estimate. They are None if the file does not have them. `source` is the name of
+    the file.
+    """
 
     kind: str
     method: str
@@ -60,8 +65,9 @@ class Stored:
     source: str
 
     def theta(self, kind: str, names: Sequence[str], units: Sequence[str]) -> Floats:
-        """(p,) the parameters in the order of a model's names. Raises UsageError for the parameters of another
-        model."""
+        """Return the parameters (p,) in the order of a model's names. Raises UsageError for parameters of another
+        model.
+        """
         if self.kind != kind:
             self._refuse(f'it is of kind = "{self.kind}", and [model] of kind = "{kind}"; {SAME_AXIS}')
         own = [name for name in self.values if name in names or not name.startswith(NOT_OF_MOTION)]
@@ -77,14 +83,16 @@ class Stored:
         return np.array([self.values[name] for name in names])
 
     def check_known(self, what: str, value: float) -> None:
-        """Raises UsageError if `what`, "input_gain" or "dead_time", had another value at the time of the estimate."""
+        """Raise UsageError if `what`, "input_gain" or "dead_time", had another value in the identification."""
         then = self.input_gain if what == "input_gain" else self.dead_time
         if then is not None and not abs(then - value) <= TUNING.stored_same * max(abs(then), abs(value)):
             self._refuse(f"it was identified with {what} = {then:.9g}, and [model] has {value:.9g}; {SAME_AXIS}")
 
     def check_equation(self, text: str) -> None:
-        """Raises UsageError for the parameters of another equation: the names do not show a known dead time, the speed
-        of a friction or the pitch of a force."""
+        """Raise UsageError for parameters of another equation.
+
+        The names do not show a known dead time, the speed of a friction term or the pitch of a force.
+        """
         if self.equation is not None and self.equation != text:
             stored = printable(" ".join(self.equation.split()))[: TUNING.stored_longest]
             self._refuse(f"it was identified with {stored}, and [model] says {text}; {SAME_AXIS}")
@@ -94,7 +102,9 @@ class Stored:
 
 
 def read_stored(path: Path) -> Stored:
-    """The parameters in the file at `path`. Raises UsageError with the first problem of a file that is no result."""
+    """Read the parameters from the file at `path`. Raises UsageError with the first problem if the file is not a
+    result.
+    """
     try:
         if path.stat().st_size > TUNING.stored_largest:
             raise UsageError(f"{path}: more than {TUNING.stored_largest} bytes are no result; {REMEDY}")

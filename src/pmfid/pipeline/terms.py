@@ -44,9 +44,10 @@ from pmfid.records.record import Record
 class NestedModel:
     """One of the compared models.
 
-    added: keys of [model] and values that differ from the first model; fit: None without standard errors; error: of
-    free runs over samples that the fit did not use [unit of y], infinite without such runs; unexplained: parts of
-    friction and load that the model leaves, over the whole motion and its slow part, NaN if not known.
+    `added` holds the keys of [model] that differ from the first model, with their values. `fit` is None without
+    standard errors. `error` is that of free runs over samples outside the fit [unit of y], or infinite without such
+    runs. `unexplained` holds two relative parts of friction and load that the model leaves, for the whole motion and
+    for its slow part. An unknown part is NaN.
     """
 
     added: dict[str, object]
@@ -71,7 +72,7 @@ def compare_nested(bench: Bench, first: Drive, pairs: Sequence[tuple[Trial, floa
 
 
 def fit_trial(trial: Trial) -> Fit | None:
-    """The fit of a trial with standard errors; None if it has none."""
+    """Return the fit of a trial with standard errors, or None if the trial has no such fit."""
     try:
         return trial.method.fit_of(trial.best)
     except NotIdentifiableError:
@@ -86,9 +87,11 @@ def _balance(bench: Bench, trial: Trial) -> Balance | None:
 
 
 def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
-    """Parts of the resistance to the motion that a model leaves: root mean squares over the motion of the chosen model,
-    and over the slow part of it. The parts are the difference to the chosen model, and the resistance that the chosen
-    model leaves beyond chance by the force balance."""
+    """Return the parts of the resistance to the motion that a model leaves, for the whole motion and its slow part.
+
+    The motion is that of the chosen model. The unexplained resistance has two sources: the difference to the chosen
+    model, and the significant resistance in the force balance that the chosen model leaves.
+    """
     if balance is None or last is None or last.friction is None:
         return math.nan, math.nan
     left = last.friction.left
@@ -105,7 +108,7 @@ def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: 
 
 
 def format_terms(added: Mapping[str, object]) -> str:
-    """Terms of [model], for people."""
+    """Return the terms of [model] as words."""
     named = {key: value for key, value in added.items() if value is not False}
     return ", ".join(
         f"{value} {key}" if isinstance(value, str) and value != ESTIMATE else key for key, value in named.items()
@@ -118,9 +121,13 @@ def finite(value: float) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class WeighedTerm:
-    """A term that was fitted. setting: its lines of [model]; values: name, value, standard error (NaN: not known) and
-    unit of each parameter that the term brings; kept: is it in the chosen model? with_it, without: errors of free runs
-    over samples that the fits did not use [unit of y], not finite without such runs; verdict."""
+    """A term that was fitted.
+
+    `setting` holds its lines of [model]. `values` holds the name, value, standard error (NaN if unknown) and unit of
+    each parameter of the term. `kept` says whether the term is in the chosen model. `with_it` and `without` are errors
+    of free runs over samples outside the fits [unit of y]. They are not finite without such runs. `verdict` is the
+    decision on the term.
+    """
 
     setting: str
     values: tuple[tuple[str, float, float, str], ...]
@@ -136,8 +143,9 @@ class WeighedTerm:
 
 
 def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[WeighedTerm]:
-    """Each term of the chosen model, with the standard errors of `fit`; then the terms that were fitted and not
-    kept."""
+    """Yield each term of the chosen model with the standard errors of `fit`, and then the fitted terms that were
+    refused.
+    """
     first, last = found.trials[0].model, dict[str, FittedCandidate]()
     for step in found.without:
         yield _weigh_step(step, first, found.chosen, fit)
@@ -154,7 +162,7 @@ def _setting(step: FittedCandidate) -> str:
 
 
 def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | None) -> WeighedTerm:
-    """The weighed term of a step; first: the first model; trial: one with the term."""
+    """Return the weighed term of a step. `first` is the first model, and `trial` has the term."""
     equation = trial.model.equation
     rest = change_arguments(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation
     names, units = (*equation.names, *dict(equation.further)), (*equation.units, *dict(equation.further).values())
@@ -164,18 +172,18 @@ def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | No
     return WeighedTerm(_setting(step), values, step.kept, step.error, step.without, step.verdict)
 
 
-#: What the flags of `pmfid identify` do not say.
+#: Flags that `pmfid identify` does not have.
 AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
 #: Flags of `pmfid identify` whose advice on [model] the search replaces.
 UNMODELLED, LATE = "unmodelled", "dead_time"
 UNEXPLAINED = "something is left that no term of the list explains on data that it was not fitted to"
-#: What is found of the chosen model, and whether it matters.
+#: Findings on the chosen model, and whether they matter.
 Said = tuple[tuple[Finding, ...], bool]
 
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """A term that the chosen model has not, and the size from which on this record would show it."""
+    """A term that is not in the chosen model, and the least size that this record would show."""
 
     says: str
     size: float
@@ -184,23 +192,23 @@ class Hidden:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TermSearch(Presentable):
-    """What a search for terms has found.
+    """The result of a search for terms.
 
     Attributes
     ----------
     name : str
-        Of the record.
+        Name of the record.
     samples : int
     resolution : float
-        [unit of y].
+        Resolution of the encoder [unit of y].
     models : tuple of NestedModel
-        From the model to begin with to the chosen one.
+        The models from the first to the chosen one.
     weighed : tuple of WeighedTerm
-        Every term that was fitted, with its size.
+        All fitted terms with their sizes.
     hidden : tuple of Hidden
-        Terms that the model has not.
+        Terms that are not in the chosen model.
     status, notes : tuple of str
-        As of a result.
+        The codes and sentences of the findings, as in `Result`.
 
     Examples
     --------
@@ -235,25 +243,25 @@ class TermSearch(Presentable):
 
     @property
     def added(self) -> dict[str, object]:
-        """The keys of [model] that the search sets, and their values."""
+        """The keys of [model] that the search sets, with their values."""
         return self.terms.added
 
     @cached_property
     def lines(self) -> tuple[str, ...]:
-        """[model] for AXIS.toml."""
+        """The lines of [model] for AXIS.toml."""
         values = [(field.name, getattr(self.model, field.name), field.default) for field in fields(Drive)]
         return ("[model]", 'kind = "drive"', *(setting(key, value) for key, value, usual in values if value != usual))
 
     @property
     def sentence(self) -> str:
-        """What a person needs."""
+        """The summary of the search in one sentence."""
         first = f"{_share(self.models[0])} of friction and load unexplained"
         if not self.added:
             return f"No term beyond those of [model] is found; they leave {first}."
         return f"The terms to begin with leave {first}; with {format_terms(self.added)} {_share(self.chosen)}."
 
     def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints."""
+        """Return the object that `--json` prints."""
         return {
             "record": self.name,
             "samples": self.samples,
@@ -279,7 +287,7 @@ class TermSearch(Presentable):
         return Summary(title, header, rows, lines, remarks_of(self.status, self.notes))
 
     def columns(self) -> dict[str, object]:
-        """A row for each parameter of each of the models."""
+        """The columns of a table with one row for each parameter of each model."""
         rows = [
             (model.label, name, *estimate.values())
             for model in self.models
@@ -288,7 +296,7 @@ class TermSearch(Presentable):
         return dict(zip(("model", "parameter", "value", "std"), map(list, zip(*rows, strict=True)), strict=True))
 
     def to_dict(self) -> dict[str, object]:
-        """What `--json` prints."""
+        """Return the object that `--json` prints, as plain values."""
         return plain_dict(self.to_json())
 
 
@@ -338,11 +346,12 @@ def search_drive(
     other: Record | None = None,
     done: Progress | None = None,
 ) -> TermSearch:
-    """The terms of a drive that a record asks for, beyond those of [model].
+    """Search the terms of a drive that a record asks for and [model] does not have.
 
-    places: forces periodic in the position; scan: look for the pitch of a cogging force; other: a second record of the
-    same machine, which the models are to predict in place of parts of the first. Raises UsageError if the plant is no
-    drive and NotIdentifiableError if the record is too short, or cannot identify the initial model.
+    `places` are forces that are periodic in the position. If `scan`, the search looks for the pitch of a cogging force.
+    `other` is a second record of the same machine, which the models predict instead of parts of the first record.
+    Raises UsageError if the plant is not a drive. Raises NotIdentifiableError if the record is too short or cannot
+    identify the first model.
     """
     data, other = unbroken(data), None if other is None else unbroken(other)
     axis = match_kind(data, axis)
@@ -372,7 +381,7 @@ def search_drive(
 
 
 def _judge_initial_model(data: Record, axis: Axis) -> Said | None:
-    """The verdict of `pmfid identify` on the initial model, which the search leaves unchanged."""
+    """Return the verdict of `pmfid identify` on the first model if the search leaves it unchanged."""
     with suppress(NotIdentifiableError):
         result = identify(data, axis)
         if isinstance(result, DriveResult):
@@ -382,14 +391,16 @@ def _judge_initial_model(data: Record, axis: Axis) -> Said | None:
 
 
 def round_up(number: float) -> float:
-    """The number with three digits, rounded up."""
+    """Return the number, rounded up to three digits."""
     digit = 10.0 ** (math.floor(math.log10(number)) - 2)
     return math.ceil(number / digit) * digit
 
 
 def _fast_enough(data: Record, axis: Axis) -> Axis:
-    """The configuration with a cutoff. If none is given: one after whose filters a part of the record can be
-    predicted."""
+    """Return the configuration with a cutoff.
+
+    If the configuration has none, the filters must be fast enough for the prediction of a part of the record.
+    """
     found, least = (
         Drives().prepare_axis(data, axis),
         choose_cutoff(data.u.size // ESTIMATOR_TUNING.adequacy_parts, data.dt),
@@ -406,7 +417,7 @@ def _method(model: Drive, data: Record, axis: Axis) -> IntervalML:
 
 
 def _check(method: IntervalML, record: Record) -> None:
-    """Raises NotIdentifiableError for a record too short or too poor for a search."""
+    """Raise NotIdentifiableError if the record is too short or too poor for a search."""
     n, dt = record.u.size, record.dt
     needed = ESTIMATOR_TUNING.adequacy_parts * shortest_part(method)
     if n < needed:
@@ -442,14 +453,14 @@ def _assemble_search(
 
 
 def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:
-    """Judge the chosen model as an estimate is judged."""
+    """Judge the chosen model in the same way as an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
         return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),), True
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
     said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
-    # what to set in [model] the search itself has fitted, and kept or refused
+    # The search itself has fitted, and kept or refused, the terms that such advice proposes for [model].
     own = [
         replace(one, sentence=UNEXPLAINED) if one.code == UNMODELLED else one for one in said.judged if one.code != LATE
     ]
@@ -468,7 +479,10 @@ def _sentences(found: Terms) -> Iterator[str]:
 
 
 def _list_hidden(found: Terms, force: str) -> Iterator[Hidden]:
-    """Terms that the chosen model does not have; of several forms of a term the one that shows last."""
+    """Yield the terms that the chosen model does not have.
+
+    Of several forms of a term, the function yields the form that needs the largest size.
+    """
     adequacy, sizes = found.adequacy, dict[str, tuple[float, str]]()
     for candidate, std in zip(adequacy.forces, adequacy.size_std, strict=True):
         if candidate.changes and candidate.name != "cogging":
@@ -483,7 +497,10 @@ def _list_hidden(found: Terms, force: str) -> Iterator[Hidden]:
 def list_periodic_forces(
     turn: float | None, pitch: Sequence[float], friction_period: float | None
 ) -> tuple[PeriodicForce, ...]:
-    """Forces periodic in the position, from the user's periods. Raises UsageError for a period that is not positive."""
+    """Return forces that are periodic in the position, with the user's periods.
+
+    Raises UsageError for a period that is not positive.
+    """
     given = [("gravity", turn), *(("cogging", value) for value in pitch), ("friction_period", friction_period)]
     known = [(key, value) for key, value in given if value is not None]
     for key, value in known:

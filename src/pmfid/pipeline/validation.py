@@ -1,4 +1,4 @@
-"""Free runs with a result over other records: one way for every kind of plant, from files and from Python."""
+"""Validation by free runs over other records, for every kind of plant, from files and from Python."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ __all__ = ["Validation", "read_records", "validate_parameters", "validate_stored
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Presentable):
-    """Free runs of a result over one record or more.
+    """Free runs of a result over one or more records.
 
     Attributes
     ----------
     kind, method : str
-        Of the model and of its estimate.
+        Kind of the model, and method of its estimate.
     names, units : tuple of str
     theta : ndarray (p,)
         Parameters.
     unit : str
-        Of the output, empty without one.
+        Unit of the output, or an empty text if the output has no unit.
     runs : tuple of FreeRun
-        One for each record: errors over several horizons.
+        One free run for each record, with errors over several horizons.
     findings : tuple of Finding
-        Doubts in the model by each record, as from `identify`.
+        Doubts about the model from each record, as in `identify`.
 
     Examples
     --------
@@ -70,12 +70,12 @@ class Validation(Presentable):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The notes on the free runs and the findings, for people."""
+        """The notes on the free runs and the findings as sentences."""
         own = (note for run in self.runs for note in (*run.notes, *_remarks(run)))
         return tuple(dict.fromkeys((*own, *texts(self.findings))))
 
     def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints."""
+        """Return the object that `--json` prints."""
         rows = zip(self.names, self.units, self.theta.tolist(), strict=True)
         return {
             "model": self.kind,
@@ -103,17 +103,17 @@ class Validation(Presentable):
         return f"{run.name}: error {error}{unit}, fit {fit} %; standing still {still}{unit}; {run.t.size} samples"
 
     def columns(self) -> dict[str, object]:
-        """A row for each record."""
+        """The columns of a table with one row for each record."""
         rows = [_as_json(run) for run in self.runs]
         return {key: [row[key] for row in rows] for key in _as_json(self.runs[0]) if key != "horizons"}
 
     def to_dict(self) -> dict[str, object]:
-        """What `--json` prints."""
+        """Return the object that `--json` prints, as plain values."""
         return plain_dict(self.to_json())
 
 
 def _numbers(run: FreeRun) -> tuple[str, str, str]:
-    """Root mean square error, fit, and the error of an axis that stands still."""
+    """Return the root mean square error, the fit, and the error of an axis at standstill as text."""
     fit = "unknown" if run.fit is None else f"{run.fit:.4g}"
     return f"{run.rmse:.3g}", fit, f"{run.standstill:.3g}"
 
@@ -157,13 +157,15 @@ def _remarks(run: FreeRun) -> list[str]:
 
 
 def read_records(paths: Sequence[Path], axis: Axis) -> list[Records]:
-    """The records at `paths`, each for itself. Raises UsageError as `identify` does."""
+    """Read the records at `paths` separately. Raises UsageError as `identify` does."""
     return [kind_of(axis).read([path], axis) for path in paths]
 
 
 def validate_stored(stored: Stored, data: Sequence[Records], axis: Axis) -> Validation:
-    """Free runs with the parameters of a file over the records that `read_records` gives. Raises UsageError if the
-    parameters are not of the model of `axis`, or if nothing can be simulated with them."""
+    """Return free runs with the parameters of a file over the records that `read_records` returns.
+
+    Raises UsageError if the parameters do not belong to the model of `axis`, or if they allow no simulation.
+    """
     kind, axis = kind_of(axis), set_stored_gain(axis, stored)
     theta = stored.theta(axis.model.kind, *parameters_of(axis.model.make()))
     for record in data:
@@ -172,8 +174,10 @@ def validate_stored(stored: Stored, data: Sequence[Records], axis: Axis) -> Vali
 
 
 def validate_parameters(method: str, theta: Floats, data: Sequence[Records], axis: Axis) -> Validation:
-    """Free runs with parameters theta (p,) of the model of `axis`, found by `method`, over records. Raises as
-    `validate_stored`."""
+    """Return free runs over records with parameters theta (p,) of the model of `axis`, estimated by `method`.
+
+    Raises UsageError as `validate_stored` does.
+    """
     kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
     if not data:
         raise UsageError("there is no record to validate on; give one")

@@ -1,7 +1,8 @@
-"""Checks of a log: findings on mistakes in it, before an estimate and with every estimate.
+"""Checks of a log, which report its mistakes before an estimate and with every estimate.
 
-A check takes a `CheckedLog` and yields findings; each family has a file of its own. Checks in SOON cost next to nothing
-and run with every identification. Checks in LATER run in `pmfid check`, and if an estimate is in doubt."""
+A check takes a `CheckedLog` and yields findings. Each family of checks has its own file. Checks in SOON cost little and
+run with every identification. Checks in LATER run in `pmfid check`, and if an estimate is doubtful.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ __all__ = ["LATER", "SOON", "Check", "check_record", "scan_record"]
 
 Check = Callable[[CheckedLog], Iterator[Finding]]
 
-#: Families of checks, in this order. A fault of one family would look like faults of later ones, so it ends the search.
+#: Families of checks in their order. A mistake that one family finds would confuse later families, so it ends the
+#: search.
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
     (find_unsigned, find_command, find_gravity),
@@ -34,17 +36,17 @@ LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 
 
 def scan_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
-    """The findings of the fast checks."""
+    """Return the findings of the fast checks."""
     return sort_findings(_run_families(CheckedLog(unbroken(record), axis), SOON))
 
 
 def check_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
-    """The findings of all checks."""
+    """Return the findings of all checks."""
     return sort_findings(_run_families(CheckedLog(unbroken(record), axis), (*SOON, *LATER)))
 
 
 def _run_families(log: CheckedLog, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
-    """The findings of the families, up to the first family with more than a note."""
+    """Yield the findings of the families, up to the first family with more than a note."""
     for family in families:
         found = [finding for check in family for finding in check(log)]
         yield from found

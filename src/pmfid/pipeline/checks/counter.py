@@ -1,4 +1,4 @@
-"""Counters that repeat, wrap or miss counts."""
+"""Checks for counters that repeat, wrap or miss counts."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["period_of"]
 
 
 def period_of(changes: NDArray[np.intp]) -> int:
-    """The largest k such that the changes (m,), numbers of rows, are multiples of k apart; 1 if there is none.
+    """Return the largest k for which the distances between the changes (m,) are multiples of k, or 1 if none exists.
 
-    By chance m changes are in step with probability k^(1 - m). A column with few changes may be in step by chance or by
-    design, so a column of long steps is left out.
+    The changes are numbers of rows. By chance, m changes are in step with probability k^(1 - m). A column with few
+    changes may be in step by chance or by design. Therefore the function ignores a column of long steps.
     """
     if changes.size < TUNING.counter_least:
         return 1
@@ -33,7 +33,7 @@ def period_of(changes: NDArray[np.intp]) -> int:
 
 
 def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
-    """Counts of a counter that wraps, if the configuration does not name its range."""
+    """Yield a finding if the counter wraps and the configuration does not name its range."""
     wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None and log.axis.encoder.range is None else None
     if wrap is not None:
         config = log.axis.record
@@ -44,14 +44,14 @@ def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
 
 
 def jump(log: CheckedLog) -> Iterator[Finding]:
-    """One change of the counts that is no motion, unless [encoder] max_speed excludes such changes."""
+    """Yield a finding if one change of the counts is no motion, unless [encoder] max_speed excludes such changes."""
     sentence = count_jump(log.known.counts) if log.axis.encoder.max_speed is None and log.is_machine else ""
     if sentence:
         yield Finding("count_jump", sentence, JUMP_REMEDY, "wrong")
 
 
 def held_output(log: CheckedLog) -> Iterator[Finding]:
-    """Counts that are read only every few samples."""
+    """Yield a finding if the counts are updated only every few samples."""
     every = period_of(np.flatnonzero(log.change))
     if every > 1:
         yield Finding(
@@ -63,7 +63,7 @@ def held_output(log: CheckedLog) -> Iterator[Finding]:
 
 
 def find_frozen_counts(log: CheckedLog) -> Iterator[Finding]:
-    """Counts that stop although the axis moves: at the end of their range, or anywhere."""
+    """Yield a finding if the counts stop although the axis moves, at the end of their range or elsewhere."""
     counts, stops = log.record.counts, log.sudden_stops
     if not stops:
         return
@@ -96,7 +96,7 @@ def _times(stops: list[Stop]) -> str:
 
 
 def _format_free_rows(stops: list[Stop], rows: int) -> str:
-    """The longest stretch of rows, from 1 on, without any of the stops."""
+    """Return the longest range of rows without any of the stops, with 1 as the first row."""
     edges = [-1, *(edge for stop in stops for edge in stop), rows]
     first, last = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
     return f"{first + 2} to {last}"

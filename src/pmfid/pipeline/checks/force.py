@@ -1,4 +1,4 @@
-"""Inputs that are no force: a current without its sign, a command, a set point."""
+"""Checks for inputs that are not forces: a current without its sign, a command or a set point."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ __all__ = ["find_command", "find_unsigned"]
 
 
 def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
-    """An input that never changes its sign, of an axis that reverses, if the motion explains it with changing signs."""
+    """Yield a finding if the input of a reversing axis never changes its sign.
+
+    The motion must explain the input if its sign changes.
+    """
     u = log.known.u[log.part]
     if not log.is_machine or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:
         return
@@ -38,8 +41,11 @@ def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _measure_signs(u: Floats, position: Floats, width: int) -> tuple[float, float]:
-    """The part of an input (n,) of one sign that acceleration, velocity, direction and load leave, as it is, and with
-    the sign of the force that they give; after means over a width [samples], which are not late."""
+    """Return the unexplained parts of an input (n,) of one sign, without and with changing signs.
+
+    Acceleration, velocity, direction and load explain the input. The changing signs are those of the explained force.
+    All signals are means over `width` samples, which cause no delay.
+    """
     smooth = uniform_filter1d(uniform_filter1d(position, width), width)
     velocity = np.gradient(smooth)
     columns = np.column_stack([np.gradient(velocity), velocity, np.sign(velocity), np.ones(u.size)])
@@ -55,13 +61,13 @@ def _measure_signs(u: Floats, position: Floats, width: int) -> tuple[float, floa
 
 
 def _fit(columns: Floats, z: Floats) -> tuple[Floats, float]:
-    """The fit (n,) of columns (n, p) to z (n,), and the norm of what is left."""
+    """Return the fit (n,) of columns (n, p) to z (n,), and the norm of the residual."""
     fit = columns @ np.linalg.lstsq(columns, z, rcond=None)[0]
     return fit, float(np.linalg.norm(z - fit))
 
 
 def find_command(log: CheckedLog) -> Iterator[Finding]:
-    """An input that is a command: the output itself as it should be, or a torque that a drive was asked for."""
+    """Yield a finding if the input is a command: the set point of the output, or the requested torque of a drive."""
     name, output = log.axis.record.input, log.axis.record.output
     u, y = log.record.u, log.encoder.position(log.record.counts)
     if not log.is_machine or np.ptp(u) == 0 or np.ptp(y) == 0:

@@ -1,4 +1,4 @@
-"""What the input shows by itself: limits that it runs into, values that are logged more slowly than the record."""
+"""Checks of the input alone: limits that it reaches, and values that are logged more slowly than the record."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LARGER = "log the force or current with a larger range, or record a smaller moti
 
 
 def held_input(log: CheckedLog) -> Iterator[Finding]:
-    """An input that is logged only every few samples."""
+    """Yield a finding if the input is logged only every few samples."""
     u = log.record.u
     every = period_of(np.flatnonzero(np.diff(u))) if _varies(u) else 1
     if every > 1:
@@ -32,7 +32,10 @@ def held_input(log: CheckedLog) -> Iterator[Finding]:
 
 
 def find_saturation(log: CheckedLog) -> Iterator[Finding]:
-    """An input that stays at its largest or smallest value: limited by the drive, or cut off in the log."""
+    """Yield a finding if the input stays at its largest or smallest value.
+
+    Either the drive limits the input, or the log clips it.
+    """
     u = log.record.u
     if not _varies(u):
         return
@@ -53,12 +56,12 @@ def find_saturation(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _varies(u: Floats) -> bool:
-    """Does the input take many values?"""
+    """Return whether the input takes many values."""
     return np.unique(u[:: max(1, u.size // 10_000)]).size > TUNING.inputs_levels
 
 
 def _piles_up(u: Floats, limit: float) -> bool:
-    """Is the input at the limit far more often than at the values next to it?"""
+    """Return whether the input is at the limit far more often than at neighbouring values."""
     values, times = np.unique(u, return_counts=True)
     neighbours = np.argsort(np.abs(values - limit))[1 : TUNING.inputs_neighbours + 1]
     at_limit = int(times[values == limit][0])
@@ -66,7 +69,7 @@ def _piles_up(u: Floats, limit: float) -> bool:
 
 
 def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
-    """Does the motion require more force in the rows in which the input is cut off?"""
+    """Return whether the motion requires more force in the rows with a clipped input."""
     if log.view is None or not log.is_machine:
         return False
     side = np.where(there, np.sign(log.force), 0.0)
@@ -74,7 +77,10 @@ def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
 
 
 def _arcs(there: NDArray[np.bool_]) -> Floats:
-    """(n,): an arc over each stretch of rows, as a smooth signal has it beyond a limit, with the same curvature."""
+    """Return an array (n,) with an arc over each stretch of rows.
+
+    All arcs have the same curvature. They approximate a smooth signal beyond a limit.
+    """
     edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(np.int8)))
     first, last = (np.repeat(edges[side::2], edges[1::2] - edges[::2]) for side in (0, 1))
     rows = np.flatnonzero(there) + 0.5
@@ -84,9 +90,9 @@ def _arcs(there: NDArray[np.bool_]) -> Floats:
 
 
 def _misses_force(log: CheckedLog, shape: Floats, time: float) -> bool:
-    """Is a force of this shape (n,) missing after filters of one time constant?
+    """Return whether a force of this shape (n,) is missing after filters with one time constant [samples].
 
-    Friction that is neither viscous nor dry would look like this force and has columns of its own.
+    Friction that is neither viscous nor dry resembles the missing force and has its own columns.
     """
     counts, encoder, dt = log.known.counts[log.part], log.encoder, log.record.dt
     seen, cut = (view(u[log.part], counts, encoder, dt, time) for u in (log.force, shape))

@@ -1,4 +1,4 @@
-"""Other readings of the two columns: sign, unit, velocity, delay."""
+"""Checks for other readings of the two columns: another sign, another unit, a velocity or a delay."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INTEGRATE = "name the column of the position, or integrate this one: its cumulat
 
 
 def read_as(log: CheckedLog) -> Iterator[Finding]:
-    """Columns that are exchanged, a velocity, or reversed."""
+    """Yield a finding if the columns are exchanged, the output is a velocity, or the input has the wrong sign."""
     if not log.is_machine:
         return
     other = _other_reading(log)
@@ -37,7 +37,7 @@ def read_as(log: CheckedLog) -> Iterator[Finding]:
 
 
 def find_gravity(log: CheckedLog) -> Iterator[Finding]:
-    """A rotary axis whose load is out of balance, under a model without gravity."""
+    """Yield a finding if gravity acts on a rotary axis whose model has no gravity."""
     model = set_any_gain(log.axis).model.make()
     if not (log.is_machine and isinstance(model, Drive) and model.axis == "rotary" and model.gravity is False):
         return
@@ -55,7 +55,7 @@ def find_gravity(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _other_reading(log: CheckedLog) -> Finding | None:
-    """The finding of exchanged columns or a velocity, if that reading explains the input much better."""
+    """Return the finding of exchanged columns or of a velocity if this reading explains the input much better."""
     view = log.closest_view
     heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
     left = _measure_rest(view)
@@ -87,12 +87,12 @@ def _other_reading(log: CheckedLog) -> Finding | None:
 
 
 def _is_in_time(log: CheckedLog) -> bool:
-    """Do input and output share a clock, and is the record fast enough for the axis?"""
+    """Return whether input and output share a clock and the sample period suits the axis."""
     return not (any(too_slow(log)) or any(drifts(log)))
 
 
 def is_exchanged(log: CheckedLog) -> bool:
-    """Does the motion explain the input if the two columns are exchanged?"""
+    """Return whether the motion explains the input if the two columns are exchanged."""
     return log.is_machine and _measure_rest(_view_exchanged(log)) < TUNING.readings_follows
 
 
@@ -102,8 +102,10 @@ def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
 
 
 def is_turned(view: View) -> bool:
-    """Is the mass negative, or does friction drive, in a record that determines both and shows neither with its proper
-    sign?"""
+    """Return whether the mass is negative or friction drives the axis.
+
+    The record must determine both, and show neither with its proper sign.
+    """
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return (
         view.unexplained < TUNING.readings_unseen
@@ -113,7 +115,7 @@ def is_turned(view: View) -> bool:
 
 
 def _has_inertia(view: View, dt: float) -> bool:
-    """Is there a mass that takes more than readings_samples to reach its speed?"""
+    """Return whether the mass needs more than readings_samples to reach its speed."""
     mass, viscous = abs(view.theta[MASS]), abs(view.theta[VISCOUS])
     return (
         abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.readings_certain
@@ -122,26 +124,26 @@ def _has_inertia(view: View, dt: float) -> bool:
 
 
 def _is_one_body(view: View) -> bool:
-    """Do the mass and the power that friction takes have the same sign, if both are significant?"""
+    """Return whether the mass and the power of friction have the same sign, if both are significant."""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return mass * work > 0 or abs(work) < TUNING.readings_likely
 
 
 def _is_no_body(view: View) -> bool:
-    """Do the mass and the power that friction takes have opposite signs, both significantly?"""
+    """Return whether the mass and the power of friction have significant and opposite signs."""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return mass * work < 0 and min(abs(mass), abs(work)) > TUNING.readings_likely
 
 
 def _measure_rest(view: View | None) -> float:
-    """The part of the input that a reading leaves unexplained; infinite without a reading."""
+    """Return the part of the input that a reading leaves unexplained, or infinity without a reading."""
     return np.inf if view is None else view.unexplained
 
 
 def _view_exchanged(log: CheckedLog) -> View | None:
     if isinstance(log.axis.record.input_scale, str):
         return None
-    position = log.encoder.position(log.record.counts)  # with steps, as a random input has them
+    position = log.encoder.position(log.record.counts)  # the position keeps its steps, as in a random input
     encoder, counts = fine_counts(log.record.u)
     return _view_reading(position - position.mean(), counts, encoder, log.record.dt)
 
@@ -152,7 +154,7 @@ def _velocity(log: CheckedLog) -> View | None:
 
 
 def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
-    """A reading of the record; None if it gives no machine."""
+    """Return the view of a reading, or None if the reading describes no machine."""
     part = liveliest(counts)
     view = best_view(force[part], counts[part], encoder, dt, lasting=TUNING.readings_lasting)
     return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
@@ -164,21 +166,21 @@ def _exchange(log: CheckedLog) -> str:
 
 
 def integrate_velocity(velocity: Floats, dt: float) -> Floats:
-    """The position (n,), which starts at 0, of a velocity (n,) that is linear between samples."""
+    """Return the position (n,) of a velocity (n,) that is linear between samples. The position starts at 0."""
     return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
 
 
 def convert_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Encoder, Counts]:
-    """A fine encoder, and its counts (n,) of the integrated velocity; the velocity is counts (n,) times a resolution.
+    """Return a fine encoder and its counts (n,) for the integral of a velocity.
 
-    Count 0 is velocity 0, not the middle of its step. Otherwise an axis at rest would creep on, and its friction would
-    have a direction.
+    The velocity is the product of counts (n,) and resolution. Count 0 means exactly zero velocity, and not the middle
+    of a step. Otherwise an axis at rest would drift, and its friction would have a direction.
     """
     return fine_counts(integrate_velocity(np.float64(resolution) * counts.astype(np.float64), dt))
 
 
 def suggest_sign(log: CheckedLog) -> str:
-    """The remedy for an input whose force has the opposite sign."""
+    """Return the remedy for an input whose force has the opposite sign."""
     model = log.axis.model
     if model.kind == "drive" and isinstance(model.input_gain, float):
         return f"give [model] input_gain = {-model.input_gain:g}"
@@ -186,7 +188,7 @@ def suggest_sign(log: CheckedLog) -> str:
 
 
 def no_motion(log: CheckedLog) -> Iterator[Finding]:
-    """An axis at rest, or one that hardly leaves its count."""
+    """Yield a finding if the axis is at rest or hardly leaves its count."""
     travel = int(np.ptp(log.record.counts))
     if travel == 0:
         sentence = f"the axis does not move: the output column {log.axis.record.output!r} never changes"
@@ -206,7 +208,7 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
 
 
 def no_inertia(log: CheckedLog) -> Iterator[Finding]:
-    """An axis whose acceleration does not follow the input."""
+    """Yield a finding if the acceleration of the axis does not follow the input."""
     view = log.view if log.is_machine else None
     if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < TUNING.readings_distinct:
         yield Finding(

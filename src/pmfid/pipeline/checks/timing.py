@@ -1,4 +1,4 @@
-"""Time stamps that do not fit the motion."""
+"""Checks for time stamps that contradict the motion."""
 
 from __future__ import annotations
 
@@ -19,8 +19,12 @@ __all__ = ["Drift", "drift_of"]
 
 @dataclass(frozen=True)
 class Drift:
-    """samples: shift of the input against the output over `rows` of the record, later if positive; sure: the same in
-    standard deviations; less: unexplained power with the drift over unexplained power without."""
+    """A drift between the clocks of input and output.
+
+    `samples` is the shift of the input against the output over `rows` rows. A positive shift means a later input.
+    `sure` is the shift in standard deviations. `less` is the ratio of the unexplained power with the drift to that
+    without it.
+    """
 
     samples: float
     rows: int
@@ -29,14 +33,17 @@ class Drift:
 
     @property
     def rate(self) -> float:
-        """Drift per row [samples]."""
+        """The drift per row [samples]."""
         return self.samples / self.rows
 
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums over each of timing_pieces pieces: gram (k, p, p) of the columns; cross (k, s, p) of the columns with the
-    input at each shift; power (k, s) of the input."""
+    """Sums over each of timing_pieces pieces of a record.
+
+    `gram` (k, p, p) holds products of the columns. `cross` (k, s, p) holds products of the columns with the input at
+    each shift. `power` (k, s) is the power of the input.
+    """
 
     gram: Floats
     cross: Floats
@@ -47,7 +54,7 @@ class _Sums:
         return _Sums(self.gram * keep[:, None, None], self.cross * keep[:, None, None], self.power * keep[:, None])
 
     def measure_rest(self, shifts: Floats) -> Floats:
-        """(m,): part of the input's power that stays unexplained if piece k is shifted by shifts (m, k)."""
+        """Return the part (m,) of the input's power that remains unexplained if piece k is shifted by shifts (m, k)."""
         low = np.clip(np.floor(shifts).astype(int) + TUNING.largest_shift, 0, 2 * TUNING.largest_shift - 1)
         part = np.clip(shifts + TUNING.largest_shift - low, 0.0, 1.0)
         rows = np.arange(len(self.gram))
@@ -59,7 +66,7 @@ class _Sums:
 
 
 def drift_of(view: View) -> Drift | None:
-    """The drift between input and output that explains the record best; None if the record is too short."""
+    """Return the drift between input and output that explains the record best, or None if the record is too short."""
     n = view.z.size - 2 * TUNING.largest_shift
     if n < TUNING.timing_pieces * TUNING.timing_least * TUNING.largest_shift:
         return None
@@ -74,7 +81,7 @@ def drift_of(view: View) -> Drift | None:
 
 
 def _best(sums: _Sums) -> tuple[float, float, float]:
-    """The best drift [samples], the unexplained part with it, and the least unexplained part without drift."""
+    """Return the best drift [samples], its unexplained part, and the least unexplained part without drift."""
     drifts = np.arange(-TUNING.timing_furthest, TUNING.timing_furthest + TUNING.timing_step, TUNING.timing_step)
     middles = np.arange(-TUNING.largest_shift / 2, TUNING.largest_shift / 2 + 1)
     places = (np.arange(TUNING.timing_pieces) + 0.5) / TUNING.timing_pieces - 0.5
@@ -88,7 +95,7 @@ def _sums(view: View, n: int) -> _Sums:
     B = with_friction(view)[TUNING.largest_shift : TUNING.largest_shift + n]
     size = np.linalg.norm(B, axis=0)
     B = B[:, size > 0] / size[size > 0]
-    shifted = np.lib.stride_tricks.sliding_window_view(view.z, n)[::-1]  # row s: later by s - timing_most samples
+    shifted = np.lib.stride_tricks.sliding_window_view(view.z, n)[::-1]  # row s is later by s - largest_shift samples
     edges = np.linspace(0, n, TUNING.timing_pieces + 1).astype(int)
     pairs = list(pairwise(edges))
     gram = np.array([B[a:b].T @ B[a:b] for a, b in pairs])
@@ -98,7 +105,7 @@ def _sums(view: View, n: int) -> _Sums:
 
 
 def too_slow(log: CheckedLog) -> Iterator[Finding]:
-    """A sample period within which the velocity changes by much of its size."""
+    """Yield a finding if the velocity changes by much of its size within a sample period."""
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
     if moving.size < 2 or float(np.median(moving)) < TUNING.timing_fine:
@@ -115,7 +122,7 @@ def too_slow(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _misses_input(log: CheckedLog) -> bool:
-    """Does the velocity of a short record change in a way that the logged input does not explain?"""
+    """Return whether the logged input fails to explain the changes of velocity in a short record."""
     change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
     turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
     if (
@@ -131,7 +138,7 @@ def _misses_input(log: CheckedLog) -> bool:
 
 
 def too_fast(log: CheckedLog) -> Iterator[Finding]:
-    """A sample period within which the count hardly ever changes."""
+    """Yield a finding if the count hardly ever changes within a sample period."""
     per_sample = counts_per_sample(log.known.counts)
     if 0 < per_sample < TUNING.timing_idle:
         keep = max(2, round(TUNING.timing_plenty / per_sample))
@@ -143,7 +150,7 @@ def too_fast(log: CheckedLog) -> Iterator[Finding]:
 
 
 def drifts(log: CheckedLog) -> Iterator[Finding]:
-    """An input with another clock than the output."""
+    """Yield a finding if the input has another clock than the output."""
     if not log.is_machine or log.view is None:
         return
     rate, n = _drift(log), log.record.u.size
@@ -158,8 +165,10 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _drift(log: CheckedLog) -> float:
-    """The most significant drift per row, 0 if none is significant. Corrections refine the drift, which large drifts
-    need."""
+    """Return the most significant drift per row, or 0 if no drift is significant.
+
+    Large drifts need the corrections, which refine the drift.
+    """
     part = liveliest(log.known.counts, TUNING.timing_most_samples)
     u, counts = log.force[part], log.known.counts[part]
     first = _surest(log, u, counts)
@@ -175,13 +184,16 @@ def _drift(log: CheckedLog) -> float:
 
 
 def _resample_input(u: Floats, rate: float) -> Floats:
-    """The input (n,), held between its rows, at the rows of an output against which it drifts by a rate."""
+    """Return the input (n,), held between its rows, at the rows of an output against which the input drifts."""
     rows = np.arange(u.size) / (1 + rate)
     return np.asarray(u[np.minimum(rows, u.size - 1).astype(int)])
 
 
 def _is_better(drift: Drift) -> bool:
-    """Does the drift explain the record better? The largest one that is tried stands for any: it must explain much."""
+    """Return whether the drift explains the record better than no drift.
+
+    The largest tried drift may stand for an even larger one. Therefore it must explain more.
+    """
     furthest = abs(drift.samples) >= TUNING.timing_furthest
     return drift.less < (TUNING.timing_less_furthest if furthest else TUNING.timing_less)
 

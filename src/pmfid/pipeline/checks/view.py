@@ -1,4 +1,4 @@
-"""A log as the checks see it: signals on a common grid, stops, candidate models."""
+"""Quantities that the checks derive from a log: signals on a common grid, stops and candidate models."""
 
 from __future__ import annotations
 
@@ -23,17 +23,20 @@ from pmfid.types import Counts, Floats
 
 __all__ = ["PARTS", "View", "best_view", "view", "with_friction"]
 
-#: Pieces of the record, whose differences give standard deviations; least samples of a piece.
+#: Number of pieces of a record, whose differences give standard deviations, and least samples of a piece.
 PARTS, SHORTEST = 8, 20
 MASS, VISCOUS, COULOMB, LOAD = range(4)
-#: The model of these four columns.
+#: Model of the first four columns.
 PLAIN = Drive(1.0, offset=True)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Columns phi (n, p) of motion, the first those of the plain drive, and the filtered input z (n,), after filters
-    with a time constant of `time` samples."""
+    """Filtered columns of motion and the filtered input of a record.
+
+    The columns phi (n, p) begin with those of the plain drive. The input z has shape (n,). The filters have a time
+    constant of `time` samples.
+    """
 
     time: float
     phi: Floats
@@ -41,70 +44,76 @@ class View:
 
     @cached_property
     def basis(self) -> Floats:
-        """(n, r): an orthonormal basis of the columns of phi; columns that are zero are left out."""
+        """An orthonormal basis (n, r) of the columns of phi, without the zero columns."""
         size = np.linalg.norm(self.phi, axis=0)
         return np.asarray(np.linalg.qr(self.phi[:, size > 0] / size[size > 0])[0])
 
     @cached_property
     def unexplained(self) -> float:
-        """Part of the input that no sum of the columns explains."""
+        """The part of the input that no sum of the columns explains."""
         return float(self.measure_rest(self.z))
 
     def measure_rest(self, z: Floats) -> float:
-        """Part of another filtered input (n,) that no sum of the columns explains."""
+        """Return the part of another filtered input (n,) that no sum of the columns explains."""
         size = float(np.linalg.norm(z))
         return float(np.linalg.norm(z - self.basis @ (self.basis.T @ z))) / size if size > 0 else 1.0
 
     @cached_property
     def theta(self) -> Floats:
-        """(p,): mass, viscous and Coulomb friction, load, further terms, per unit of the input; 0 if not visible."""
+        """The parameters (p,) per unit of the input: mass, viscous and Coulomb friction, load and further terms.
+
+        An invisible parameter is 0.
+        """
         return solve_least_squares(self.phi, self.z)
 
     @cached_property
     def pieces(self) -> Floats:
-        """(PARTS, p): theta of the record, each time without one piece."""
+        """The parameters (PARTS, p), each row estimated without one piece of the record."""
         edges = np.linspace(0, self.z.size, PARTS + 1).astype(int)
         rows = np.arange(self.z.size)
         kept = [(rows < a) | (rows >= b) for a, b in pairwise(edges)]
         return np.array([solve_least_squares(self.phi[keep], self.z[keep]) for keep in kept])
 
     def sure(self, weights: Floats) -> float:
-        """The sum of theta (p,) with weights (p,), in its standard deviations (jackknife over the pieces)."""
+        """Return the sum of theta (p,) with weights (p,) in standard deviations, by a jackknife over the pieces."""
         value, others = float(self.theta @ weights), self.pieces @ weights
         spread = float(np.sqrt((PARTS - 1) / PARTS * np.sum((others - others.mean()) ** 2)))
         return value / spread if spread > 0 else float(np.sign(value)) * np.inf
 
     @property
     def one_way(self) -> bool:
-        """Does the axis move in one direction nearly all the time? Dry friction is then a load."""
+        """Whether the axis moves nearly always in one direction, so that dry friction equals a load."""
         velocity = self.phi[:, VISCOUS]
         back = float(np.sum(np.abs(velocity[velocity < 0]))) / max(float(np.sum(np.abs(velocity))), 1e-300)
         return min(back, 1 - back) < TUNING.one_way
 
     @property
     def moving(self) -> float:
-        """Effective number of moving rows: rows of equal power that have the same first two moments of power."""
+        """The effective number of moving rows, computed from the first two moments of their power."""
         power = np.square(self.phi[:, VISCOUS])
         return float(power.sum() ** 2 / max(float(np.sum(power**2)), 1e-300))
 
     @property
     def friction_work(self) -> Floats:
-        """Weights (p,) of the power that friction takes from the motion."""
+        """The weights (p,) of the power that friction takes from the motion."""
         velocity, weights = self.phi[:, VISCOUS], np.zeros(self.theta.size)
         weights[VISCOUS], weights[COULOMB] = np.mean(velocity**2), np.mean(self.phi[:, COULOMB] * velocity)
         return weights
 
 
 def solve_least_squares(phi: Floats, z: Floats) -> Floats:
-    """(p,): least squares of z (n,) on phi (n, p)."""
+    """Return the least squares (p,) of z (n,) on phi (n, p)."""
     size = np.linalg.norm(phi, axis=0)
     scale = np.where(size > 0, size, 1.0)
     return np.asarray(np.linalg.lstsq(phi / scale, z, rcond=1e-10)[0] / scale)
 
 
 def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float, model: Drive = PLAIN) -> View | None:
-    """The record after filters of a time constant [samples], with the columns of a model with input gain 1; None if the
-    filters do not settle within the record."""
+    """Return the view of a record after filters with a time constant of `time` samples.
+
+    The columns belong to the model with an input gain of 1. The result is None if the filters do not settle within the
+    record.
+    """
     method = LS(model, replace(encoder, guard=False), dt, 1 / (time * dt))
     if u.size < max(method.settle_samples + PARTS * SHORTEST, TUNING.view_enough * time):
         return None
@@ -115,8 +124,10 @@ def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float, mo
 def best_view(
     u: Floats, counts: Counts, encoder: Encoder, dt: float, lasting: float = 0.0, model: Drive = PLAIN
 ) -> View | None:
-    """The view that explains most of the input, among views whose motion lasts for more than `lasting` time constants;
-    None if the record is too short, or nothing moves."""
+    """Return the view that explains most of the input, or None if the record is too short or nothing moves.
+
+    The function considers only views whose motion lasts for more than `lasting` time constants.
+    """
     views = [view(u, counts, encoder, dt, time, model) for time in TUNING.times]
     moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
     seen = [one for one in moved if one.moving > lasting * one.time]
@@ -124,20 +135,25 @@ def best_view(
 
 
 def with_friction(view: View) -> Floats:
-    """(n, 7): the columns of a view, and friction that falls with speed, grows with its square, or differs by
-    direction."""
+    """Return the columns of a view with three further friction terms (n, 7).
+
+    The further terms fall with speed, grow with the square of the speed, or depend on the direction.
+    """
     velocity, direction = view.phi[:, VISCOUS], view.phi[:, COULOMB]
     usual = float(np.sqrt(np.mean(velocity**2))) or 1.0
     slow = direction * np.exp(-((velocity / (TUNING.view_slow * usual)) ** 2))
     return np.column_stack([view.phi, slow, velocity * np.abs(velocity), np.abs(direction)])
 
 
-#: First and last sample of equal counts.
+#: The first and the last sample of a stretch of equal counts.
 Stop = tuple[int, int]
 
 
 def long_stops(counts: Counts) -> list[Stop]:
-    """Every stretch of equal counts after the first change that is long against the time between two counts."""
+    """Return all long stretches of equal counts after the first change.
+
+    A long stretch exceeds the usual time between two changes by far.
+    """
     moving: NDArray[np.intp] = np.flatnonzero(np.diff(counts))
     if moving.size < 2:
         return []
@@ -151,7 +167,10 @@ def long_stops(counts: Counts) -> list[Stop]:
 
 
 def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
-    """The stops that begin in full motion, and that end in motion or begin too suddenly for the axis itself."""
+    """Return the stops that begin in full motion and end in motion.
+
+    The function also returns stops that begin too suddenly for the axis itself.
+    """
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True
     found = set[Stop]()
@@ -169,10 +188,10 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
 
 
 def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
-    """The stops at whose ends the turn of the motion (n,) far exceeds the turn elsewhere."""
+    """Return the stops at whose ends the motion changes far more abruptly (n,) than elsewhere."""
     limit = max(TUNING.view_abrupt * (elsewhere + 1), TUNING.view_counts)
     begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
-    # a counter that catches up jumps to where it should be: the larger edge then says more than the smaller one
+    # A counter that catches up jumps to its true value. The larger edge then says more than the smaller edge.
     both = (np.sqrt(begins * ends) >= limit) & (np.minimum(begins, ends) > elsewhere + 1)
     usual = float(np.median(begins)) if begins.size else 0.0
     dead = (begins >= TUNING.view_dead * limit) & (
@@ -182,8 +201,10 @@ def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
 
 
 def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: float, resolution: float) -> set[Stop]:
-    """The stops in which the input `force` (n,) would have moved the axis; view: the filtered rows from the offset
-    on."""
+    """Return the stops during which the input `force` (n,) would have moved the axis.
+
+    `view` holds the filtered rows from `offset` on.
+    """
     rows = np.arange(view.z.size) + offset
     memory = round(3 * view.time)
     resting = np.zeros(force.size, dtype=bool)
@@ -199,7 +220,7 @@ def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: flo
 
 
 def _moves(force: Floats, theta: Floats, dt: float) -> float:
-    """How far a force (n,) moves a body of theta from rest, at the least."""
+    """Return the least distance by which a force (n,) moves a plant with parameters theta from rest."""
     load = theta[3] if theta.size > 3 else 0.0
     moved = 0.0
     for sign in (1.0, -1.0):
@@ -214,7 +235,7 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
 
 
 def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
-    """(n,): the marked samples, and `span` samples to either side."""
+    """Mark the marked samples (n,) and `span` samples on either side of them."""
     return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)
 
 
@@ -227,18 +248,18 @@ class CheckedLog:
 
     @cached_property
     def change(self) -> Counts:
-        """(n - 1,) of the counts from sample to sample."""
+        """The changes (n - 1,) of the counts from sample to sample."""
         return np.asarray(np.diff(self.record.counts))
 
     @cached_property
     def is_machine(self) -> bool:
-        """Does the model have a position and a mass, as the readings assume?"""
+        """Whether the model has a position and a mass, as the readings assume."""
         equation = set_any_gain(self.axis).model.make().equation
         return plant_of(equation).rests and equation.order == 2
 
     @cached_property
     def place_matters(self) -> bool:
-        """Does a force depend on the position, as gravity that holds a joint at rest?"""
+        """Whether a force depends on the position, as gravity that holds a joint at rest does."""
         return set_any_gain(self.axis).model.make().equation.place_matters
 
     @cached_property
@@ -248,13 +269,13 @@ class CheckedLog:
 
     @cached_property
     def force(self) -> Floats:
-        """(n,): the input with the sign that the configuration gives its force."""
+        """The input (n,) with the sign of its force in the configuration."""
         gain = set_any_gain(self.axis).model.make().equation.input_gain
         return np.asarray(np.sign(gain) * self.known.u)
 
     @property
     def knows_sign(self) -> bool:
-        """Does the configuration say which way the input drives?"""
+        """Whether the configuration says in which direction the input drives the axis."""
         return not finds_gain(self.axis)
 
     @cached_property
@@ -263,18 +284,20 @@ class CheckedLog:
 
     @cached_property
     def part(self) -> slice:
-        """The samples that are filtered."""
+        """The range of samples that are filtered."""
         return liveliest(self.known.counts)
 
     @cached_property
     def view(self) -> View | None:
-        """The filtered record, with the columns as they are named; None if it shows no motion."""
+        """The filtered record with the configured columns, or None if the record shows no motion."""
         return best_view(self.force[self.part], self.known.counts[self.part], self.encoder, self.record.dt)
 
     @cached_property
     def closest_view(self) -> View | None:
-        """The view that explains more of the input: of the plain drive, or of the configured one with its gravity,
-        spring or cogging."""
+        """The view that explains more of the input, either with the plain drive or with the configured drive.
+
+        The configured drive includes its gravity, spring and cogging.
+        """
         model = set_any_gain(self.axis).model.make()
         if self.view is None or not isinstance(model, Drive):
             return self.view
@@ -286,7 +309,7 @@ class CheckedLog:
 
     @cached_property
     def sudden_stops(self) -> list[Stop]:
-        """Stretches of equal counts in which the axis does not rest."""
+        """Stretches of equal counts during which the axis is not at rest."""
         counts = self.record.counts
         stops = long_stops(counts)
         found = sudden(counts, stops) if stops else set()
@@ -298,13 +321,13 @@ class CheckedLog:
 
 
 def hasty(change: Counts | Floats) -> float:
-    """How much changes (n,) differ from one to the next, in parts of their size."""
+    """Return the size of the differences between successive changes (n,), relative to the size of the changes."""
     power = float(np.mean(np.square(change, dtype=np.float64)))
     return float(np.sqrt(np.mean(np.square(np.diff(change), dtype=np.float64)) / max(power, 1e-300)))
 
 
 def liveliest(counts: Counts, most: int = TUNING.view_most_samples) -> slice:
-    """The `most` consecutive samples over which the counts change most; all samples if there are fewer."""
+    """Return the `most` consecutive samples with the most motion, or all samples of a shorter record."""
     if counts.size <= most:
         return slice(0, counts.size)
     travelled = np.r_[0, np.cumsum(np.abs(np.diff(counts)))]
