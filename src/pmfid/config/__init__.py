@@ -1,1 +1,1 @@
-"""AXIS.toml: its keys, their units and what they mean."""
+"""AXIS.toml: its keys, their units and their meaning."""

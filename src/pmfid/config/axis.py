@@ -1,6 +1,8 @@
-"""AXIS.toml: what the record holds, the encoder, the model and the estimator, validated once and frozen.
+"""AXIS.toml with record, encoder, model and estimator, validated once and frozen.
 
-The description of a field ends the error message about it: it must read well after "give ..."."""
+The description of a field ends the error message about the field. Therefore it must be a sensible text after "give
+...".
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,7 @@ class EstimatorConfig(FileSection):
     discretization: Literal["matched", "paper", "exact"] = Field(
         "matched", description="the discretisation of the filters"
     )
-    # not strict, because TOML has lists and a frozen object wants a tuple
+    # not strict, because TOML has lists where a frozen object needs a tuple
     prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
     )
@@ -74,7 +76,7 @@ class EstimatorConfig(FileSection):
 
     @property
     def pole(self) -> float:
-        """The cutoff [rad/s]. Raises UsageError if it is not known yet."""
+        """The cutoff [rad/s]. Raises UsageError if the cutoff is not known yet."""
         if self.cutoff is None:
             raise UsageError(
                 "[estimator] cutoff is missing; give the pole of the filter chain in rad/s: pmfid identify on a record "
@@ -84,7 +86,7 @@ class EstimatorConfig(FileSection):
 
 
 class MonitorConfig(FileSection):
-    """[monitor]: what `pmfid monitor` compares with, and how often it may be wrong."""
+    """[monitor]: the reference of `pmfid monitor`, and the allowed rate of false alarms."""
 
     reference: Name | None = Field(
         None, description='a record of normal work with the same columns, in the folder of AXIS.toml: "normal.csv"'
@@ -102,7 +104,7 @@ class MonitorConfig(FileSection):
     )
 
 
-#: Section, key, and whether the key belongs to a transfer function; otherwise it belongs to a machine with friction.
+#: Section, key, and whether the key belongs to a transfer function. Other keys belong to a machine with friction.
 _KEYS_OF_ONE_KIND = (
     ("record", "gap", True),
     ("record", "hold", True),
@@ -115,7 +117,7 @@ _KEYS_OF_ONE_KIND = (
     ("estimator", "window", False),
     ("estimator", "tolerance", False),
 )
-#: Key -> what serves its purpose instead.
+#: Alternatives for a key that the model does not use.
 _CURE = {
     "gap": ", and cut the record at the gap",
     "hold": ", the input of an axis is taken to hold between samples",
@@ -123,7 +125,7 @@ _CURE = {
 
 
 class Axis(FileSection):
-    """One axis of motion: the whole of AXIS.toml."""
+    """One axis of motion, as AXIS.toml describes it."""
 
     record: RecordConfig = Field(description="a section that names the columns input, output and time")
     encoder: EncoderConfig = Field(description="a section with at least the resolution")
@@ -133,7 +135,7 @@ class Axis(FileSection):
 
     @model_validator(mode="after")
     def _refuse_unused(self) -> Self:
-        """Refuses a key that the model does not use, so that every given key has an effect."""
+        """Refuse a key that the model does not use, so that every given key has an effect."""
         kind, sections = self.model.kind, {"record": self.record, "encoder": self.encoder, "estimator": self.estimator}
         for section, key, of_process in _KEYS_OF_ONE_KIND:
             part = sections[section]
@@ -150,7 +152,7 @@ class Axis(FileSection):
         return self
 
     def _check_units(self) -> None:
-        """Derives the kind of axis from units, and refuses terms of the position if the output is a velocity."""
+        """Derive the kind of axis from units, and refuse terms of the position if the output is a velocity."""
         if self.model.kind != "drive":
             if self.record.output_kind == "velocity":
                 raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
@@ -164,7 +166,7 @@ class Axis(FileSection):
             object.__setattr__(self, "model", self.model.model_copy(update={"axis": "rotary"}))
 
     def _check_known(self) -> None:
-        """Refuses prior information on parameters that the model does not have."""
+        """Refuse prior information on parameters that the model does not have."""
         given, prior, find = self.estimator.given, self.estimator.prior, self.model.input_gain == ESTIMATE
         if self.model.kind == "transfer_function" and (given or prior):
             raise UsageError("[estimator] given and prior are for machines; of a transfer function drop them")
@@ -177,22 +179,24 @@ class Axis(FileSection):
 def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis:
     """Read and validate an AXIS.toml.
 
-    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that replace the file's values; None is ignored.
-    Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
+    The dotted keys of `overrides`, such as {"estimator.cutoff": 50.0}, replace the file's values. An override of None
+    has no effect. Raises UsageError with all problems if the file cannot be read or a value is not allowed.
     """
     return load_sections(Axis, path, overrides, "an AXIS.toml", _add_unit_encoder)
 
 
 def _add_unit_encoder(raw: dict[str, object]) -> None:
-    """Adds [encoder] for a transfer function, which needs none. An unknown kind of model gets one, too: its error
-    message then names the kind alone."""
+    """Add [encoder] for a transfer function, which needs no encoder.
+
+    An unknown kind of model also gets this section, so that the error message names only the kind.
+    """
     model = raw.get("model")
     if isinstance(model, dict) and model.get("kind", "drive") not in ("drive", "equation"):
         raw.setdefault("encoder", {"resolution": NO_ENCODER})
 
 
 def check_sampling(axis: Axis, dt: float) -> None:
-    """Raise UsageError if the filter pole lies past the Nyquist limit, `cutoff * dt > 2` (dt in s)."""
+    """Raise UsageError if the filter pole exceeds the Nyquist limit, `cutoff * dt > 2` (dt in s)."""
     cutoff = axis.estimator.pole
     if cutoff * dt > 2:
         raise UsageError(
@@ -202,7 +206,10 @@ def check_sampling(axis: Axis, dt: float) -> None:
 
 
 def _unit_of_time(axis: Axis) -> str:
-    """The advice to check the unit of time first: with ms taken for s, a lower cutoff hides a factor of 1000."""
+    """Return the advice to check the unit of time first.
+
+    If ms are taken for s, a lower cutoff would hide a factor of 1000.
+    """
     if axis.record.time is None:
         return "check that [record] dt is in s, else "
     if axis.record.time_unit is None:

@@ -1,6 +1,7 @@
 """The meaning of every key of AXIS.toml and of every word of a status.
 
-Keys come from the models that validate them, words from the tables that define them. Nothing is written twice."""
+Keys come from the models that validate them, and words come from the tables that define them. No text is written twice.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from pmfid.status import ADVICE, Status
 
 __all__ = ["ReferenceEntry", "entries", "explain_entries", "find", "keys_in", "page", "tables"]
 
-#: How descriptions name units, as the messages that end with them do.
+#: Pattern of the units in descriptions, which also end error messages.
 _UNITS = re.compile(
     r"\bin (?:the )?(rad/s|1/s|unit of y per s|unit of y|s|hours|N per unit of u|whole samples)\b"
     r"|\b(unit of y per count|unit of y)\b"
@@ -38,8 +39,12 @@ _KEY = "key of AXIS.toml"
 
 @dataclass(frozen=True)
 class ReferenceEntry:
-    """A key of a file, or a word of a status. name: with its section; what: one of these; kind, unit, default: of a
-    key, "" without one; models: the kinds of model that use it, "" for all; meaning: a sentence."""
+    """A key of a file, or a word of a status.
+
+    `name` includes the section. `what` says whether it is a key or a word. `kind`, `unit` and `default` belong to a
+    key, or are empty. `models` are the kinds of model that use the key, or an empty text for all kinds. `meaning` is a
+    sentence.
+    """
 
     name: str
     what: str
@@ -60,7 +65,7 @@ class ReferenceEntry:
 
     @property
     def text(self) -> str:
-        """The entry for people, in several lines."""
+        """The entry as text with several lines."""
         if not self.kind:
             return f"{self.name}: {self.what}\n  {self.meaning}"
         rows = {"type": self.kind, "unit": self.unit, "default": self.default, "only with": self.models}
@@ -68,12 +73,12 @@ class ReferenceEntry:
         return "\n".join([head, *(f"  {label}: {value}" for label, value in rows.items() if value)])
 
     def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints."""
+        """Return the object that `--json` prints."""
         return {key: value for key, value in vars(self).items() if value}
 
 
 def entries() -> tuple[ReferenceEntry, ...]:
-    """The entries of all keys in the order of the file, then of all words of a status."""
+    """Return the entries of all keys in the order of the file, and then of all words of a status."""
     sections = ((name, field) for name, field in Axis.model_fields.items())
     keys = [key for name, field in sections for key in keys_in(name, field.annotation)]
     bits = {str(bit.name).lower(): ADVICE[bit] for bit in Status}
@@ -82,7 +87,7 @@ def entries() -> tuple[ReferenceEntry, ...]:
 
 
 def keys_in(section: str, annotation: object, what: str = _KEY) -> Iterator[ReferenceEntry]:
-    """The entries of a section of this type, and of the tables inside it; what: their kind."""
+    """Yield the entries of a section with this type, and of the tables inside it. `what` is the kind of the entries."""
     for model in _models_in(annotation):
         for name, own in model.model_fields.items():
             described = own.description or ""
@@ -105,7 +110,7 @@ def _models_in(annotation: object) -> list[type[BaseModel]]:
 
 
 def _kind(annotation: object, metadata: Sequence[object] = ()) -> str:
-    """The type in words, with its limits."""
+    """Return the type in words, with its limits."""
     bare = [mark for mark in metadata if not isinstance(mark, WrapValidator)]
     if len(bare) < len(metadata):
         return f"{_kind(annotation, bare)} or text with a unit"
@@ -170,8 +175,11 @@ def _models(section: str, name: str) -> str:
 
 
 def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[ReferenceEntry]:
-    """What a word means among the known, None: those of AXIS.toml: a key with its section or without, a whole section,
-    or a word of a status, spaces for underscores. Raises UsageError with similar words."""
+    """Return the entries for a word among `known`, by default those of AXIS.toml.
+
+    A word is a key with or without its section, a whole section, or a word of a status. Spaces may replace underscores.
+    Raises UsageError with similar words.
+    """
     wanted = re.sub(r"^\[(.+)\]\s*", r"\1.", word.strip()).rstrip(".").replace(" ", "_").replace("-", "_").lower()
     known = entries() if known is None else known
     if found := [entry for entry in known if wanted and wanted in entry.called]:
@@ -181,7 +189,7 @@ def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[Refer
 
 
 def explain_entries(found: Sequence[ReferenceEntry]) -> str:
-    """The entries for people: a list if there are many, all details of a few."""
+    """Return the entries as text, with all details of a few entries or a list of many."""
     if len(found) <= 4:
         return "\n\n".join(entry.text for entry in found)
     width = max(len(entry.name) for entry in found)
@@ -189,7 +197,7 @@ def explain_entries(found: Sequence[ReferenceEntry]) -> str:
 
 
 def page() -> str:
-    """The page of all keys, in Markdown."""
+    """Return the page of all keys in Markdown."""
     known = entries()
     parts = tables([entry for entry in known if entry.kind], _describe_section)
     words = [f"| `{entry.name}` | {entry.what} | {entry.meaning} |" for entry in known if not entry.kind]
@@ -197,7 +205,7 @@ def page() -> str:
 
 
 def tables(known: Sequence[ReferenceEntry], about: Callable[[str], str]) -> list[str]:
-    """A Markdown table of the keys of each section. about: the text above the table of a section."""
+    """Return a Markdown table of the keys for each section. `about` returns the text above the table of a section."""
     found = []
     for section in dict.fromkeys(entry.section for entry in known):
         rows = [entry for entry in known if entry.section == section]
@@ -223,7 +231,7 @@ What `status` says of an estimate, in the terminal, in JSON, in reports and in P
 
 
 def _describe_section(section: str) -> str:
-    """The description of a whole section, "" without one."""
+    """Return the description of a whole section, or an empty text if it has none."""
     field = Axis.model_fields.get(section)
     return f"{_sentence(field.description)}\n\n" if field is not None and field.description else ""
 

@@ -1,6 +1,8 @@
-"""[model] of AXIS.toml: a drive, a transfer function, or an equation of the user's own terms.
+"""[model] of AXIS.toml: a drive, a transfer function, or an equation with user-defined terms.
 
-The description of a field ends the error message about it: it must read well after "give ..."."""
+The description of a field ends the error message about the field. Therefore it must be a sensible text after "give
+...".
+"""
 
 from __future__ import annotations
 
@@ -20,18 +22,18 @@ from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 from pmfid.models.transfer_function import TransferFunction
 
-#: Kind -> model class, except for the user's own terms.
+#: Model classes by kind, without the kind of user-defined terms.
 MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
-#: Fields of a model that no file sets: the starts of experiments are always part of the fit.
+#: Fields of a model that no file sets, because the starts of experiments are always part of the fit.
 NOT_IN_FILES = ("initial_conditions",)
-#: The forms of forces, by their names in files.
+#: Forms of forces by their names in files.
 SHAPES: dict[str, Callable[..., Shape]] = {"stribeck": Stribeck, "square": Square, "wave": Wave, "along": Along}
 Positive = Annotated[float, Field(gt=0)]
 
 
 _TRAVEL = WrapValidator(lambda value, check: keep_unit(value, check, quantity))
 _GAIN = WrapValidator(lambda value, check: keep_unit(value, check, gain))
-#: A length, an angle or a speed: a number in SI, or a text with its unit.
+#: A length, an angle or a speed, as a number in SI or as text with a unit.
 Travel = Annotated[float, Field(gt=0), _TRAVEL]
 Name = Annotated[str, Field(min_length=1)]
 
@@ -43,7 +45,7 @@ def _usable_gain(value: float | Literal["estimate"]) -> float | Literal["estimat
         raise ValueError(str(error).partition(";")[0]) from None
 
 
-#: A force per unit of input: a number in SI, a text with its unit, or "estimate".
+#: A force per unit of input, as a number in SI, as text with a unit, or as "estimate".
 Gain = Annotated[
     Literal["estimate"] | float,
     AfterValidator(_usable_gain),
@@ -53,7 +55,7 @@ FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with st
 
 
 class ShapeConfig(FileSection):
-    """The form of a friction or of a force that depends on the position, for a term of the user's own equation."""
+    """The form of a friction, or of a force that depends on the position, for a term of a user-defined equation."""
 
     form: Literal["stribeck", "square", "wave", "along"] = Field(description=FORMS)
     speed: Positive | Literal["estimate"] | None = Field(
@@ -66,7 +68,7 @@ class ShapeConfig(FileSection):
     values: tuple[float, ...] | None = Field(None, strict=False, description='the form at the places of "along"')
 
     def make(self) -> Shape:
-        """The shape of this section. Raises UsageError for a form with other keys than its own."""
+        """Return the shape of this section. Raises UsageError for keys that do not belong to the form."""
         given = {key: value for key, value in dict(self).items() if key != "form" and value is not None}
         try:
             return SHAPES[self.form](**given)
@@ -79,7 +81,7 @@ DERIVATIVE = "which derivative of the signal, 0 for the signal itself"
 
 
 class UnknownTerm(FileSection):
-    """A term of the user's own equation with an unknown coefficient."""
+    """A term of a user-defined equation with an unknown coefficient."""
 
     signal: Signal = Field(description=SIGNAL)
     derivative: int = Field(0, description=DERIVATIVE)
@@ -90,7 +92,7 @@ class UnknownTerm(FileSection):
 
 
 class KnownTerm(FileSection):
-    """A term of the user's own equation with a known coefficient."""
+    """A term of a user-defined equation with a known coefficient."""
 
     signal: Signal = Field("input", description=SIGNAL)
     derivative: int = Field(0, description=DERIVATIVE)
@@ -98,8 +100,10 @@ class KnownTerm(FileSection):
 
 
 class ModelConfig(FileSection):
-    """[model]: the equation, mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u, or one
-    of the user's own terms: kind = "equation"."""
+    """[model]: the equation mass x'' + viscous_friction x' + coulomb_friction sign(x') [+ ...] = input_gain u.
+
+    With kind = "equation", the section describes user-defined terms.
+    """
 
     kind: Literal["drive", "equation", "transfer_function"] = Field(
         "drive", description='"drive", "transfer_function", or "equation" for the terms in unknown and known'
@@ -186,7 +190,7 @@ class ModelConfig(FileSection):
             raise ValueError(f"{', '.join(sorted(foreign))} is not for a transfer function; drop it")
 
     def make(self) -> Model:
-        """The model that the section describes. Raises UsageError if the terms make no equation."""
+        """Return the model that the section describes. Raises UsageError if the terms make no equation."""
         if self.kind == "equation":
             unknown = tuple(
                 Term(**(dict(term) | {"shape": None if term.shape is None else term.shape.make()}))
@@ -199,5 +203,5 @@ class ModelConfig(FileSection):
 
 
 def keys_of(model: type[Drive | TransferFunction]) -> tuple[str, ...]:
-    """The keys of [model] that make such a model: the names of its fields."""
+    """Return the keys of [model] that make such a model, which are the names of its fields."""
     return tuple(field.name for field in fields(model) if field.name not in NOT_IN_FILES)

@@ -34,12 +34,12 @@ Span = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_forwa
 OutputUnit = Annotated[str, AfterValidator(lambda text: known_unit(text, OUTPUTS))]
 InputUnit = Annotated[str, AfterValidator(lambda text: known_unit(text, INPUTS))]
 
-#: Resolution of an output without counts: finer than any encoder.
+#: Resolution of an output without counts, which is finer than any encoder.
 NO_ENCODER = 1e-29
 
 
 class RecordConfig(FileSection):
-    """[record]: which columns of the file hold the input u, the output and the time [s]."""
+    """[record]: the columns of the file with the input u, the output and the time [s]."""
 
     input: Name = Field(description="the name of the column that holds the input")
     output: Name = Field(description="the name of the column that holds the position or the counts")
@@ -113,11 +113,11 @@ class EncoderConfig(FileSection):
     guard: bool = Field(True, description="true, or false to keep samples that no motion explains")
 
     def make_encoder(self, resolution: float) -> Encoder:
-        """The encoder of the estimators, with steps of `resolution` [unit of y per count]."""
+        """Return the encoder of the estimators with steps of `resolution` [unit of y per count]."""
         return Encoder(resolution, standstill_time=self.standstill_time, max_speed=self.max_speed, guard=self.guard)
 
 
-#: Kind of quantity -> kind of axis that has it.
+#: Kind of axis for each kind of quantity.
 _KINDS: dict[str, AxisKind] = {
     "length": "linear",
     "speed": "linear",
@@ -125,7 +125,7 @@ _KINDS: dict[str, AxisKind] = {
     "angular speed": "rotary",
 }
 _SPEEDS = ("speed", "angular speed")
-#: Keys with lengths or angles, and with speeds.
+#: Keys with lengths or angles, and keys with speeds.
 _TRAVELS = (
     ("encoder", "resolution"),
     ("encoder", "range"),
@@ -147,7 +147,10 @@ class Sections:
 
 @dataclass(frozen=True)
 class Conversion:
-    """Factors to SI of u and y. kind: kind of the axis, None if nothing determines it; notes: sentences for people."""
+    """Factors to SI of u and y.
+
+    `kind` is the kind of the axis, or None if it is undetermined. `notes` are sentences for people.
+    """
 
     u: float
     y: float
@@ -156,10 +159,13 @@ class Conversion:
 
 
 def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
-    """The conversion of the columns with these names in the file to SI. Raises UsageError for a unit that the
-    configuration contradicts, and for a configured number that may be in either of two units."""
+    """Return the conversion of the columns with these names in the file to SI.
+
+    Raises UsageError for a unit that the configuration contradicts, and for a configured number whose unit is
+    ambiguous.
+    """
     own = {"u": column_unit(input_name, INPUTS), "y": column_unit(output_name, OUTPUTS)}
-    if axis.model.kind != "drive":  # its user says in which units it is, and everything else is in these
+    if axis.model.kind != "drive":  # the user defines the units, which all numbers share
         columns = " and ".join(f"{key} in {unit.name}" for key, unit in own.items() if unit)
         notes = (f"the file has {columns}: the results are in these units",) if columns else ()
         return Conversion(1.0, 1.0, None, notes)
@@ -171,8 +177,10 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
 
 
 def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:
-    """The kind of axis by the configuration and by a column in `unit`; None if nothing determines it. Raises UsageError
-    if these contradict each other."""
+    """Return the kind of axis by the configuration and by a column in `unit`, or None if it is undetermined.
+
+    Raises UsageError if configuration and column contradict each other.
+    """
     evidence: dict[AxisKind, str] = {}
     for what, kind in _evidence(axis, unit):
         evidence.setdefault(kind, what)
@@ -185,7 +193,7 @@ def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:
 
 
 def _evidence(axis: Sections, unit: Unit | None) -> Iterator[tuple[str, AxisKind]]:
-    """Each fact that determines the kind of axis, for people, and the kind."""
+    """Yield each fact that determines the kind of axis as text, with the kind."""
     if "axis" in axis.model.model_fields_set:
         yield f'[model] axis = "{axis.model.axis}"', axis.model.axis
     for section, key, value in _numbers(axis, (*_TRAVELS, *_RATES)):
@@ -201,7 +209,7 @@ def _evidence(axis: Sections, unit: Unit | None) -> Iterator[tuple[str, AxisKind
 
 
 def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, str, float]]:
-    """Section, key and value of the keys whose values are numbers."""
+    """Yield section, key and value of the keys whose values are numbers."""
     for section, key in keys:
         value = getattr(getattr(axis, section), key)
         if isinstance(value, float):
@@ -209,7 +217,7 @@ def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tupl
 
 
 def _choose_unit(key: str, given: str | None, name: str, table: dict[str, Unit]) -> Unit | None:
-    """The configured unit, or the unit in the column's name; None without either. Raises UsageError if they differ."""
+    """Return the configured unit, or the unit in the column's name, or None. Raises UsageError if they differ."""
     named, stated = column_unit(name, table), table.get(given or "")
     if named and stated and (named.of, named.factor) != (stated.of, stated.factor):
         raise UsageError(
@@ -233,7 +241,7 @@ def _output_unit(axis: Sections, name: str) -> Unit | None:
 
 
 def _check_written(axis: Sections, name: str, unit: Unit) -> None:
-    """Raises UsageError for configured numbers without a unit if the output column is not in SI."""
+    """Raise UsageError for configured numbers without a unit if the output column is not in SI."""
     travel = unit.name.partition("/")[0] if unit.name != "rpm" else "rev"
     base = SI["angle" if _KINDS[unit.of] == "rotary" else "length"]
     ways = [(*found, travel, base) for found in _numbers(axis, _TRAVELS)]
@@ -251,7 +259,7 @@ def _check_written(axis: Sections, name: str, unit: Unit) -> None:
 
 
 def _input_unit(axis: Sections, name: str) -> Unit | None:
-    """The unit of the input. A configured scale replaces the unit in the column's name."""
+    """Return the unit of the input. A configured scale replaces the unit in the column's name."""
     scaled = isinstance(axis.record.input_scale, str) or abs(axis.record.input_scale) != 1.0
     unit = _choose_unit("input_unit", axis.record.input_unit, "" if scaled else name, INPUTS)
     gain = axis.model.input_gain

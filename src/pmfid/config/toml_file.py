@@ -1,6 +1,8 @@
-"""TOML files with sections, validated by pydantic models; every problem becomes one clear line.
+"""TOML files with sections, validated by pydantic models that turn every problem into one clear line.
 
-The description of a field ends the error message about it: it must read well after "give ..."."""
+The description of a field ends the error message about the field. Therefore it must be a sensible text after "give
+...".
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,9 @@ __all__ = ["FileSection", "load_sections", "show_value", "validate_sections"]
 
 
 class FileSection(BaseModel):
-    """A section, or the whole, of a file."""
+    """A section of a file, or a whole file."""
 
-    # strict: a string "50" or the truth value `true` in place of a number is a slip, not a number.
+    # Strict, because a string "50" or the value `true` in place of a number is a mistake.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -37,9 +39,10 @@ def load_sections(
 ) -> Whole:
     """Read and validate a file whose sections are the fields of `whole`.
 
-    `overrides` holds dotted keys, {"estimator.cutoff": 50.0}, that replace the file's values; None is ignored. kind:
-    the file to give if this one is unreadable, as "an AXIS.toml". complete: adds derived sections to those of the file.
-    Raises UsageError, with all problems in one text, if the file cannot be read or a value is not allowed.
+    The dotted keys of `overrides`, such as {"estimator.cutoff": 50.0}, replace the file's values. An override of None
+    has no effect. `kind` names the file in the message on an unreadable file, such as "an AXIS.toml". `complete` adds
+    derived sections to those of the file.
+    Raises UsageError with all problems if the file cannot be read or a value is not allowed.
     """
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     raw = _read_toml(path, kind)
@@ -59,14 +62,16 @@ def load_sections(
 def validate_sections(
     whole: type[Whole], raw: Mapping[str, object], given: Mapping[str, object] | None = None
 ) -> Whole:
-    """The sections of `raw` as an object; given: those dotted keys that came as options. Raises UsageError with all
-    problems in one text."""
+    """Return the sections of `raw` as an object. `given` are the dotted keys that came as options.
+
+    Raises UsageError with all problems in one text.
+    """
     try:
         return whole.model_validate(raw)
     except ValidationError as error:
-        # A misspelt key is also a missing one: the misspelling comes first, as it explains the other.
+        # A misspelt key is also a missing key. The misspelling comes first, because it explains the missing key.
         details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
-    # A value that fits neither number nor name fails twice at one place: one text for each place.
+    # A value that is neither a number nor a name fails twice at one place. The message has one text for each place.
     problems = {detail["loc"][:2]: _problem(whole, detail, raw, given or {}) for detail in details}
     raise UsageError("\n  ".join(problems.values()))
 
@@ -78,14 +83,14 @@ def _read_toml(path: Path, kind: str) -> dict[str, object]:
         raise UsageError(f"{path}: cannot read the configuration: {error.strerror}; give {kind}") from None
     except UnicodeDecodeError:
         raise UsageError(f"{path}: the configuration is not UTF-8 text; give {kind}") from None
-    except (ValueError, RecursionError) as error:  # also a number of thousands of digits
+    except (ValueError, RecursionError) as error:  # a number may also have thousands of digits
         raise UsageError(
             f"{path}: not valid TOML: {error}; correct that line, a number with a unit in quotes"
         ) from None
 
 
 def _sections(whole: type[FileSection]) -> dict[str, type[BaseModel]]:
-    """Section name -> its model."""
+    """Return the model of each section by name."""
     types = {name: field.annotation for name, field in whole.model_fields.items()}
     return {name: cls for name, cls in types.items() if isinstance(cls, type) and issubclass(cls, BaseModel)}
 
@@ -115,12 +120,12 @@ def _problem(
 
 
 def show_value(value: object) -> str:
-    """A value as it is written; an address without user and password."""
+    """Return a value as it is written, and an address without user and password."""
     return re.sub(r"//[^/'\"\s]*@", "//...@", repr(value))
 
 
 def _entry_problem(place: str, error: ErrorDetails, description: str) -> str:
-    """The problem of a key in one of several entries, such as the terms of an equation."""
+    """Describe the problem of a key in one of several entries, such as the terms of an equation."""
     if error["type"] == "missing":
         return f"{place} is missing; write {description}"
     return f"{place} = {error['input']!r}: {error['msg'].replace('Input should', 'it should')}; write {description}"

@@ -1,7 +1,8 @@
-"""Units of columns, by key or by the column's name, and of numbers in AXIS.toml that are written with a unit.
+"""Units of columns, by key or by the column's name, and units of numbers in AXIS.toml.
 
-One rule: a number is in SI, a text has its unit, "0.001 mm". With a column in another unit, a number alone is refused,
-because it may be meant in either unit. So no value is ever wrong by a factor of a thousand."""
+A number is in SI, and a text such as "0.001 mm" has its unit. If a column has another unit, a number alone is refused,
+because its unit is ambiguous. Therefore no value is ever wrong by a factor of a thousand.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ _LENGTHS = {f"{prefix}m": _PREFIXES[prefix] for prefix in ("", "c", "m", "u", "n
 
 @dataclass(frozen=True)
 class Unit:
-    """name: as it is written here; of: the quantity that it measures; factor: SI units in one."""
+    """A unit with its name, the quantity `of` that it measures, and the factor that converts it to SI."""
 
     name: str
     of: str
@@ -28,11 +29,11 @@ class Unit:
 
     @property
     def plain(self) -> bool:
-        """Is it the SI unit itself?"""
+        """Whether this is the SI unit."""
         return self.factor == 1.0
 
 
-#: SI unit of each thing that is measured.
+#: SI unit of each quantity.
 SI = {
     "length": "m",
     "angle": "rad",
@@ -67,19 +68,19 @@ INPUTS = {
     **_units("torque", {"N cm": 1e-2, "N mm": 1e-3}),
     **_units("ratio", {"%": 1e-2, "permille": 1e-3, "1": 1.0}),
 }
-#: Other ways to write a unit, in small letters without blanks -> the name.
+#: Other spellings of units, in small letters without blanks, with their names.
 _ALIASES = {
     "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "u": "rev", "turns": "rev",
     "1/min": "rpm", "u/min": "rpm", "min-1": "rpm", "r/min": "rpm", "1/s": "rev/s", "rps": "rev/s", "m.s-1": "m/s",
     "pct": "%", "percent": "%", "‰": "permille", "arms": "A", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
     "newton": "N", "metre": "m", "meter": "m", "millimeter": "mm", "radian": "rad", "radians": "rad",
 }  # fmt: skip
-#: Least letters of a unit after an underscore, stroke, blank or point: a single letter is usually an index.
+#: Least letters of a unit after an underscore, stroke, blank or point. A single letter is usually an index.
 _LEAST_LETTERS = 2
 
 
 class Quantity(float):
-    """A number in SI with the unit in which it was written."""
+    """A number in SI with its original unit."""
 
     unit: Unit
 
@@ -89,7 +90,7 @@ class Quantity(float):
         return made
 
     def __reduce__(self) -> tuple[Callable[[float, Unit], Quantity], tuple[float, Unit]]:
-        """Copies and pickles have the same bits: nothing is converted twice."""
+        """Return the arguments for copies and pickles, which have the same bits because they convert nothing twice."""
         return _make_quantity, (float(self), self.unit)
 
 
@@ -100,7 +101,7 @@ def _make_quantity(value: float, unit: Unit) -> Quantity:
 
 
 def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
-    """The unit in a table that the text names; None without one."""
+    """Return the unit in a table that the text names, or None."""
     plain = re.sub(r"[µμ]", "u", text.strip()).replace("·", " ").replace("*", " ").replace("^", "")
     close = plain.replace(" ", "").replace("-", "") if "N" in plain else plain.replace(" ", "")
     exact = {name.replace(" ", ""): unit for name, unit in table.items()}
@@ -110,7 +111,7 @@ def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
 
 
 def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
-    """The unit in a column's name, as in "Current [mA]", "pos_mm" or "phi (deg)"; None without one."""
+    """Return the unit in a column's name, such as "Current [mA]", "pos_mm" or "phi (deg)", or None."""
     if found := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
         return unit_named(found.group(1), table)
     last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", name) or re.search(r"[\s_/.]([A-Za-zµμ°%]+)$", name)
@@ -124,15 +125,17 @@ _COUNTS_PER = re.compile(r"(?:counts?|increments?)\s*(?:/|per)\s*(.+)$")
 
 
 def keep_unit(value: object, check: Callable[[object], object], read: Callable[[object], object]) -> object:
-    """The value that `read` makes, with its unit, if a field's `check` accepts it as a number."""
+    """Return the value that `read` makes, with its unit, if a field's `check` accepts it as a number."""
     made = read(value)
     checked = check(float(made) if isinstance(made, Quantity) else made)
     return made if isinstance(made, Quantity) else checked
 
 
 def quantity(value: object) -> object:
-    """A text with a number and a unit of travel or speed as a `Quantity`, also "2000 counts/rev" for the 2000th part of
-    a revolution; any other value unchanged. Raises ValueError for an unknown unit."""
+    """Return a text with a number and a unit of travel or speed as a `Quantity`, and any other value unchanged.
+
+    The text "2000 counts/rev" gives the 2000th part of a revolution. Raises ValueError for an unknown unit.
+    """
     if not isinstance(value, str) or (found := _NUMBER.match(value)) is None:
         return value
     number, name = float(found.group(1)), found.group(2)
@@ -147,8 +150,10 @@ def quantity(value: object) -> object:
 
 
 def gain(value: object) -> object:
-    """A text with a number and a force or torque per unit of input as a `Quantity`: "0.35 N m/A". Raises ValueError for
-    an unknown unit."""
+    """Return a text such as "0.35 N m/A" as a `Quantity` of force or torque per unit of input.
+
+    Raises ValueError for an unknown unit.
+    """
     if not isinstance(value, str) or (found := _NUMBER.match(value)) is None:
         return value
     above, stroke, below = found.group(2).partition("/")
@@ -161,7 +166,7 @@ def gain(value: object) -> object:
 
 
 def known_unit(text: str, table: dict[str, Unit]) -> str:
-    """The unit of this name in a table. Raises ValueError for an unknown name."""
+    """Return the unit with this name in a table. Raises ValueError for an unknown name."""
     unit = unit_named(text, table)
     if unit is None:
         raise ValueError(f"there is no such unit here; known are {', '.join(table)}")

@@ -1,6 +1,6 @@
-"""The formats of a record: a reader each, in a file of its own."""
+"""The formats of a record, each with a reader in its own file."""
 
-#: Suffix -> name for people, without the import of a reader. `reading.READERS` has the same suffixes.
+#: Names of the formats by suffix, without the import of a reader. `reading.READERS` has the same suffixes.
 FORMATS = {
     ".csv": "CSV",
     ".parquet": "Parquet",
@@ -16,5 +16,5 @@ FORMATS = {
     ".tdms": "TDMS",
 }
 SUFFIXES = tuple(FORMATS)
-#: "CSV, Parquet, ... or TDMS"
+#: The text "CSV, Parquet, ... or TDMS".
 SPOKEN = " or ".join(", ".join(FORMATS.values()).rsplit(", ", 1))

@@ -1,4 +1,4 @@
-"""Arrow files: Feather and IPC, of file or stream."""
+"""Arrow files (Feather and IPC) in the file format or the stream format."""
 
 from __future__ import annotations
 

@@ -17,9 +17,9 @@ from pmfid.io.tables import TWICE, NotedTable
 if TYPE_CHECKING:
     import polars as pl
 
-#: Separators, the likeliest first; a space is any number of spaces and tabs.
+#: Separators, most likely first. A space stands for any number of spaces and tabs.
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
-#: Lines that are examined.
+#: Number of examined lines.
 LOOKED_AT = 400
 #: Least percentage of fields in a line of data that are numbers, times or empty.
 NUMBERS = 50
@@ -39,9 +39,12 @@ _UNIT = re.compile(
 
 @dataclass(frozen=True)
 class Layout:
-    """separator, decimal: of the file; names: of the columns, with a unit in brackets from a row of units; first: the
-    first line of data, from 0; named: does the file have a header? numbers: columns, from 0, with numbers alone in the
-    examined lines."""
+    """The layout of a text file.
+
+    `separator` and `decimal` are the marks of the file. `names` are the names of the columns, with a unit in brackets
+    from a row of units. `first` is the number of the first line of data, counted from 0. `named` says whether the file
+    has a header. `numbers` are the columns, counted from 0, with only numbers in the examined lines.
+    """
 
     separator: str
     decimal: str
@@ -64,7 +67,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Stated:
-    """The configured part of a layout; None: as the text shows."""
+    """The configured part of a layout. The text itself determines an entry of None."""
 
     separator: str | None = None
     decimal: str | None = None
@@ -74,7 +77,7 @@ NOTHING = Stated()
 
 
 def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
-    """The layout of the first lines of a file. Raises UsageError if they are no table with the stated layout."""
+    """Return the layout of the first lines of a file. Raises UsageError if they are no table with the stated layout."""
     looked = lines[:LOOKED_AT]
     readings = product(stated.separator or SEPARATORS, stated.decimal or ".,")
     found = {reading: rows for reading in readings if (rows := _data(looked, *reading))}
@@ -99,14 +102,14 @@ def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
 
 
 def _empty(lines: Sequence[str]) -> Layout:
-    """The layout of a file with a header and no data."""
+    """Return the layout of a file with a header and no data."""
     header = next(line for line in lines if line.strip())
     separator = max(SEPARATORS, key=lambda mark: (len(split(header, mark)), mark != " "))
     return Layout(separator, ".", tuple(split(header.strip().lstrip("#%/ "), separator)), len(lines), True)
 
 
 def split(line: str, separator: str) -> list[str]:
-    """The fields of a line, without spaces and quotes around them."""
+    """Return the fields of a line without surrounding spaces and quotes."""
     parts = (
         line.split() if separator == " " else next(csv.reader([line], delimiter=separator, skipinitialspace=True), [""])
     )
@@ -114,14 +117,19 @@ def split(line: str, separator: str) -> list[str]:
 
 
 def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, int]:
-    """The order of readings: several columns before one, then the part of fields with numbers, then the lines."""
+    """Return a sort key for the readings of the rows.
+
+    Several columns come before one column, then the part of fields with numbers counts, and then the number of lines.
+    """
     fields = [field for row in rows for field in row]
     known = sum(_is_data_field(field, decimal) for field in fields)
     return len(rows[0]) > 1, known / len(fields), len(rows)
 
 
 def _data(lines: Sequence[str], separator: str, decimal: str) -> list[int]:
-    """The lines of data: most of their fields are numbers, and their number of fields is the most frequent one."""
+    """Return the lines of data: most of their fields are numbers, and their number of fields is the most frequent
+    one.
+    """
     sized = [(k, len(fields)) for k, fields in _fields(lines, separator) if _numeric(fields, decimal)]
     if not sized:
         return []
@@ -136,7 +144,10 @@ def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[st
 
 
 def _numeric(fields: Sequence[str], decimal: str) -> bool:
-    """Is this a line of data? It has a number and few words, and it is no setting with a word before each number."""
+    """Return whether this is a line of data, which has a number and few words.
+
+    A line of settings with a word before each number is no line of data.
+    """
     words = [field for field in fields if not _is_data_field(field, decimal)]
     if len(words) > 1 and set(words) == {fields[0]}:
         return False
@@ -145,13 +156,13 @@ def _numeric(fields: Sequence[str], decimal: str) -> bool:
 
 
 def is_data(line: str) -> bool:
-    """Is this a line of data without a word in it, however its fields are separated?"""
+    """Return whether this is a line of data without a word, however its fields are separated."""
     rows = ((split(line, separator), decimal) for separator, decimal in product(SEPARATORS, ".,"))
     return any(len(row) > 1 and all(_is_data_field(field, decimal) for field in row) for row, decimal in rows)
 
 
 def _are_numbers(column: Sequence[str], decimal: str) -> bool:
-    """Does a column have numbers and empty cells alone?"""
+    """Return whether a column has only numbers and empty cells."""
     own = [field for field in column if field]
     return bool(own) and all(_NUMBER[decimal].fullmatch(field) for field in own)
 
@@ -161,8 +172,11 @@ def _is_data_field(field: str, decimal: str) -> bool:
 
 
 def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple[tuple[str, ...], bool]:
-    """The names of the columns with these fields, and whether the file has them. They come from the nearest line above
-    with as many fields, which may be a comment, and their units from a row of units."""
+    """Return the names of the columns with these fields, and whether the file has names.
+
+    The names come from the nearest line above with the same number of fields, which may be a comment. The units come
+    from a row of units.
+    """
     lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
     if scope := _scope_names([line for line in lines if len(line) == len(fields)]):
         return scope, True
@@ -177,13 +191,15 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
 
 
 def _says_names(row: Sequence[str]) -> bool:
-    """Does a row have a word that is no substitute for a missing number?"""
+    """Return whether a row has a word other than a substitute for a missing number."""
     return any(field.rstrip(";").strip().lower() not in _WORDS for field in row)
 
 
 def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """The names of an export of TwinCAT Scope, whose lines of settings repeat their key above each column of stamps,
-    which are in ms; empty of any other file."""
+    """Return the names of an export of TwinCAT Scope, or an empty tuple for any other file.
+
+    In such an export, each line of settings repeats its key above each column of stamps [ms].
+    """
     settings = {line[0]: line for line in lines if line.count(line[0]) * 2 <= len(line)}
     if not {"Name", "SampleTime[ms]"} <= set(settings):
         return ()
@@ -196,12 +212,15 @@ def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
 
 
 def are_units(fields: Sequence[str]) -> bool:
-    """Is this a row of units, and of nothing else?"""
+    """Return whether this is a row with only units."""
     return all(_UNIT.fullmatch(field) for field in fields if field)
 
 
 def _fit_line(line: list[str], fields: Sequence[str]) -> list[str]:
-    """The line if it has this number of fields, or one less and its last field is empty; else an empty list."""
+    """Return the line if it has the same number of fields, or an empty list.
+
+    A line may have one field less if the last field is empty.
+    """
     if len(line) == len(fields) - 1 and not fields[-1]:
         line = [*line, ""]
     return line if len(line) == len(fields) else []
@@ -212,13 +231,15 @@ _PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
 _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
-#: Least percentage of zeros at every second byte of a UTF-16 text; first bytes that are examined.
+#: Least percentage of zeros at every second byte of a UTF-16 text, and number of examined first bytes.
 _WIDE, _FIRST = 30, 2000
 
 
 def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
-    """The columns as text, numbers with a decimal point; stated: the configured layout. Raises UsageError for other
-    packed files than gzip and zstd, and for a file that is no text or no table."""
+    """Return the columns as text, with decimal points in numbers. `stated` is the configured layout.
+
+    Raises UsageError for packed files other than gzip and zstd, and for a file that is no text or no table.
+    """
     text = _text(unpack_file(data))
     head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
     layout = layout_of(head.splitlines(), stated)
@@ -226,8 +247,8 @@ def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
 
 
 def _text(data: bytes) -> bytes:
-    """The text as UTF-8, lines ended by line feeds. Raises UsageError for a file that is no text."""
-    if data.startswith(_PACKED):  # polars would unpack it, however large
+    """Return the text as UTF-8 with line feeds. Raises UsageError for a file that is no text."""
+    if data.startswith(_PACKED):  # polars would unpack a file of any size
         raise UsageError("a packed file; unpack it first, and mind how large it becomes")
     coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _detect_encoding(data)
     if coding is not None:
@@ -238,7 +259,7 @@ def _text(data: bytes) -> bytes:
 
 
 def _detect_encoding(data: bytes) -> str | None:
-    """The coding of a text without a mark, None: UTF-8."""
+    """Return the coding of a text without a mark, or None for UTF-8."""
     first = data[:_FIRST]
     for coding, zeros in (("utf-16-le", first[1::2]), ("utf-16-be", first[::2])):
         if 100 * zeros.count(0) > _WIDE * max(1, len(zeros)) and first.count(0) == zeros.count(0):
@@ -252,7 +273,7 @@ def _detect_encoding(data: bytes) -> str | None:
 
 
 def _end_of_line(text: bytes, lines: int) -> int:
-    """The place at which the first `lines` lines end."""
+    """Return the position at which the first `lines` lines end."""
     place = 0
     for _ in range(lines):
         found = text.find(b"\n", place)
@@ -274,15 +295,17 @@ def _columns(body: bytes, layout: Layout) -> dict[str, object]:
 
 
 def _strip_other_lines(body: bytes) -> bytes:
-    """The lines of data alone, copied only if there are other lines."""
+    """Return only the lines of data. The text is copied only if it has other lines."""
     if any(mark in body for mark in (b"#", b"%", b"//")):
         body = _COMMENT.sub(b"", body)
     return body.rstrip().removesuffix(b"\nEOF") if body.endswith((b"\n\n", b"EOF", b"EOF\n", b" ", b"\t")) else body
 
 
 def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
-    """The columns with numbers in the first lines as numbers, the others as text. If a later cell is no number, all are
-    text, because only a column that is used may cause an error."""
+    """Return the columns with numbers in the first lines as numbers, and the others as text.
+
+    If a later cell is no number, all columns are text, because only a used column may cause an error.
+    """
     import polars as pl
 
     def read(numbers: Sequence[int]) -> pl.DataFrame:
@@ -291,7 +314,7 @@ def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
             body,
             separator=layout.separator,
             has_header=False,
-            schema=kinds,  # with names of its own: those of polars begin with column_0 or column_1
+            schema=kinds,  # unique names, as those of polars begin with column_0 or column_1
             null_values=_MISSING,
             decimal_comma=layout.decimal == "," and bool(numbers),
         )
@@ -308,7 +331,7 @@ def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
 
 
 def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:
-    """The columns with the names of a layout, text with a decimal point."""
+    """Return the columns with the names of a layout, and with decimal points in texts."""
     import polars as pl
 
     table: dict[str, object] = {}
@@ -319,7 +342,7 @@ def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:
 
 
 def _with_points(column: pl.Series) -> pl.Series:
-    """Decimal commas as points. A number with points between thousands becomes a text that is no number."""
+    """Replace decimal commas by points. A number with points between thousands becomes a text that is no number."""
     import polars as pl
 
     thousands = column.str.contains(r"^\s*[+-]?\d{1,3}(\.\d{3})+")

@@ -1,4 +1,4 @@
-"""Excel workbooks: the first sheet that holds a table."""
+"""Excel workbooks, of which the first sheet with a table is read."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CELL = 8
 
 
 def parse_excel(data: bytes) -> NotedTable:
-    """The columns, without the lines above the table. Raises UsageError if no sheet is a table."""
+    """Return the columns without the lines above the table. Raises UsageError if no sheet is a table."""
     checked_archive(data).close()
     with require_extra("excel"):
         import fastexcel
@@ -35,7 +35,7 @@ def parse_excel(data: bytes) -> NotedTable:
 
 
 def _sheet(book: fastexcel.ExcelReader, name: str, most: int) -> NotedTable:
-    # as text, which has a number of digits, to find the header; then the numbers as they are
+    # The text of the first lines, with the digits of numbers, shows the header. Then the numbers are read unchanged.
     head = book.load_sheet(name, header_row=None, skip_rows=0, n_rows=LOOKED_AT, dtypes="string")
     if head.width * head.total_height * CELL > most:
         raise UsageError("the sheet has more cells than the file can hold; delete rows and columns that are empty")

@@ -1,4 +1,4 @@
-"""HDF5 files, MATLAB's files, and their nested groups."""
+"""HDF5 files and MATLAB files with nested groups."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from pmfid.io.safety import MOST_BYTES, MOST_TIMES, check_unpacked, require_extra
 from pmfid.io.tables import Table
 
-#: Structures deeper than this hold no columns.
+#: Deepest structure with columns.
 DEEPEST = 16
 
 
 def flatten_fields(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, object]:
-    """Arrays by name; the fields of structured arrays by "name.field", at any depth."""
+    """Return arrays by name, where the fields of structured arrays of any depth are "name.field"."""
     return {path: found for name, array in arrays.items() for path, found in _fields(name, array, DEEPEST)}
 
 
@@ -30,12 +30,12 @@ def _fields(path: str, array: NDArray[np.generic], depth: int) -> Iterator[tuple
     for name in array.dtype.names:
         field: NDArray[np.generic] = array[name]  # type: ignore[call-overload]
         if field.dtype == object and field.size == 1 and isinstance(field.item(), np.ndarray):
-            field = field.item()  # of a MATLAB structure, each field is an array of its own
+            field = field.item()  # each field of a MATLAB structure is an array
         yield from _fields(f"{path}.{name}".lstrip("."), field, depth - 1)
 
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-#: Place of the signature in a MATLAB v7.3 file.
+#: Position of the signature in a MATLAB v7.3 file.
 MATLAB_HEADER = 512
 #: Most datasets of a record.
 MOST = 10_000
@@ -53,10 +53,10 @@ class _Dataset(Protocol):
 
 
 def parse_hdf5(data: bytes) -> Table:
-    """The datasets of numbers by dotted path, groups and MATLAB structures alike: "run.axis.u".
+    """Return the datasets of numbers by dotted path, such as "run.axis.u", from groups and MATLAB structures.
 
-    Data in other files are left out: a record is one file. Raises UsageError for a decompression bomb; `readable` turns
-    errors of h5py into UsageError.
+    Data in other files are left out, because a record is one file. Raises UsageError for a decompression bomb.
+    `readable` turns errors of h5py into UsageError.
     """
     with require_extra("hdf5"):
         import h5py
@@ -78,20 +78,22 @@ def parse_hdf5(data: bytes) -> Table:
 
 
 def _is_column(item: _Dataset) -> bool:
-    """Does a dataset hold numbers, or structures of numbers, in this file?"""
+    """Return whether a dataset holds numbers, or structures of numbers, in this file."""
     kind = item.attrs.get("MATLAB_class", b"")
     return item.dtype.kind in "biufV" and not item.external and not item.is_virtual and kind not in (b"char", b"cell")
 
 
-# Types of the elements of a MATLAB v5 file ("MAT-File Format", MathWorks, table 1-1); the others are reserved.
+# Types of the elements in a MATLAB v5 file ("MAT-File Format", MathWorks, table 1-1). Other types are reserved.
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED, _UTF8 = 1, 5, 6, 14, 15, 16
 _NUMERIC = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18}
 _CHAR_CLASS, _SPARSE_CLASS, _LAST_NUMERIC_CLASS, _COMPLEX = 4, 5, 15, 0x800
 
 
 def parse_mat(data: bytes) -> Table:
-    """The variables as arrays, fields of structures by dotted path: "run.axis.u". Raises ValueError for damage, which
-    `readable` turns into UsageError."""
+    """Return the variables as arrays, with dotted paths for fields of structures, such as "run.axis.u".
+
+    Raises ValueError for damage, which `readable` turns into UsageError.
+    """
     import scipy.io
 
     if SIGNATURE in (data[: len(SIGNATURE)], data[MATLAB_HEADER : MATLAB_HEADER + len(SIGNATURE)]):
@@ -100,15 +102,16 @@ def parse_mat(data: bytes) -> Table:
     with warnings.catch_warnings(action="error", category=scipy.io.matlab.MatReadWarning):
         variables = scipy.io.loadmat(io.BytesIO(data))
     named = {name: value for name, value in variables.items() if not name.startswith("__")}
-    # a sparse matrix, or another class, is no column, and says so when it is asked for
+    # A sparse matrix or another class is no column. An access to it raises an error.
     arrays = {name: value if isinstance(value, np.ndarray) else np.empty(0, object) for name, value in named.items()}
     return flatten_fields(arrays)
 
 
 def _check_mat(data: bytes) -> None:
-    """Raises ValueError unless all sizes and types in a v5 file fit: with others scipy's reader ends the whole process.
+    """Raise ValueError unless all sizes and types in a v5 file are consistent.
 
-    A file of another version passes; the reader refuses it.
+    With inconsistent sizes, the reader of SciPy ends the whole process. A file of another version passes the check, and
+    the reader refuses it.
     """
     order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
     if order is None or 0 in data[:4]:
@@ -125,7 +128,7 @@ def _check_mat(data: bytes) -> None:
 
 
 def _unpack_element(body: memoryview, most: int, packed: int) -> memoryview:
-    """A compressed element, of at most `most` bytes; raises UsageError before more are unpacked."""
+    """Return a decompressed element with at most `most` bytes. Raises UsageError before more bytes are decompressed."""
     stream = zlib.decompressobj()
     inner = stream.decompress(body, most + 1)
     if len(inner) > most:
@@ -136,7 +139,9 @@ def _unpack_element(body: memoryview, most: int, packed: int) -> memoryview:
 
 
 def _elements(data: memoryview, order: str, padding: int = 8) -> Iterator[tuple[int, memoryview]]:
-    """Type and content of each element; `order`: "<" or ">", `padding`: multiple of bytes that an element takes."""
+    """Yield type and content of each element. `order` is "<" or ">", and `padding` is the alignment of elements
+    [bytes].
+    """
     word = np.dtype(f"{order}u4")
     start = 0
     while start < len(data):
@@ -144,7 +149,7 @@ def _elements(data: memoryview, order: str, padding: int = 8) -> Iterator[tuple[
             raise ValueError("an element without its size")
         kind, size = (int(number) for number in np.frombuffer(data, word, 2, start))
         first, step = start + 8, -(-size // padding) * padding
-        if kind >> 16:  # four bytes at most are stored in the place of the size
+        if kind >> 16:  # up to four bytes are stored in place of the size
             kind, size, first, step = kind & 0xFFFF, kind >> 16, start + 4, 4
         if size > min(step, len(data) - first):
             raise ValueError("an element is longer than the file")
@@ -170,7 +175,10 @@ def _check_matrix(body: memoryview, order: str) -> None:
 
 
 def _check_array(kinds: list[int], sizes: list[int], flags: int) -> None:
-    """Every array starts with flags, dimensions and name; values follow, in a sparse one after two rows of indices."""
+    """Raise ValueError unless an array has flags, dimensions, a name and values.
+
+    In a sparse array, two rows of indices precede the values.
+    """
     indices = 2 if flags & 0xFF == _SPARSE_CLASS else 0
     values = 2 if flags & _COMPLEX else 1
     nested = flags & 0xFF < _CHAR_CLASS

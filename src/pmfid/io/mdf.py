@@ -1,4 +1,4 @@
-"""MDF4 files, as measuring systems of vehicles write them."""
+"""MDF4 files, which measuring systems in vehicles write."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ MAGIC = (b"MDF     ", b"UnFinMF ")
 
 
 def parse_mdf(data: bytes) -> ClockedSignals:
-    """The channels of numbers by name, with their unit in brackets; a repeated name gets the number of its group.
-    Raises UsageError for a decompression bomb; `readable` turns errors of asammdf into UsageError."""
+    """Return the channels of numbers by name, with their unit in brackets.
+
+    A repeated name contains the number of its group. Raises UsageError for a decompression bomb. `readable` turns
+    errors of asammdf into UsageError.
+    """
     found: dict[str, Signal] = {}
     with require_extra("mdf4"):
         from asammdf.blocks.mdf_v4 import MDF4
@@ -35,11 +38,11 @@ def parse_mdf(data: bytes) -> ClockedSignals:
 
 
 def _silence_close(file: Any) -> None:
-    """Closes a file without messages: a file that is half read would complain on standard error."""
+    """Close a file without messages, because an incompletely read file would report on standard error."""
     with suppress(Exception):
         file._tempfile.close()
 
 
 def _size(file: Any) -> int:
-    """Bytes of all values as numbers."""
+    """Return the bytes of all values as numbers."""
     return sum(8 * int(group.channel_group.cycles_nr) * len(group.channels) for group in file.groups)

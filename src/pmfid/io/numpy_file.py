@@ -1,4 +1,4 @@
-"""NumPy files: .npz with an array for each column, .npy with one array."""
+"""NumPy files: .npz with an array for each column, or .npy with one array."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ ARRAY = b"\x93NUMPY"
 
 
 def parse_numpy(data: bytes) -> Table:
-    """The arrays by name, of a matrix each column by name and number; of one array its fields, or its columns. Raises
-    UsageError for arrays of objects, which would need unpickling, and ValueError for damage."""
+    """Return the arrays by name, and the columns of a matrix by name and number.
+
+    A single array has its fields or its columns as names. Raises UsageError for arrays of objects, which would need
+    unpickling, and ValueError for damage.
+    """
     if data.startswith(ARRAY):
         array = _array(data)
         plain = array.dtype.names is None and array.ndim == 2
@@ -30,7 +33,10 @@ def parse_numpy(data: bytes) -> Table:
 
 
 def _split_matrix(name: str, array: object) -> Iterator[tuple[str, object]]:
-    """The columns of a matrix with more rows than columns, as q_1 to q_7 for the joints of an arm; else the array."""
+    """Yield the columns of a matrix with more rows than columns, such as q_1 to q_7 for the joints of an arm.
+
+    Any other array is yielded unchanged.
+    """
     if isinstance(array, np.ndarray) and array.ndim == 2 and 1 < array.shape[1] < array.shape[0]:
         yield from ((f"{name}_{k + 1}", array[:, k]) for k in range(array.shape[1]))
     else:

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["column_sizes"]
 
-#: Types of the compact protocol of Apache Thrift.
+#: Types in the compact protocol of Apache Thrift.
 TRUE, FALSE, BYTE, INTEGERS, DOUBLE, BINARY, LISTS, STRUCT = 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
 #: Bytes of the length of the footer and of the magic word at the end of the file.
 TAIL = 8
-#: Identifiers of fields: FileMetaData, RowGroup, ColumnChunk, ColumnMetaData.
+#: Identifiers of fields in FileMetaData, RowGroup and ColumnChunk.
 ROW_GROUPS, COLUMNS, META_DATA = 4, 1, 3
 PATH, VALUES, UNCOMPRESSED = 3, 5, 6
 #: Bytes of a value in memory.
@@ -29,7 +29,7 @@ VALUE = 8
 
 
 def column_sizes(data: bytes) -> Mapping[str, int]:
-    """Bytes of each top-level column in memory: the larger size of its values and its unpacked pages.
+    """Return the bytes of each top-level column in memory, the larger size of its values and its unpacked pages.
 
     Raises ValueError, IndexError, KeyError or TypeError for a damaged footer.
     """
@@ -45,7 +45,9 @@ def column_sizes(data: bytes) -> Mapping[str, int]:
 
 @dataclass
 class _Compact:
-    """Reads the compact protocol of Apache Thrift; a structure is its values by the identifiers of its fields."""
+    """A reader for the compact protocol of Apache Thrift, with structures as values by the identifiers of their
+    fields.
+    """
 
     data: bytes
     place: int = 0
@@ -77,12 +79,12 @@ class _Compact:
         return found | byte << shift
 
     def _integer(self) -> int:
-        """A signed integer, in zigzag encoding."""
+        """Return a signed integer in zigzag encoding."""
         found = self._read_unsigned()
         return (found >> 1) ^ -(found & 1)
 
     def _value(self, kind: int) -> Any:
-        if kind in (TRUE, FALSE, BYTE):  # a byte each in a list
+        if kind in (TRUE, FALSE, BYTE):  # one byte for each value of a list
             return self._byte()
         if kind in INTEGERS:
             return self._integer()
@@ -100,8 +102,10 @@ class _Compact:
 
 
 class LazyColumns(Mapping[str, object], ABC):
-    """The columns of a file, each read on access. "column.0" is an element of a column of lists, "column.field" a field
-    of a column of structures."""
+    """The columns of a file, each read on access.
+
+    The name "column.0" is an element of a column of lists, and "column.field" is a field of a column of structures.
+    """
 
     kind: ClassVar[str]
 
@@ -110,7 +114,7 @@ class LazyColumns(Mapping[str, object], ABC):
 
     @abstractmethod
     def read(self, name: str) -> pl.Series:
-        """The column of that name in the file."""
+        """Return the column with this name in the file."""
 
     def __getitem__(self, name: str) -> object:
         whole, _, part = (name, "", "") if name in self._names else name.rpartition(".")
@@ -136,7 +140,7 @@ class LazyColumns(Mapping[str, object], ABC):
 
 
 def _part(series: pl.Series, part: str, name: str) -> pl.Series:
-    """An element or a field of every value. Raises KeyError if no value has it."""
+    """Return an element or a field of every value. Raises KeyError if no value has the element or the field."""
     import polars as pl
 
     if isinstance(series.dtype, pl.Struct) and part in series.struct.fields:

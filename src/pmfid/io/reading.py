@@ -27,7 +27,7 @@ from pmfid.io.tdms import MAGIC as TDMS
 from pmfid.io.tdms import parse_tdms
 from pmfid.io.wpilog import parse_wpilog
 
-#: Suffix -> reader from bytes to columns; `readable` turns errors of a reader into UsageError.
+#: Readers from bytes to columns by suffix. `readable` turns errors of a reader into UsageError.
 READERS: dict[str, Callable[[bytes], Table]] = {
     ".csv": parse_csv,
     ".parquet": ParquetTable,
@@ -42,7 +42,7 @@ READERS: dict[str, Callable[[bytes], Table]] = {
     ".mf4": parse_mdf,
     ".tdms": parse_tdms,
 }
-#: Other suffixes of the same formats; text has many, and its layout is found in the file.
+#: Other suffixes of the same formats. Text has many suffixes, and the file determines its layout.
 ENDINGS = {
     **dict.fromkeys((".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".trc", ".gz", ".zst"), ".csv"),
     **dict.fromkeys((".hdf5", ".hdf", ".he5"), ".h5"),
@@ -52,7 +52,7 @@ ENDINGS = {
     ".mdf": ".mf4",
     ".xlsm": ".xlsx",
 }
-#: First bytes of a file -> its format; bytes that a text or several formats may begin with are left out.
+#: Formats by the first bytes of a file, without bytes at the beginning of a text or of several formats.
 OPENINGS: dict[bytes, str] = {
     b"PAR1": ".parquet",
     b"MATLAB 5.0 MAT-file": ".mat",
@@ -70,9 +70,10 @@ OPENINGS: dict[bytes, str] = {
 
 
 def read_table(path: Path, stated: Stated = NOTHING) -> Table:
-    """All columns of a file of one of the `FORMATS`, not yet converted; stated: the configured layout of a text.
+    """Return all columns of a file of one of the `FORMATS`, without conversion.
 
-    Raises UsageError with the remedy for a file that is missing, empty, truncated, corrupt or of another type.
+    `stated` is the configured layout of a text. Raises UsageError with the remedy for a file that is missing, empty,
+    truncated, corrupt or of another type.
     """
     path = file_of(path) if path.is_dir() else path
     try:
@@ -88,13 +89,15 @@ def read_table(path: Path, stated: Stated = NOTHING) -> Table:
         raise UsageError("the file is empty; export the record again")
     with readable(suffix if kind == named else kind), silent():
         table = parse_csv(data, stated) if kind == ".csv" else READERS[kind](data)
-    del data  # of the size of the columns, which are copied next
+    del data  # as large as the columns, which are copied next
     return _rechunk_table(table)
 
 
 def _rechunk_table(table: Table) -> Table:
-    """The table with each polars series in one piece, which needs no copy as an array. The series are joined one by
-    one, because the pieces need as much memory as the result."""
+    """Return the table with each polars series in one piece, which needs no copy as an array.
+
+    The series are joined one by one, because the pieces need as much memory as the result.
+    """
     if isinstance(table, dict):
         for name, column in table.items():
             if hasattr(column, "rechunk"):
@@ -103,5 +106,5 @@ def _rechunk_table(table: Table) -> Table:
 
 
 def format_of(data: bytes) -> str | None:
-    """The format of a file by its first bytes; None if they do not determine it."""
+    """Return the format of a file by its first bytes, or None if they do not determine the format."""
     return next((kind for opening, kind in OPENINGS.items() if data.startswith(opening)), None)

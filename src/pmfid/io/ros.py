@@ -1,4 +1,4 @@
-"""MCAP files and ROS bags: messages become columns."""
+"""MCAP files and ROS bags, whose messages become columns."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ if TYPE_CHECKING:
     from mcap.records import Schema
     from rosbags.rosbag2 import Reader
 
-#: Most elements of an array that become columns; a longer one is an image or a cloud.
+#: Most elements of an array that become columns. A longer array is an image or a point cloud.
 LONGEST = 64
 DEEPEST = 8
 NANOSECOND = 1e-9
 
 
 def signals_of(messages: Iterable[tuple[str, int, object]]) -> ClockedSignals:
-    """Signals of messages, as (topic, stamp [ns], message): "/joint_states.position.0" on the stamps of its topic. A
-    stamp inside a message is in s from the first one."""
+    """Return the signals of messages (topic, stamp [ns], message), such as "/joint_states.position.0".
+
+    Each signal has the stamps of its topic. A stamp within a message is relative to the first such stamp [s].
+    """
     stamps: dict[str, list[int]] = {}
     values: dict[str, list[float | int]] = {}
     moments = set[str]()
@@ -47,7 +49,7 @@ def signals_of(messages: Iterable[tuple[str, int, object]]) -> ClockedSignals:
 
 
 def _numbers(path: str, value: object, depth: int, moments: set[str]) -> Iterator[tuple[str, float | int]]:
-    """The numbers in a message by path; paths of stamps [ns] go into `moments`."""
+    """Yield the numbers in a message by path. The paths of stamps [ns] are added to `moments`."""
     if isinstance(value, bool | int | float | np.number | np.bool_):
         yield path, value.item() if isinstance(value, np.generic) else value
         return
@@ -65,7 +67,7 @@ def _numbers(path: str, value: object, depth: int, moments: set[str]) -> Iterato
 
 
 def _inside(value: object) -> Mapping[str, object] | None:
-    """The parts of a value by name; None for a value without parts that may be numbers."""
+    """Return the parts of a value by name, or None for a value without parts that may be numbers."""
     if isinstance(value, Mapping):
         return value
     if is_dataclass(value):
@@ -76,7 +78,7 @@ def _inside(value: object) -> Mapping[str, object] | None:
 
 
 def _moment(inside: Mapping[str, object]) -> int | None:
-    """Nanoseconds of a stamp of ROS or Foxglove; None for any other value."""
+    """Return the nanoseconds of a stamp of ROS or Foxglove, or None for any other value."""
     nanos = inside.get("nanosec", inside.get("nsec"))
     seconds = inside.get("sec")
     named = set(inside) - {"__msgtype__"} in ({"sec", "nanosec"}, {"sec", "nsec"})
@@ -88,8 +90,11 @@ Decode = Callable[[bytes], object]
 
 
 def parse_mcap(data: bytes) -> ClockedSignals:
-    """The numbers in the messages, named as "/topic.field.0". Raises UsageError for another encoding and for a
-    decompression bomb; `readable` turns errors of the library into UsageError."""
+    """Return the numbers in the messages, with names such as "/topic.field.0".
+
+    Raises UsageError for another encoding and for a decompression bomb. `readable` turns errors of the library into
+    UsageError.
+    """
     return signals_of(_read_mcap(data))
 
 
@@ -110,7 +115,7 @@ def _read_mcap(data: bytes) -> Iterator[tuple[str, int, object]]:
 
 
 def _records(data: bytes) -> Iterator[object]:
-    """All records, including records in packed chunks."""
+    """Yield all records, including records in packed chunks."""
     with require_extra("mcap"):
         from mcap.records import Chunk
         from mcap.stream_reader import StreamReader, breakup_chunk
@@ -135,7 +140,7 @@ def _records(data: bytes) -> Iterator[object]:
 
 
 def _plain(packed: bytes, how: str, size: int) -> bytes:
-    """The unpacked chunk of `size` bytes."""
+    """Return the unpacked chunk with `size` bytes."""
     if how == "zstd":
         plain = from_zstd(packed, min(size, most_of(len(packed))), "a chunk")
     elif how == "lz4":
@@ -150,7 +155,7 @@ def _plain(packed: bytes, how: str, size: int) -> bytes:
 
 
 def _decoder(encoding: str, schema: Schema | None) -> Decode:
-    """A function that decodes bytes into a message. Raises UsageError for an unknown encoding."""
+    """Return a function that decodes bytes into a message. Raises UsageError for an unknown encoding."""
     if encoding == "json":
         return json.loads
     if encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
@@ -159,7 +164,9 @@ def _decoder(encoding: str, schema: Schema | None) -> Decode:
 
 
 def ros_decoder(kind: str, definition: str = "") -> Decode:
-    """The decoder from bytes to a ROS 2 message; kind: its type; definition: its fields, if the file has them."""
+    """Return the decoder from bytes to a ROS 2 message of type `kind`. `definition` holds its fields if the file
+    has them.
+    """
     with require_extra("ros"):
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -175,9 +182,12 @@ SQLITE = b"SQLite format 3\x00"
 
 
 def file_of(folder: Path) -> Path:
-    """The record in the folder of a bag, or in another folder. Raises UsageError for no record, and for several."""
+    """Return the record in the folder of a bag, or in another folder.
+
+    Raises UsageError if the folder has no record or several records.
+    """
     found = sorted(path for suffix in ("mcap", "db3", "parquet") for path in folder.rglob(f"*.{suffix}"))
-    found = [path for path in found if "meta" not in path.relative_to(folder).parts[:-1]]  # of LeRobot
+    found = [path for path in found if "meta" not in path.relative_to(folder).parts[:-1]]  # metadata of LeRobot
     if len(found) == 1:
         return found[0]
     listed = ", ".join(str(path.relative_to(folder)) for path in found[:5]) or "none"
@@ -185,7 +195,7 @@ def file_of(folder: Path) -> Path:
 
 
 def parse_rosbag(data: bytes) -> ClockedSignals:
-    """The numbers in the messages, named as "/topic.field.0", with the stamps of their recording."""
+    """Return the numbers in the messages, with names such as "/topic.field.0" and the stamps of their recording."""
     with require_extra("ros"):
         from rosbags.rosbag2 import Reader
     with tempfile.TemporaryDirectory() as folder:

@@ -9,12 +9,15 @@ from pathlib import Path
 
 Tell = Callable[[dict[str, object]], None]
 
-#: Most bytes that wait for space on the disk; further lines are lost.
+#: Most bytes that wait for space on the disk. Further lines are lost.
 MOST_WAITING = 1 << 20
 
 
 def fresh(path: Path, also: Callable[[Path], Path] = lambda path: path) -> Path:
-    """The path, or path-2, path-3, ... with its suffix: the first one that does not exist, and `also` of it neither."""
+    """Return the first unused path among path, path-2, path-3 and so on, with its suffix.
+
+    The path `also(path)` must also be unused.
+    """
     for number in count(1):
         candidate = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
         if not os.path.lexists(candidate) and not os.path.lexists(also(candidate)):
@@ -23,15 +26,15 @@ def fresh(path: Path, also: Callable[[Path], Path] = lambda path: path) -> Path:
 
 
 def is_stream(path: Path) -> bool:
-    """Is the path a named pipe or a device, to which lines can be appended without loss?"""
+    """Return whether the path is a named pipe or a device, to which lines can be appended without loss."""
     return path.exists() and not path.is_file()
 
 
 class RowFile:
-    """Lines to a new file, each at once.
+    """A new file of lines, each written at once.
 
-    `tell` gets a write error. Unwritten bytes wait, so that the file continues without a break once there is space.
-    lost: number of lines without space. Raises OSError if the file cannot be made.
+    `tell` gets a write error. Unwritten bytes wait, so that the file continues without a break after space becomes
+    available. `lost` is the number of lines without space. Raises OSError if the file cannot be made.
     """
 
     def __init__(self, path: Path, tell: Tell) -> None:
@@ -43,7 +46,7 @@ class RowFile:
         self._size, self._whole = 0, 0
 
     def put(self, line: str) -> None:
-        """A line without its end."""
+        """Write a line, given without its end."""
         data = line.encode() + b"\n"
         if len(self._waiting) + len(data) > MOST_WAITING:
             self.lost += 1
@@ -73,7 +76,7 @@ class RowFile:
         del self._waiting[:size]
 
     def close(self) -> None:
-        """Closes the file; waiting lines are lost, and no part of a line stays."""
+        """Close the file. Waiting lines are lost, and no part of a line remains."""
         self._write()
         self.lost += self._waiting.count(b"\n")
         if self._waiting and self._size > self._whole and self.path.is_file():

@@ -1,4 +1,4 @@
-"""Bounds of what a file may unpack to, and files that are packed."""
+"""Limits for the unpacked size of a file, and decompression."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from contextlib import contextmanager
 
 from pmfid.errors import UsageError
 
-#: Largest unpacked size of a file: a multiple of its own size, or a number of bytes if that is more.
+#: Largest unpacked size of a file, as a multiple of its own size or as a number of bytes. The larger limit counts.
 MOST_TIMES, MOST_BYTES = 20, 2**28
 
 
 @contextmanager
 def readable(kind: str) -> Iterator[None]:
-    """Turns any error of a reader into a UsageError: OSError, ValueError, zlib.error, and the PanicException of polars,
-    which is no Exception. Only exceptions that end the program pass through."""
+    """Turn any error of a reader into a UsageError, except for exceptions that end the program.
+
+    Examples are OSError, ValueError, zlib.error, and the PanicException of polars, which is no Exception.
+    """
     try:
         yield
     except UsageError:
@@ -33,7 +35,7 @@ def readable(kind: str) -> Iterator[None]:
 
 @contextmanager
 def silent() -> Iterator[None]:
-    """No warnings and no logs of a library: damage to a file is reported by the error alone."""
+    """Suppress warnings and logs of a library, because only the error reports damage to a file."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -46,8 +48,10 @@ def silent() -> Iterator[None]:
 
 @contextmanager
 def require_extra(extra: str) -> Iterator[None]:
-    """Import a library from an extra of the package inside this context. Raises UsageError with the command that
-    installs it."""
+    """Import a library from an extra of the package inside this context.
+
+    Raises UsageError with the command that installs the extra.
+    """
     try:
         yield
     except ImportError as error:
@@ -56,12 +60,12 @@ def require_extra(extra: str) -> Iterator[None]:
 
 
 def most_of(packed: int) -> int:
-    """Largest unpacked size [bytes] that `packed` bytes may have."""
+    """Return the largest unpacked size [bytes] that `packed` bytes may have."""
     return max(MOST_BYTES, MOST_TIMES * packed)
 
 
 def check_unpacked(size: int, packed: int, what: str) -> None:
-    """Raises UsageError if `packed` bytes may not unpack to `size` bytes."""
+    """Raise UsageError if `packed` bytes may not unpack to `size` bytes."""
     if size > most_of(packed):
         raise UsageError(
             f"{what} takes {size / 1e6:.0f} MB or more out of a file of {packed / 1e6:.2g} MB; decimate or cut the "
@@ -70,8 +74,10 @@ def check_unpacked(size: int, packed: int, what: str) -> None:
 
 
 def checked_archive(data: bytes) -> zipfile.ZipFile:
-    """A ZIP archive with whole parts of their declared sizes. Raises UsageError for a decompression bomb, and
-    ValueError or BadZipFile for damage."""
+    """Return a ZIP archive after a check of its parts and of their declared sizes.
+
+    Raises UsageError for a decompression bomb, and ValueError or BadZipFile for damage.
+    """
     archive = zipfile.ZipFile(io.BytesIO(data))
     check_unpacked(sum(part.file_size for part in archive.infolist()), len(data), "what is packed")
     if any(part.flag_bits & 1 for part in archive.infolist()):
@@ -85,15 +91,19 @@ GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 
 
 def unpack_file(data: bytes) -> bytes:
-    """The unpacked bytes of a file; the bytes themselves if they are not packed. Raises UsageError for a decompression
-    bomb, and for a truncated file."""
+    """Return the unpacked bytes of a file, or the bytes themselves if they are not packed.
+
+    Raises UsageError for a decompression bomb, and for a truncated file.
+    """
     if data.startswith(GZIP):
         return _unpack_gzip(data)
     return from_zstd(data, most_of(len(data)), "the text") if data.startswith(ZSTD) else data
 
 
 def from_zstd(data: bytes, most: int, what: str) -> bytes:
-    """The unpacked bytes of one or more frames of zstd, at most `most`; what: their name in messages."""
+    """Return the unpacked bytes of one or more frames of zstd, at most `most` bytes. `what` is their name in
+    messages.
+    """
     with require_extra("zst"):
         import zstandard
     packed = io.BytesIO(data)
@@ -109,7 +119,7 @@ def from_zstd(data: bytes, most: int, what: str) -> bytes:
 
 
 def _unpack_gzip(data: bytes) -> bytes:
-    """The unpacked bytes of one or more members of gzip."""
+    """Return the unpacked bytes of one or more members of gzip."""
     most, text = most_of(len(data)), bytearray()
     rest = data
     while rest.startswith(GZIP):

@@ -1,4 +1,4 @@
-"""Tables: columns by name from files, frames and arrays, and their clocks."""
+"""Tables, which are columns by name from files, frames and arrays, and their clocks."""
 
 from __future__ import annotations
 
@@ -16,26 +16,32 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: The column of stamps [s].
+#: Column of stamps [s].
 TIME: Final = "time"
-#: Largest difference of stamps within one cycle of a task, as a part of the cycle.
+#: Largest difference of stamps within one cycle of a task, relative to the cycle.
 CYCLE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """time: stamps (n,) [s]; values (n,) at these."""
+    """A signal with its stamps (n,) [s] and values (n,)."""
 
     time: Floats
     values: NDArray[np.generic]
 
 
 class ClockedSignals(Mapping[str, object]):
-    """Signals by name, on the clock of one of them: `TIME` has its stamps. Another with one value in each of its cycles
-    is taken cycle by cycle, and any other holds its last value."""
+    """Signals by name, on the clock of one of them, whose stamps are in `TIME`.
+
+    If another signal has one value in each cycle of this clock, the values are taken cycle by cycle. Any other signal
+    holds its last value.
+    """
 
     def __init__(self, signals: Mapping[str, Signal], base: str = "", others: tuple[str, ...] = ()) -> None:
-        """base: the signal with the clock, by default the longest; others: signals that must have begun."""
+        """Make the table, where `base` is the signal with the clock, by default the longest signal.
+
+        The table starts after the first values of the signals `others`.
+        """
         self._signals = signals
         usual = max(signals, key=lambda name: signals[name].time.size, default="")
         stamps = signals[base if base in signals else usual].time if signals else np.empty(0)
@@ -44,7 +50,7 @@ class ClockedSignals(Mapping[str, object]):
         self._stamps, self._held = stamps, dict[str, None]()
 
     def align(self, base: str, others: tuple[str, ...]) -> ClockedSignals:
-        """The signals on the clock of `base`, from the first stamp at which the others have begun."""
+        """Return the signals on the clock of `base`, from the first stamp at which the others have begun."""
         return ClockedSignals(self._signals, base, others)
 
     @property
@@ -66,7 +72,7 @@ class ClockedSignals(Mapping[str, object]):
         return len(set(self._signals) | {TIME})
 
     def _sample(self, name: str, signal: Signal) -> NDArray[np.generic]:
-        """The values of a signal at the stamps."""
+        """Return the values of a signal at the stamps."""
         stamps, time = self._stamps, signal.time
         if time.size == stamps.size and np.all(np.abs(time - stamps) <= CYCLE * _period(stamps)):
             return signal.values
@@ -83,20 +89,20 @@ def _period(stamps: Floats) -> float:
 
 __all__ = ["TWICE", "NotedTable", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
 
-#: Column by name: an array or a polars series, whichever the reader of the file has.
+#: Columns by name, each an array or a polars series, according to the reader of the file.
 Table = Mapping[str, object]
 
 #: Remedies for a cell that is no number.
 NUMBERS = "write numbers like 0.25, remove lines that are no data, or name another column"
 DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
-#: Seconds.
+#: Seconds of a day.
 DAY = 86_400.0
 #: A unit in brackets at the end of a name.
 _UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")
 
 
 class NotedTable(dict[str, object]):
-    """A table with notes on how it was read, for people."""
+    """A table with notes for people on the way in which it was read."""
 
     def __init__(self, columns: Mapping[str, object], notes: tuple[str, ...]) -> None:
         super().__init__(columns)
@@ -104,12 +110,15 @@ class NotedTable(dict[str, object]):
 
 
 def notes_of(table: Table) -> tuple[str, ...]:
-    """The notes of a table on how it was read; empty for a plain table."""
+    """Return the notes on the reading of a table, or an empty tuple for a plain table."""
     return table.notes if isinstance(table, NotedTable | ClockedSignals) else ()
 
 
 def whole_name(table: Table, name: str) -> str:
-    """The full name of a column: the file may add a unit in brackets, "t [ms]" for "t", or a unique path, "/run.t"."""
+    """Return the full name of a column, if the file adds a unit in brackets or a unique path.
+
+    Examples are "t [ms]" and "/run.t" for "t".
+    """
     if name in table:
         return name
     plain = {full: _UNIT.sub("", full) for full in table}
@@ -122,14 +131,14 @@ def whole_name(table: Table, name: str) -> str:
     return name
 
 
-#: Bytes of a cell of text: a number or a time has a tenth of it.
+#: Most bytes of a cell of text. A number or a time needs a tenth of it.
 LONGEST_CELL = 1000
-#: Polars' end of the name of a column that is there already.
+#: Suffix that polars gives to the repeated name of a column.
 TWICE = "_duplicated_0"
 
 
 def lookup(table: Table, key: str, name: str) -> object:
-    """The column `name`, which [record] `key` asks for; raises UsageError that lists the columns."""
+    """Return the column `name`, which [record] `key` asks for. Raises UsageError with a list of the columns."""
     if f"{name}{TWICE}" in table:
         raise UsageError(f"[record] {key} = {name!r}: two columns have this name; rename one of them")
     if name in table:
@@ -140,7 +149,10 @@ def lookup(table: Table, key: str, name: str) -> object:
 
 
 def _check_cells(label: str, series: pl.Series) -> None:
-    """Raises UsageError for texts that no number or time needs: a packed file may repeat a long one in every row."""
+    """Raise UsageError for texts that no number or time needs.
+
+    A packed file may repeat a long text in every row.
+    """
     import polars as pl
 
     if series.dtype == pl.String and (longest := cast("int", series.str.len_bytes().max() or 0)) > LONGEST_CELL:
@@ -151,7 +163,7 @@ def _check_cells(label: str, series: pl.Series) -> None:
 
 
 def column(table: Table, key: str, name: str) -> Floats:
-    """The column `name` as (n,) numbers, NaN for empty cells; raises UsageError if it is not numeric."""
+    """Return the column `name` as numbers (n,) with NaN for empty cells. Raises UsageError if it is not numeric."""
     value = lookup(table, key, name)
     label = f"{key} column {name!r}"
     if isinstance(value, np.ndarray):
@@ -160,11 +172,10 @@ def column(table: Table, key: str, name: str) -> Floats:
 
 
 def times(table: Table, name: str) -> tuple[Floats, bool]:
-    """The time column `name` as (n,) numbers, and whether it had dates or times of day, which give s since its first
-    row.
+    """Return the time column `name` as numbers (n,), and whether it has dates or times of day.
 
-    Whole numbers count from the first row, too, in their own unit: an epoch in ns has more digits than a float.
-    Raises UsageError as `column`.
+    Dates and times of day give seconds since the first row. Whole numbers are also relative to the first row, in their
+    own unit, because an epoch in ns has more digits than a float. Raises UsageError as `column` does.
     """
     value, label = lookup(table, "time", name), f"time column {name!r}"
     if isinstance(value, np.ndarray):
@@ -190,7 +201,7 @@ def _read_clock(label: str, series: pl.Series) -> tuple[Floats, bool]:
 
 
 def _past_midnight(seconds: Floats) -> Floats:
-    """Times of day (n,) that continue after midnight."""
+    """Return times of day (n,) that continue after midnight."""
     back = np.nan_to_num(np.diff(seconds, prepend=seconds[:1])) < -DAY / 2
     return seconds + DAY * np.cumsum(back)
 
@@ -202,7 +213,7 @@ def _has_number(series: pl.Series) -> bool:
 
 
 def _parse_times(series: pl.Series) -> pl.Series:
-    """Dates with times, or times of day, in ISO 8601; any other text unchanged."""
+    """Parse dates with times, or times of day, in ISO 8601. Any other text remains unchanged."""
     import polars as pl
 
     plain = series.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
@@ -215,7 +226,7 @@ def _parse_times(series: pl.Series) -> pl.Series:
 
 
 def from_array(label: str, array: NDArray[np.generic]) -> Floats:
-    """An array as float64 in its own shape; raises UsageError, with the label, unless it is a real vector."""
+    """Return an array as float64 in its own shape. Raises UsageError, with the label, unless it is a real vector."""
     if array.dtype.kind not in "biuf":
         raise UsageError(f"{label} is not a real numeric array but {array.dtype}; save it as a vector of double")
     if array.size > 1 and max(array.shape) != array.size:
@@ -241,12 +252,12 @@ def _from_series(label: str, series: pl.Series, remedy: str = NUMBERS) -> Floats
 
 
 def table_of(frame: object) -> Table:
-    """The columns of a frame, or of a dict of arrays. Raises UsageError for any other object."""
+    """Return the columns of a frame, or of a dict of arrays. Raises UsageError for any other object."""
     if isinstance(frame, Mapping):
         return {str(name): np.asarray(values) for name, values in frame.items()}
     import polars as pl
 
-    if hasattr(frame, "iloc"):  # pandas and its kin
+    if hasattr(frame, "iloc"):  # pandas and similar libraries
         pandas = cast("Any", frame)
         return {str(name): _from_pandas(str(name), pandas[name]) for name in pandas.columns}
     if not hasattr(frame, "__arrow_c_stream__"):
@@ -258,7 +269,7 @@ def table_of(frame: object) -> Table:
 
 
 def _from_pandas(name: str, series: Any) -> pl.Series:
-    """A column in the form of a file's columns: whole numbers, dates and missing values stay what they are."""
+    """Return a column in the form of a file's columns, which keeps whole numbers, dates and missing values."""
     import polars as pl
 
     kind = getattr(series.dtype, "kind", "O")

@@ -1,4 +1,4 @@
-"""TDMS files, as LabVIEW writes them."""
+"""TDMS files, which LabVIEW writes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from pmfid.io.safety import check_unpacked, require_extra
 from pmfid.io.tables import ClockedSignals, Signal, Table
 
 MAGIC = b"TDSm"
-#: Bytes before a segment; size of a segment that the writer did not finish.
+#: Bytes before a segment, and size of a segment that the writer did not finish.
 LEAD_IN, UNFINISHED = 28, 2**64 - 1
 
 
 def parse_tdms(data: bytes) -> Table:
-    """The channels as "group.channel", or "channel" with one group, with their unit in brackets; waveforms have their
-    clocks. Raises UsageError for a decompression bomb; `readable` turns errors of npTDMS into UsageError."""
+    """Return the channels as "group.channel", or as "channel" if the file has one group, with their unit in brackets.
+
+    Waveforms have their own clocks. Raises UsageError for a decompression bomb. `readable` turns errors of npTDMS into
+    UsageError.
+    """
     with require_extra("tdms"):
         from nptdms import TdmsFile
     _check_whole(data)
@@ -33,8 +36,10 @@ def parse_tdms(data: bytes) -> Table:
 
 
 def _check_whole(data: bytes) -> None:
-    """Raises ValueError if a segment is longer than the file: its channels would be cut without a warning. An
-    unfinished segment is allowed."""
+    """Raise ValueError if a segment is longer than the file, because its channels would be cut without a warning.
+
+    An unfinished segment is allowed.
+    """
     place = 0
     while place < len(data):
         if len(data) - place < LEAD_IN:

@@ -12,22 +12,22 @@ from pmfid.io.tables import ClockedSignals, Signal
 
 MAGIC = b"WPILOG"
 _START, _FINISH = 0, 1
-#: Type of an entry -> its values; a type with brackets at its end is an array of these.
+#: Formats of the values by type of an entry. A type with brackets at its end is an array.
 TYPES = {"boolean": "?", "int64": "<q", "float": "<f", "double": "<d"}
-#: Stamps are in microseconds.
+#: Stamps per second, as stamps are in microseconds.
 SECOND = 1e6
 
 
 @dataclass(frozen=True)
 class _Log:
-    """Stamps and payloads of an entry."""
+    """The stamps and payloads of an entry."""
 
     times: list[int]
     payloads: list[bytes]
 
 
 def parse_wpilog(data: bytes) -> ClockedSignals:
-    """The entries of numbers by name, "name.0" of arrays. Raises ValueError for damage."""
+    """Return the entries of numbers by name, and the elements of arrays as "name.0". Raises ValueError for damage."""
     if not data.startswith(MAGIC) or len(data) < 12:
         raise ValueError("not a data log")
     entries: dict[int, tuple[str, str]] = {}
@@ -46,7 +46,7 @@ def parse_wpilog(data: bytes) -> ClockedSignals:
 
 
 def _records(data: bytes, start: int) -> Iterator[tuple[int, int, bytes]]:
-    """Entry, stamp and payload of each record; the bits of its first byte have the sizes of these numbers."""
+    """Yield entry, stamp and payload of each record. The bits of its first byte contain the sizes of these numbers."""
     place, end = start, len(data)
     while place < end:
         bits = data[place]
@@ -63,7 +63,7 @@ def _records(data: bytes, start: int) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _control(payload: bytes, entries: dict[int, tuple[str, str]]) -> None:
-    """Starts an entry with number, name and type, or ends one."""
+    """Start an entry with number, name and type, or end an entry."""
     if len(payload) < 5:
         raise ValueError("a control record is cut off")
     kind, entry = payload[0], int.from_bytes(payload[1:5], "little")
@@ -82,13 +82,13 @@ def _text(payload: bytes) -> tuple[str, bytes]:
 
 
 def _signals(name: str, kind: str, log: _Log) -> Iterator[tuple[str, Signal]]:
-    """The signals of an entry of numbers, one for each element of an array."""
+    """Yield the signals of an entry of numbers, one signal for each element of an array."""
     if kind.removesuffix("[]") not in TYPES:
         return
     dtype = np.dtype(TYPES[kind.removesuffix("[]")])
     sizes = {len(payload) for payload in log.payloads} or {dtype.itemsize}
     if len(sizes) != 1 or (size := sizes.pop()) % dtype.itemsize or not size:
-        return  # of another length each time, no column
+        return  # varying lengths make no column
     rows = np.frombuffer(b"".join(log.payloads), dtype).reshape(-1, size // dtype.itemsize)
     time = np.array(log.times, np.float64) / SECOND
     if not kind.endswith("[]"):

@@ -1,1 +1,1 @@
-"""Transfer functions from records, off-line."""
+"""Off-line estimation of transfer functions from records."""

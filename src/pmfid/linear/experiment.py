@@ -21,9 +21,9 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Grid:
-    """Instants of one uninterrupted stretch of a record.
+    """The instants of one uninterrupted stretch of a record.
 
-    steps: (N-1,) times between neighbouring instants, or one number where all are equal; size: N.
+    `steps` (N-1,) are the times between neighbouring instants, or one number for equal steps. `size` is N.
     """
 
     steps: Floats | float
@@ -40,19 +40,22 @@ class Grid:
 
     @property
     def instants(self) -> Floats:
-        """(N,) from 0 on."""
+        """The instants (N,), starting at 0."""
         steps = np.full(self.size - 1, self.steps) if isinstance(self.steps, float) else self.steps
         return np.concatenate([[0.0], np.cumsum(steps)])
 
     @property
     def reversed(self) -> Grid:
-        """The grid in reverse order."""
+        """Return the grid in reverse order."""
         return Grid(self.steps if isinstance(self.steps, float) else self.steps[::-1], self.size)
 
 
 @dataclass(frozen=True)
 class Transition:
-    """x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]); arrays of one step (uniform grid) or of each."""
+    """The transition x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]).
+
+    The arrays belong to one step (uniform grid) or to each step.
+    """
 
     phi: Floats
     now: Floats
@@ -60,7 +63,10 @@ class Transition:
 
 
 def transition(F: Floats, g: Floats, grid: Grid) -> Transition:
-    """The exact transition for w linear between instants (its change 0 where it is held); F: (n, n), g: (n,)."""
+    """Return the exact transition for F (n, n), g (n,) and a signal w that is linear between instants.
+
+    If w is held, its change is 0.
+    """
     n = F.shape[0]
     steps = np.atleast_1d(np.asarray(grid.steps, float))
     distinct, back = np.unique(steps, return_inverse=True)
@@ -73,8 +79,11 @@ def transition(F: Floats, g: Floats, grid: Grid) -> Transition:
 
 
 def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held: bool) -> Floats:
-    """States (n, channels, N) under w (channels, N) from start (n, channels); held: w is constant within a step. Not a
-    number where a step of the process leaves the range of numbers, as one that is far off may."""
+    """Return the states (n, channels, N) for the signals w (channels, N) and the initial states (n, channels).
+
+    If `held`, w is constant within a step. The states are NaN if a step of the process exceeds the range of numbers, as
+    for a very poor estimate.
+    """
     step = transition(F, g, grid)
     if not np.all(np.isfinite(step.phi)):
         return np.full((*start.shape, w.shape[1]), np.nan)
@@ -83,7 +92,10 @@ def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held:
 
 
 def product(matrix: Floats, rows: Floats) -> Floats:
-    """matrix (n, n) times rows (n, N), in blocks so small that it stays in one thread: more threads only wait."""
+    """Return the product of matrix (n, n) and rows (n, N).
+
+    The blocks are so small that each product stays in one thread, because more threads would only wait.
+    """
     result = np.empty(rows.shape)
     for first in range(0, rows.shape[1], TUNING.experiment_block):
         part = slice(first, first + TUNING.experiment_block)
@@ -92,7 +104,10 @@ def product(matrix: Floats, rows: Floats) -> Floats:
 
 
 def _exponential(matrices: Floats) -> Floats:
-    """exp of each of (k, n, n) by scaling, series and squaring; scipy's goes through them one by one."""
+    """Return the exponential of each of the matrices (k, n, n) by scaling, series and squaring.
+
+    The function of SciPy processes the matrices one by one.
+    """
     size = float(np.max(np.sum(np.abs(matrices), axis=-1)))
     squarings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / TUNING.series_norm))))
     scaled = matrices / 2.0**squarings
@@ -115,24 +130,24 @@ class Experiment(Presentable):
     Parameters
     ----------
     u, y : array_like (N,)
-        Input and output at the same instants. y is NaN where a sample is missing; u is NaN where it is not known, and a
-        stretch ends there.
+        Input and output at the same instants. A missing y is NaN. An unknown u is NaN and ends a stretch.
     dt : float
-        Sample period [s], or
+        Sample period [s]. Either dt or t is needed.
     t : array_like (N,)
-        instants [s], rising, with any spacing.
+        Rising instants [s] with any spacing.
     hold : {"zoh", "foh"}
-        The input keeps its value until the next instant, or goes there in a straight line.
+        The input keeps its value until the next instant, or follows a straight line to the next instant.
     gap : float, optional
         A longer step [s] separates two stretches with unknown initial conditions. By default 1.75 median steps.
     reference : array_like (N,), optional
-        The set point of a controller, not correlated with the noise; in closed loop the source of the instruments.
+        The set point of a controller, which does not correlate with the noise. In closed loop, the instruments come
+        from the set point.
     name : str
 
     Raises
     ------
     UsageError
-        The arrays do not fit each other, the time does not rise, or neither dt nor t is there.
+        The arrays contradict each other, the time does not rise, or both dt and t are missing.
 
     Examples
     --------
@@ -193,23 +208,23 @@ class Experiment(Presentable):
         return Summary(title, ("signal", "lowest", "highest", "missing"), rows, lines)
 
     def columns(self) -> dict[str, object]:
-        """A row for each sample."""
+        """Return the columns of a table with one row for each sample."""
         found: dict[str, object] = {"t": self.times, "u": self.u, "y": self.y}
         return found if self.reference is None else found | {"reference": self.reference}
 
     def to_dict(self) -> dict[str, object]:
-        """Lists over the samples."""
+        """Return lists over the samples, and the settings."""
         own = {"name": self.name, "hold": self.hold, "gap": self.gap, "dt": self.dt}
         return {key: plain(value) for key, value in (own | self.columns()).items()}
 
     @cached_property
     def times(self) -> Floats:
-        """(N,) instants [s]."""
+        """The instants (N,) [s]."""
         return np.asarray(np.arange(self.u.size) * (self.dt or 1.0)) if self.t is None else self.t
 
     @cached_property
     def period(self) -> float:
-        """The median step [s]; the mean one where the spacing is even up to rounding."""
+        """The median step [s], or the mean step if the spacing is even up to rounding."""
         steps = np.diff(self.times)
         median = float(np.median(steps))
         mean = float(np.mean(steps))
@@ -218,13 +233,16 @@ class Experiment(Presentable):
 
     @cached_property
     def explained_input(self) -> Floats | None:
-        """(N,) the part of the input that the reference explains, by an impulse response (Van den Hof and Schrama
-        1993): like the input, but without the noise that the controller feeds back. It is as long as the record
-        supports (Schwarz's criterion): each further coefficient would bring some of that noise back."""
+        """The part of the input (N,) that an impulse response from the reference explains (Van den Hof and Schrama
+        1993).
+
+        The signal resembles the input without the noise that the controller feeds back. Schwarz's criterion selects the
+        length of the impulse response, because each further coefficient returns some of that noise.
+        """
         if self.reference is None:
             return None
         known = np.isfinite(self.u)
-        reference = self.reference * _shrinking(self.reference)  # the impulse response grows by as much
+        reference = self.reference * _shrinking(self.reference)  # the impulse response grows by the same factor
         length = max(1, min(TUNING.experiment_response, self.u.size // TUNING.samples_per_coefficient))
         lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), reference], length)
         columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
@@ -233,21 +251,27 @@ class Experiment(Presentable):
         return np.asarray(columns[:, :kept] @ response)
 
     def detrend(self) -> Experiment:
-        """About the operating point: without the means of input and output. Drifts stay. To remove a drift from the
-        output alone would change the process."""
+        """Return the experiment without the means of input and output, and thus relative to the operating point.
+
+        Drifts remain, because the removal of a drift from the output alone would change the process.
+        """
         return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
 
     detrended = rename_method("detrended", "detrend")
 
     def stretches(self, delay: int = 0) -> list[RecordStretch]:
-        """The uninterrupted parts, the input `delay` periods later. Parts without a measured output are left out."""
+        """Return the uninterrupted parts, with an input that is `delay` periods late.
+
+        Parts without a measured output are left out.
+        """
         u, t = self.u, self.times
         limit = TUNING.experiment_gap * self.period if self.gap is None else self.gap
         known = np.isfinite(u)
         broken = np.flatnonzero(~known[:-1] | (np.diff(t) > limit)) + 1
         parts = []
         for part in np.split(np.arange(u.size), broken):
-            # at the first instant without an input the output still counts, unless the input ran there in a line
+            # The output at the first instant without an input still counts, unless the input changes linearly up to
+            # that instant.
             part = part[known[part]] if self.hold == "foh" else part
             if part.size and known[part[0]]:
                 parts.append(self._stretch(part, delay))
@@ -280,7 +304,9 @@ class Experiment(Presentable):
         delay: int,
         held: bool,
     ) -> RecordStretch | None:
-        """The grid has the instants of the output and those at which the late input changes."""
+        """Return a stretch whose grid has the instants of the output and the instants at which the late input
+        changes.
+        """
         measured = np.isfinite(y)
         late = t + delay * self.period
         inside = (t >= late[0] - TUNING.experiment_same) & (t <= late[-1])
@@ -308,13 +334,13 @@ def _range(values: Floats) -> tuple[str, str]:
 
 
 def _shrinking(signal: Floats) -> float:
-    """A power of two that brings a signal to about one, so that its squares stay in the number format."""
+    """Return a power of two that scales a signal to about one, so that its squares are finite floats."""
     largest = float(np.max(np.abs(signal), initial=0.0))
     return math.ldexp(1.0, -min(max(math.frexp(largest)[1], -1000), 1000))
 
 
 def _count_columns(columns: Floats, target: Floats) -> int:
-    """How many of the first columns (N, p), two or more, explain target (N,) best by Schwarz's criterion."""
+    """Return how many of the first columns (N, p) explain the target (N,) best by Schwarz's criterion, at least two."""
     target = target * _shrinking(target)
     size = np.linalg.norm(columns, axis=0)
     Q, _ = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
@@ -325,17 +351,17 @@ def _count_columns(columns: Floats, target: Floats) -> int:
 
 
 def _numbers(name: str, values: object) -> Floats:
-    """A copy as numbers of float64."""
+    """Return a copy as float64."""
     try:
         if values is not None and np.asarray(values).dtype.kind in "biufO":
-            return np.array(np.ma.filled(np.ma.asarray(values, float), np.nan))  # what is masked is missing
+            return np.array(np.ma.filled(np.ma.asarray(values, float), np.nan))  # masked values are missing
     except (TypeError, ValueError):
         pass
     raise UsageError(f"{name} must be an array of numbers, NaN where one is missing")
 
 
 def _check_rising(t: Floats) -> None:
-    """Raises UsageError for instants (N,) that are missing, repeated or out of order, with the row, counted from 1."""
+    """Raise UsageError for instants (N,) that are missing, repeated or out of order, with the row counted from 1."""
     missing = np.flatnonzero(~np.isfinite(t))
     if missing.size:
         rows = f"{missing.size} row{'s' * (missing.size > 1)}"
@@ -353,9 +379,10 @@ def _check_rising(t: Floats) -> None:
 class RecordStretch:
     """An uninterrupted part of a record on a grid of M instants.
 
-    inputs: (1 or 2, M) the late input, and the part of it that the reference explains, where there is one; y: (M,)
-    output, between measured instants in a straight line; rows: the instants that are measured; samples: their numbers
-    in the record; held: the input is constant within a step; record: the number of its record.
+    `inputs` (1 or 2, M) holds the late input and, with a reference, the part of the input that the reference explains.
+    The output y (M,) follows a straight line between measured instants. `rows` are the measured instants, and `samples`
+    are their numbers in the record. `held` says whether the input is constant within a step. `record` is the number of
+    the record.
     """
 
     grid: Grid
@@ -367,10 +394,13 @@ class RecordStretch:
     record: int = 0
 
     def scale_time(self, rate: float) -> RecordStretch:
-        """The experiment with time in units of 1/rate."""
+        """Return the stretch with time in units of 1/rate."""
         return replace(self, grid=Grid(self.grid.steps * rate, self.grid.size))
 
 
 def _finite(signals: list[Floats]) -> list[Floats]:
-    """The last value of a stretch may be unknown: nothing comes after it."""
+    """Return the signals with zeros in place of unknown values.
+
+    Only the last value of a stretch may be unknown, and no sample follows it.
+    """
     return [np.where(np.isfinite(signal), signal, 0.0) for signal in signals]

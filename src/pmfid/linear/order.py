@@ -16,22 +16,23 @@ from pmfid.linear.responses import Structure
 from pmfid.linear.solve import ProcessProblem, Solution, descend, first_guess, refine, visit
 from pmfid.linear.tuning import TUNING
 
-#: Structures that are tried before none is recommended; the reason to refuse an estimate.
+#: Number of structures that are tried before the search recommends none, and reason for the refusal of an estimate.
 TRIED, UNSTABLE = 8, "the estimate is unstable"
-#: Delays in whole samples, and orders, that are searched where nothing else is said.
+#: Default orders and delays of the search, with delays in whole samples.
 ORDERS = range(1, 6)
 DELAYS = range(6)
 
 
 @dataclass(frozen=True)
 class OrderCandidate:
-    """A structure and how it does.
+    """A structure and its fit.
 
-    n, m, delay [samples]; bic: Schwarz's criterion N log(error power) + p log(N) after the whitening filter of the
-    noise, less is better; fit: percent of the output's standard deviation that the simulation explains; condition: of
-    the scaled sensitivities, large where poles and zeros nearly cancel; settled: whether the iteration did; white:
-    whether the filtered residual is white noise; theta (p,); samples: N; refused: why an estimate of this
-    structure is not accepted, as far as that was tried.
+    The structure has the numbers n, m and delay [samples]. `bic` is Schwarz's criterion N log(error power) + p log(N)
+    after the whitening filter of the noise, and less is better. `fit` is the part of the output's standard deviation
+    that the simulation explains [%]. `condition` is that of the scaled sensitivities, and is large if poles and zeros
+    nearly cancel. `settled` says whether the iteration converged. `white` says whether the filtered residual is white
+    noise. The parameters theta have shape (p,), and N is the number of samples. `refused` is the reason against an
+    estimate of this structure, if it was tried.
     """
 
     n: int
@@ -49,8 +50,11 @@ class OrderCandidate:
 
 @dataclass(frozen=True)
 class Search:
-    """The candidates, best first, those that did not settle last; skipped: structures that cannot be better than the
-    best, by models that contain them; samples: N, the same for all delays."""
+    """The candidates, best first, with those that did not converge at the end.
+
+    `skipped` is the number of structures that cannot be best, according to models that contain them. `samples` is N,
+    equal for all delays.
+    """
 
     candidates: tuple[OrderCandidate, ...]
     skipped: int
@@ -70,13 +74,13 @@ def search_structure(
     offset: bool = False,
     done: Callable[[float], None] | None = None,
 ) -> Search:
-    """All n in orders, m < n and delays, fitted to the same samples by refined instrumental variables.
+    """Fit all structures with n in orders, m < n and the delays to the same samples by refined instrumental variables.
 
-    Noise that is not white would make any criterion take it for dynamics: so its colour is found first, from what the
-    largest and a middle order leave, and all structures are compared after its whitening filter (`prewhitening.py`).
-    cutoff: pole of the first filters [rad/s]. A structure is skipped where a model that contains it, with one zero less
-    than poles and the same delay, leaves so much that its own sum of squares cannot win; done is called with the part
-    that is finished. Raises UsageError without orders, delays or a usable record, and NotIdentifiableError where no
+    Any criterion would take noise that is not white for dynamics. Therefore the search first estimates the colour from
+    the residuals of the largest and a middle order. Then it compares all structures after the whitening filter
+    (`residuals.py`). `cutoff` is the pole of the first filters [rad/s]. The search skips a structure if a model that
+    contains it has too large a residual. That model has the same delay and one zero less than poles. `done` is called
+    with the completed part. Raises UsageError without orders, delays or a usable record, and NotIdentifiableError if no
     structure follows the record.
     """
     if not orders or not delays or min(orders) < 1 or min(delays) < 0:
@@ -99,7 +103,7 @@ def search_structure(
         return bounds.get((n, delay), -math.inf) - (n - 1 - m) * math.log(samples)
 
     rest = sorted(((n, m, delay) for n, _, delay in places for m in range(n - 1)), key=least)
-    # the most promising first: the better the best, the more can be skipped
+    # The most promising structures come first, because a better best structure allows more skips.
     for count, place in enumerate(rest):
         best = min(candidate.bic for candidate in found)
         if least(place) <= best and (candidate := _try(trimmed, *place, cutoff, offset, colour)) is not None:
@@ -111,8 +115,11 @@ def search_structure(
 
 
 def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> Search:
-    """The first structure that is not refused goes to the front; those tried before it say why not. refusal: why there
-    is no estimate of a structure, or UNSTABLE, or "" where there is one."""
+    """Return the search with the first structure that is not refused at the front.
+
+    `refusal` returns the reason against an estimate of a structure, UNSTABLE, or an empty text. The structures that
+    were refused store the reason.
+    """
     refused: list[OrderCandidate] = []
     rest = list(search.candidates)
     while rest and len(refused) < TRIED:
@@ -120,7 +127,7 @@ def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> 
         if not reason:
             return replace(search, candidates=(rest[0], *refused, *rest[1:]))
         refused.append(replace(rest.pop(0), refused=reason))
-    # better an unstable estimate than none
+    # an unstable estimate is better than none
     refused.sort(key=lambda candidate: candidate.refused != UNSTABLE)
     return replace(search, candidates=(*refused, *rest))
 
@@ -128,7 +135,7 @@ def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> 
 def _finish(
     found: list[OrderCandidate], again: Callable[[int, int, int], OrderCandidate | None]
 ) -> list[OrderCandidate]:
-    """Those that did not settle and may win once more, with all the patience that an estimate has."""
+    """Repeat the fits that did not converge and may be best, with as many passes as an estimate has."""
     best = min((candidate.bic for candidate in found if candidate.settled), default=math.inf)
     contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[
         : TUNING.order_retried
@@ -143,7 +150,7 @@ def _report(done: Callable[[float], None] | None, start: float, count: int, tota
 
 
 def _drop_start(experiment: Experiment, longest: int) -> Experiment:
-    """The first samples are left out at every delay: at the longest delay they have no input yet."""
+    """Return the experiment without its first outputs, because the longest delay has no input there."""
     y = experiment.y.copy()
     y[:longest] = np.nan
     return replace(experiment, y=y)
@@ -152,7 +159,10 @@ def _drop_start(experiment: Experiment, longest: int) -> Experiment:
 def _colour(
     experiments: Sequence[Experiment], orders: Sequence[int], delays: Sequence[int], cutoff: float, offset: bool
 ) -> Noise | None:
-    """Of what the best of a middle and of the largest order leaves; None if no such model follows the record."""
+    """Return the noise that the best models of a middle and of the largest order leave.
+
+    The result is None if no such model follows the record.
+    """
     best, noise = math.inf, None
     for n in sorted({max(orders), min(max(orders), TUNING.order_middle)}):
         for delay in delays:
@@ -204,7 +214,7 @@ def _refine_structure(
 
 
 def _bic(problem: ProcessProblem, cost: float, samples: int, effective: float | None = None) -> float:
-    """Schwarz's criterion; effective: number of samples, where the noise is not white."""
+    """Return Schwarz's criterion. `effective` is the effective number of samples if the noise is not white."""
     power = sum(float(np.sum(stretch.y[stretch.rows] ** 2)) for stretch in problem.stretches)
     left, count = max(cost, TUNING.order_exact**2 * power, 1e-300) / samples, effective or samples
     return count * math.log(left) + problem.structure.size * math.log(count)
@@ -213,7 +223,7 @@ def _bic(problem: ProcessProblem, cost: float, samples: int, effective: float | 
 def _make_candidate(
     problem: ProcessProblem, white: ProcessProblem, colour: Noise | None, solution: Solution, delay: int
 ) -> OrderCandidate:
-    """white: the filtered problem of the solution."""
+    """Return the candidate for a solution, where `white` is the whitened problem of the solution."""
     structure, point = problem.structure, solution.point
     coloured = colour is not None and white is problem
     theta = point.theta.copy()

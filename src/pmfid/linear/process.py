@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 
 def number(value: complex) -> str:
-    """A pole or a zero."""
+    """Return a pole or a zero as text."""
     if value.imag == 0:
         return f"{value.real:.4g}"
     return f"{value.real:.4g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.4g} j"
 
 
 def spread(real: float, imaginary: float) -> str:
-    """Standard deviations of real and imaginary part."""
+    """Return the standard deviations of real and imaginary part as text."""
     return f"{real:.2g}" if imaginary == 0 else f"{real:.2g}, {imaginary:.2g} j"
 
 
 def polynomial(coefficients: Floats, power: str = "^%d") -> str:
-    """Text of sum c_i s^i, highest power first."""
+    """Return the sum of c_i s^i as text, highest power first."""
     parts: list[str] = []
     for i in range(coefficients.size - 1, -1, -1):
         value = float(coefficients[i])
@@ -45,19 +45,19 @@ def polynomial(coefficients: Floats, power: str = "^%d") -> str:
 
 
 def with_bar(value: float, std: float) -> str:
-    """A number and its standard deviation."""
+    """Return a number and its standard deviation as text."""
     return f"{value:.5g} ± {std:.2g}"
 
 
 def root_with_bars(value: complex, std: Floats) -> str:
-    """A pole or a zero and the standard deviations (2,) of its parts."""
+    """Return a pole or a zero and the standard deviations (2,) of its parts as text."""
     if value.imag == 0:
         return with_bar(value.real, float(std[0]))
     sign = "+" if value.imag > 0 else "-"
     return f"{value.real:.5g} ± {std[0]:.2g} {sign} j ({abs(value.imag):.5g} ± {std[1]:.2g})"
 
 
-#: Name and unit of what a constant input makes in the end: the output, its speed, its acceleration.
+#: Name and unit of the steady response to a constant input: the output, its speed or its acceleration.
 GAINS = (("gain", ""), ("velocity gain", "1/s"), ("acceleration gain", "1/s^2"))
 
 
@@ -68,19 +68,19 @@ class Process(Presentable):
     Parameters
     ----------
     a : ndarray (n,)
-        Coefficients of the denominator, from the constant upwards.
+        Coefficients of the denominator, starting with the constant.
     b : ndarray (m+1,)
-        Coefficients of the numerator, from the constant upwards.
+        Coefficients of the numerator, starting with the constant.
     cov : ndarray (n+m+1, n+m+1)
-        Covariance of a and b, with one row and column more if the delay was estimated, too. Known values, as a pole at
-        0, have no variance.
+        Covariance of a and b, with a further row and column for an estimated delay. Known values, such as a pole at 0,
+        have no variance.
     delay : float
-        [s].
+        Dead time [s].
 
     Notes
     -----
-    All uncertainties are one standard deviation, by the delta method: to first order in the parameters' errors. Poles
-    and zeros are moved by as much as a 95 % interval allows.
+    All uncertainties are one standard deviation by the delta method, to first order in the errors of the parameters.
+    For poles and zeros, the errors span a 95 % interval.
 
     Examples
     --------
@@ -98,7 +98,7 @@ class Process(Presentable):
 
     @classmethod
     def from_theta(cls, structure: Structure, theta: ArrayLike, cov: ArrayLike, delay: float) -> Process:
-        """Makes the process from theta (p,) and its covariance (p, p), without the offset."""
+        """Make the process from theta (p,) and its covariance (p, p), without the offset."""
         theta = np.asarray(theta, float)
         known, late = structure.integrators, structure.latest is not None
         rows = [*range(structure.free + structure.m + 1), *[theta.size - 1] * late]
@@ -108,7 +108,7 @@ class Process(Presentable):
 
     @property
     def delay_std(self) -> float:
-        """Standard deviation of the dead time [s]; 0 if it was given."""
+        """The standard deviation of the dead time [s], or 0 if the dead time was given."""
         return float(np.sqrt(self.cov[-1, -1])) if self._late else 0.0
 
     @property
@@ -117,27 +117,27 @@ class Process(Presentable):
 
     @property
     def poles(self) -> Complex:
-        """(n,) rad/s, the slowest first."""
+        """The poles (n,) [rad/s], slowest first."""
         return _roots(np.r_[self.a, 1.0])
 
     @property
     def zeros(self) -> Complex:
-        """(m,) rad/s, the slowest first."""
+        """The zeros (m,) [rad/s], slowest first."""
         return _roots(self.b)
 
     @property
     def poles_std(self) -> Floats:
-        """(n, 2) of real and imaginary part."""
+        """The standard deviations (n, 2) of the real and imaginary parts of the poles [rad/s]."""
         return self._root_std(np.r_[self.a, 1.0], self.poles, slice(0, self.a.size))
 
     @property
     def zeros_std(self) -> Floats:
-        """(m, 2) of real and imaginary part."""
+        """The standard deviations (m, 2) of the real and imaginary parts of the zeros [rad/s]."""
         return self._root_std(self.b, self.zeros, slice(self.a.size, self.a.size + self.b.size))
 
     @property
     def gain(self) -> float:
-        """G(0); infinite for an integrating process."""
+        """The static gain G(0), or infinity for an integrating process."""
         return float(self.b[0] / self.a[0]) if self.a[0] else float("inf")
 
     @property
@@ -150,13 +150,16 @@ class Process(Presentable):
 
     @property
     def integrators(self) -> int:
-        """How many poles are known to be at 0."""
+        """The number of poles that are known to be at 0."""
         return int(np.argmax(np.r_[self.a, 1.0] != 0))
 
     @property
     def slope(self) -> tuple[str, float, float, str]:
-        """What a constant input makes in the end, of the derivative that then is constant: s^k G(s) at 0 with k
-        integrators. Returns its name, value and standard deviation, and the factor of its unit to output over input."""
+        """The steady response to a constant input: s^k G(s) at s = 0 with k integrators.
+
+        With integrators, the derivative of order k of the output becomes constant. The property returns the name, the
+        value, the standard deviation, and the factor of the unit to output over input.
+        """
         k, slope = self.integrators, np.zeros(self.cov.shape[0])
         bottom = np.r_[self.a, 1.0][k]
         if k < self.a.size:
@@ -167,13 +170,13 @@ class Process(Presentable):
 
     @property
     def time_constants(self) -> Floats:
-        """(n,) s: 1 / |pole|, in the order of `poles`; infinite for an integrator."""
+        """The time constants 1 / |pole| (n,) [s] in the order of `poles`, infinite for an integrator."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.abs(self.poles))
 
     @property
     def time_constants_std(self) -> Floats:
-        """(n,) s; infinite for an integrator."""
+        """The standard deviations of the time constants (n,) [s], infinite for an integrator."""
         part, found = self.cov[: self.a.size, : self.a.size], []
         for pole in self.poles:
             if pole == 0:
@@ -186,13 +189,16 @@ class Process(Presentable):
 
     @property
     def damping(self) -> Floats:
-        """(n,) -Re(pole) / |pole|; 0 for an integrator."""
+        """The damping -Re(pole) / |pole| (n,), 0 for an integrator."""
         size = np.abs(self.poles)
         return np.asarray(-self.poles.real / np.where(size > 0, size, 1.0))
 
     def frequency_response(self, frequencies: ArrayLike) -> tuple[Complex, Floats, Floats]:
-        """G (f,) at frequencies (f,), or at a single one, [rad/s], and the standard deviations of its magnitude,
-        relative to it, and of its phase [rad]."""
+        """Return the response G (f,) at frequencies (f,) or at a single frequency [rad/s], and two standard deviations
+        (f,).
+
+        The standard deviations are those of the relative magnitude and of the phase [rad].
+        """
         s = 1j * np.atleast_1d(_real("frequencies", frequencies))
         A = np.polyval(np.r_[1.0, self.a[::-1]], s)
         G = np.polyval(self.b[::-1], s) / A
@@ -203,7 +209,9 @@ class Process(Presentable):
         return G * np.exp(-s * self.delay), parts_std[0], parts_std[1]
 
     def step_response(self, t: ArrayLike) -> tuple[Floats, Floats]:
-        """Response (k,) to a unit step at evenly spaced t (k,) [s] from 0 on, and its standard deviation."""
+        """Return the response (k,) to a unit step and its standard deviation (k,) at evenly spaced t (k,) [s],
+        starting at 0.
+        """
         t = _real("t", t)
         steps = np.diff(t) if t.ndim == 1 else t
         if t.ndim != 1 or t.size < 2 or t[0] != 0 or not (steps[0] > 0 and np.allclose(steps, steps[0])):
@@ -226,14 +234,16 @@ class Process(Presentable):
         return b @ single[: b.size], std
 
     def to_scipy(self) -> signal.TransferFunction:
-        """`scipy.signal.TransferFunction`; it has no dead time, so that must be added by the caller."""
+        """Return a `scipy.signal.TransferFunction`, which has no dead time. The caller must add the dead time."""
         from scipy.signal import TransferFunction
 
         return TransferFunction(self.b[::-1], np.r_[1.0, self.a[::-1]])
 
     def to_control(self) -> control.TransferFunction:
-        """`control.TransferFunction` of python-control, without the dead time. Raises UsageError if that is not
-        installed."""
+        """Return a `control.TransferFunction` of python-control without the dead time.
+
+        Raises UsageError if python-control is not installed.
+        """
         try:
             import control
         except ImportError:
@@ -261,7 +271,7 @@ class Process(Presentable):
 
     @property
     def rows(self) -> list[list[str]]:
-        """Gain, poles, zeros and dead time as text, each with its standard deviation."""
+        """Return gain, poles, zeros and dead time as text, each with its standard deviation."""
         name, value, std, unit = self.slope
         rows = [[name, f"{value:.5g}", f"{std:.2g}", unit]]
         taus = zip(self.time_constants, self.time_constants_std, strict=True)
@@ -281,7 +291,7 @@ class Process(Presentable):
         return Summary(f"G(s) = ({top}) / ({bottom}){dead}", ("", "value", "std", ""), self.rows)
 
     def columns(self) -> dict[str, object]:
-        """A row for each pole and each zero, with the standard deviations of real and imaginary part [rad/s]."""
+        """Return the columns of a table with one row for each pole and zero, with standard deviations [rad/s]."""
         roots, bars = np.r_[self.poles, self.zeros], np.r_[self.poles_std, self.zeros_std.reshape(-1, 2)]
         return {
             "root": ["pole"] * self.poles.size + ["zero"] * self.zeros.size,
@@ -292,7 +302,7 @@ class Process(Presentable):
         }
 
     def to_dict(self) -> dict[str, object]:
-        """Coefficients from the constant upwards, poles and zeros as [real, imaginary] in rad/s."""
+        """Return the coefficients, starting with the constant, and poles and zeros as [real, imaginary] in rad/s."""
         name, value, std, unit = self.slope
         return plain_dict(
             {
@@ -313,15 +323,19 @@ class Process(Presentable):
         return rf"$G(s) = \frac{{{top}}}{{{bottom}}}{dead}$"
 
     def _root_slope(self, coefficients: Floats, root: complex) -> Complex:
-        """(k,) derivatives of a root of sum c_i s^i by all c_i: -s^i / C'(s)."""
+        """Return the derivatives (k,) of a root of sum c_i s^i with respect to all c_i, -s^i / C'(s)."""
         derivative = np.polyval(np.polyder(coefficients[::-1]), root)
         powers = root ** np.arange(coefficients.size)
         with np.errstate(all="ignore"):
             return np.asarray(-powers / derivative)
 
     def _root_std(self, coefficients: Floats, roots: Complex, part: slice) -> Floats:
-        """(r, 2): half of how far a root moves where the coefficients go two standard deviations in the direction that
-        moves it most; the delta method but for near poles, for which it would give nothing or far too little."""
+        """Return the standard deviations (r, 2) of the roots.
+
+        The coefficients move by two standard deviations in the direction that moves a root most. Half of the motion of
+        the root is its standard deviation. For distant poles this equals the delta method. For neighbouring poles, the
+        delta method would give nothing or far too little.
+        """
         cov = self.cov[part, part]
         found = np.full((roots.size, 2), np.inf)
         for row, root in zip(found, roots, strict=True):
@@ -332,7 +346,7 @@ class Process(Presentable):
         return found
 
     def _move_root(self, coefficients: Floats, root: complex, slope: Floats, cov: Floats) -> Floats:
-        """(2,) of real and imaginary part, along cov slope."""
+        """Return the standard deviations (2,) of the real and imaginary part of a root in the direction cov slope."""
         with np.errstate(all="ignore"):
             linear = _deviation(slope, cov)
             step = np.zeros(coefficients.size)
@@ -344,7 +358,7 @@ class Process(Presentable):
 
 
 def _deviation(slope: Floats, cov: Floats) -> float:
-    """The standard deviation of slope @ parameters; infinite if rounding leaves a negative variance."""
+    """Return the standard deviation of slope @ parameters, or infinity if rounding leaves a negative variance."""
     variance = float(slope @ cov @ slope)
     return variance**0.5 if variance >= 0 else float("inf")
 
@@ -361,6 +375,6 @@ def _nearest(found: Complex, root: complex) -> complex:
 
 
 def _roots(coefficients: Floats) -> Complex:
-    """Slowest first, of a pair the one with the positive imaginary part."""
+    """Return the roots, slowest first, where the root with the positive imaginary part comes first in a pair."""
     found = [complex(root) for root in np.roots(coefficients[::-1])]
     return np.array(sorted(found, key=lambda root: (round(abs(root), 12), root.real, -root.imag)), np.complex128)

@@ -1,4 +1,4 @@
-"""Coloured residuals: their model, tests, and the covariance of an estimate."""
+"""Coloured residuals: their model, their tests, and the covariance of an estimate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from pmfid.types import Flags, Floats, Places
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """v[t] = sum_j coefficients[j-1] v[t-j] + w[t], w white: coefficients (k,), variance of w, power of v."""
+    """An autoregressive noise v[t] = sum_j coefficients[j-1] v[t-j] + w[t] with white w.
+
+    The model has coefficients (k,), the variance of w and the power of v.
+    """
 
     coefficients: Floats
     variance: float
@@ -24,16 +27,16 @@ class Noise:
 
     @property
     def whitener(self) -> Floats:
-        """(k + 1,) weights of v[t], v[t-1], ... that give w[t]."""
+        """The weights (k + 1,) of v[t], v[t-1], ... that give w[t]."""
         return np.asarray(np.r_[1.0, -self.coefficients])
 
     def effective(self, samples: int) -> float:
-        """Number of samples of white noise whose correlations would be as uncertain as these (Bartlett 1935)."""
+        """Return the number of white noise samples whose correlations have the same uncertainty (Bartlett 1935)."""
         spectrum = self._spectrum(TUNING.residuals_effective)
         return samples * float(np.mean(spectrum) ** 2 / np.mean(spectrum**2))
 
     def covariance(self, weights: Floats, place: Places) -> Floats:
-        """Covariance (p, p) of sum_t weights[t] v[place[t]], weights (N, p), at rising places (N,)."""
+        """Return the covariance (p, p) of sum_t weights[t] v[place[t]] for weights (N, p) at rising places (N,)."""
         laid = np.fft.rfft(_place_on_line(weights, place, size := _size(place)), axis=0)
         twice = np.full(laid.shape[0], 2.0)
         twice[0] = twice[-1] = 1.0
@@ -41,7 +44,7 @@ class Noise:
         return np.asarray((laid.conj().T @ weighted).real / size)
 
     def times(self, weights: Floats, place: Places) -> Floats:
-        """The noise's covariance matrix times weights (N, p): (N, p)."""
+        """Return the product (N, p) of the noise's covariance matrix and weights (N, p)."""
         size = _size(place)
         laid = np.fft.rfft(_place_on_line(weights, place, size), axis=0)
         response = np.fft.irfft(laid * self._spectrum(size)[:, None], size, axis=0)
@@ -52,13 +55,17 @@ class Noise:
 
 
 def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Noise:
-    """Of a residual (N,) at rising places (N,), its order by Akaike's criterion with the correction of Hurvich and Tsai
-    (1989). taken: orthonormal columns (N, q) which a fit took out of the noise, not necessarily all of them: their
-    expected part of each autocovariance is put back."""
+    """Return the noise model of a residual (N,) at rising places (N,).
+
+    Akaike's criterion with the correction of Hurvich and Tsai (1989) selects the order. `taken` holds orthonormal
+    columns (N, q), not necessarily all, that a fit removed from the noise. Their expected part of each autocovariance
+    is restored.
+    """
     most = min(TUNING.residuals_most, max(1, error.size // TUNING.residuals_part))
     laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))
     pairs = np.maximum(_autocovariance(there, most), 1e-9)
-    # divided by one number, not by the count of pairs: else it need not be the covariance of anything, and lines appear
+    # Divided by one number and not by the count of pairs. Otherwise it may be no valid covariance, and spectral lines
+    # appear.
     raw = _autocovariance(laid, most) / pairs[0]
     if pairs[0] - pairs[1] > TUNING.residuals_gaps * error.size and np.any(
         np.abs(raw[1 : TUNING.residuals_soon]) > 4 * raw[0] / np.sqrt(error.size)
@@ -76,7 +83,7 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
 
 
 def whiten_columns(noise: Noise, columns: Floats, place: Places) -> Floats:
-    """Columns (N, c) after the whitening filter, missing samples as zeros: (N, c)."""
+    """Return columns (N, c) after the whitening filter (N, c), with zeros for missing samples."""
     laid = _place_on_line(columns, place, int(place[-1] - place[0]) + 1)
     result = laid.copy()
     for lag, value in enumerate(noise.coefficients, start=1):
@@ -85,8 +92,10 @@ def whiten_columns(noise: Noise, columns: Floats, place: Places) -> Floats:
 
 
 def _compute_fit_effect(noise: Noise, taken: Floats, place: Places, most: int) -> Floats:
-    """(most + 1,) by how much less sum e[t] e[t+k] of a residual is expected than of its noise: with the projection
-    1 - Q Q^T and the shift S the traces of 2 Q^T S R Q - Q^T S Q Q^T R Q."""
+    """Return the expected decrease (most + 1,) of sum e[t] e[t+k] of a residual relative to its noise.
+
+    With the projection 1 - Q Q^T and the shift S, the decrease is the trace of 2 Q^T S R Q - Q^T S Q Q^T R Q.
+    """
     coloured = noise.times(taken, place)
     inside = taken.T @ coloured
     size = int(place[-1] - place[0]) + 1
@@ -100,8 +109,11 @@ def _compute_fit_effect(noise: Noise, taken: Floats, place: Places, most: int) -
 
 
 def _correlate_over_gaps(error: Floats, place: Places, most: int) -> Floats:
-    """(most + 1,) autocovariance with straight lines over short gaps: sums over different pairs differ by more than
-    the variance that a prediction of slow noise leaves, and no model follows from them."""
+    """Return the autocovariance (most + 1,) with straight lines over short gaps.
+
+    Sums over different pairs differ by more than the variance that a prediction of slow noise leaves. No model follows
+    from such sums.
+    """
     line = np.arange(int(place[-1] - place[0]) + 1) + place[0]
     nearest = np.searchsorted(place, line)
     long = place[nearest] - np.r_[place[0], place][nearest] > most
@@ -111,7 +123,10 @@ def _correlate_over_gaps(error: Floats, place: Places, most: int) -> Floats:
 
 
 def _from_autocovariance(r: Floats, samples: int) -> Noise:
-    """Levinson's recursion; an order whose reflection is 1 or more is none, and ends it."""
+    """Return the noise model from an autocovariance by Levinson's recursion.
+
+    A reflection of 1 or more ends the recursion, because that order is invalid.
+    """
     a, variance = np.zeros(0), max(float(r[0]), 1e-300)
     best, least = Noise(a, variance, variance), samples * np.log(variance)
     for order in range(1, r.size):
@@ -131,31 +146,31 @@ def _autocovariance(laid: Floats, most: int) -> Floats:
 
 
 def _place_on_line(columns: Floats, place: Places, size: int) -> Floats:
-    """Columns (N, ...) on the line, zeros where nothing is."""
+    """Return columns (N, ...) on the line, with zeros at places without a sample."""
     line = np.zeros((size, *columns.shape[1:]))
     line[place - place[0]] = columns
     return line
 
 
 def _size(place: Places) -> int:
-    """The size of a transform in which the end of the line does not reach its beginning."""
+    """Return a size for a transform in which the end of the line does not reach its beginning."""
     return 1 << int(2 * (place[-1] - place[0]) + TUNING.residuals_round).bit_length()
 
 
 def is_white(error: Floats) -> bool:
-    """Whether so few autocorrelations of a residual (n,) are beyond their bounds that chance explains them."""
+    """Return whether chance explains the autocorrelations of a residual (n,) that are beyond their bounds."""
     power = max(float(error @ error), 1e-300)
     auto = np.array([correlate_at_lag(error, error, lag) for lag in range(1, TUNING.residuals_lags + 1)]) / power
     return few_beyond(auto, TUNING.residuals_deviate / float(np.sqrt(max(error.size, 1))))
 
 
 def few_beyond(correlations: Floats, bound: float) -> bool:
-    """Whether chance explains how many of the correlations (k,) are beyond a bound of 99 %."""
+    """Return whether chance explains the number of correlations (k,) beyond a bound of 99 %."""
     return int(np.sum(np.abs(correlations) > bound)) <= 3
 
 
 def correlate_at_lag(early: Floats, late: Floats, lag: int) -> float:
-    """sum early[k - lag] late[k]."""
+    """Return sum early[k - lag] late[k]."""
     if lag < 0:
         return correlate_at_lag(late, early, -lag)
     return float(early[: early.size - lag] @ late[lag:]) if lag < early.size else 0.0
@@ -163,26 +178,29 @@ def correlate_at_lag(early: Floats, late: Floats, lag: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Phases:
-    """Rows (N,) of a residual by their place in the period. index (N,): place of each row; counts (P,): rows at each
-    place, all 2 or more; kept (N,): rows whose place has such a count."""
+    """The rows (N,) of a residual by their place in the period of the input.
+
+    `index` (N,) is the place of each row. `counts` (P,) is the number of rows at each place, at least 2. `kept` (N,)
+    marks the rows at such places.
+    """
 
     index: Places
     counts: Floats
     kept: Flags
 
     def mean(self, columns: Floats) -> Floats:
-        """(P, c) over the periods of columns (N, c) at the kept rows."""
+        """Return the mean (P, c) over the periods of columns (N, c) at the kept rows."""
         return np.asarray(self.sum(columns) / self.counts[:, None])
 
     def sum(self, columns: Floats) -> Floats:
-        """(P, c) of the same."""
+        """Return the sum (P, c) over the periods of columns (N, c) at the kept rows."""
         found = np.zeros((self.counts.size, columns.shape[1]))
         np.add.at(found, self.index[self.kept], columns[self.kept])
         return found
 
 
 def period_of(u: Floats) -> int | None:
-    """Samples after which u (M,) repeats itself, to the end, for at least two periods; None if it does not."""
+    """Return the number of samples after which u (M,) repeats to its end, for at least two periods, or None."""
     change = np.flatnonzero(np.abs(np.diff(u)) > 0)
     if not change.size:
         return None
@@ -196,7 +214,10 @@ def period_of(u: Floats) -> int | None:
 
 
 def phases_of(stretches: Sequence[RecordStretch], unknowns: int) -> Phases | None:
-    """Of the rows of all stretches; None if one has no period, or too short a one, or none has two of them."""
+    """Return the phases of the rows of all stretches.
+
+    The result is None if a stretch has no period or too short a period, or if no stretch has two periods.
+    """
     index, start = [], 0
     for stretch in stretches:
         period = period_of(stretch.inputs[0]) if stretch.grid.uniform else None
@@ -216,7 +237,7 @@ def phases_of(stretches: Sequence[RecordStretch], unknowns: int) -> Phases | Non
 
 
 def split(error: Floats, phases: Phases) -> tuple[Floats, Floats]:
-    """The part (P,) of a residual (N,) that repeats, and the rest (N,), as large as the noise is."""
+    """Return the periodic part (P,) of a residual (N,), and the rest (N,), scaled to the size of the noise."""
     again = phases.mean(error[:, None])[:, 0]
     rest = error.copy()
     count = phases.counts[phases.index[phases.kept]]
@@ -225,12 +246,16 @@ def split(error: Floats, phases: Phases) -> tuple[Floats, Floats]:
 
 
 def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], phases: Phases, place: Places) -> bool:
-    """Is more of a residual (N,) at rising places (N,) the same in every period than noise of its colour explains, and
-    errors of the parameters, known (N, p) their effects? Loud noise at one frequency makes those elsewhere.
+    """Return whether more of a residual (N,) is equal in every period than noise and parameter errors explain.
 
-    What repeats lies on the harmonics of the period and noise on all lines: each harmonic is compared with the lines
-    around it, after the whitening filter of what differs between periods, and the chances of all are taken together
-    (Fisher 1932): so it does no harm if a narrow resonance of the noise is not quite whitened."""
+    The residual has rising places (N,), and `known` (N, p) holds the effects of the parameters. Loud noise at one
+    frequency causes errors of the parameters at other frequencies.
+
+    The periodic part lies on the harmonics of the period, and noise lies on all lines. The test compares each harmonic
+    with its neighbouring lines after a whitening filter, which comes from the part that differs between periods. Then
+    it combines the probabilities of all harmonics (Fisher 1932). Therefore the test tolerates a narrow resonance of the
+    noise that is not quite whitened.
+    """
     noise: Noise = fit_noise(split(error, phases)[1], place)
     columns = whiten_columns(noise, np.column_stack([error, known]), place)
     size = np.linalg.norm(columns, axis=0)
@@ -243,7 +268,7 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], ph
 
 
 def _evidence(stretch: RecordStretch, white: Floats) -> Floats:
-    """(K,) for each harmonic -2 log of the chance of noise to have as much there."""
+    """Return -2 log of the probability that noise has as much power, for each harmonic (K,)."""
     period = period_of(stretch.inputs[0]) or stretch.grid.size
     times = stretch.grid.size // period
     line = np.zeros(stretch.grid.size)
@@ -261,8 +286,10 @@ def _evidence(stretch: RecordStretch, white: Floats) -> Floats:
 
 
 def prewhiten_problem(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
-    """The filtered problem, whose offset is smaller by the sum of the filter's weights. The problem itself, if steps
-    are uneven or too few samples have a whole past."""
+    """Return the whitened problem, or the problem itself if steps are uneven or too few samples have a whole past.
+
+    The offset of the whitened problem is multiplied by the sum of the filter's weights.
+    """
     weights = noise.whitener
     if weights.size == 1 or not all(stretch.grid.uniform for stretch in problem.stretches):
         return problem
@@ -275,7 +302,7 @@ def prewhiten_problem(problem: ProcessProblem, noise: Noise) -> ProcessProblem:
 
 
 def _whiten_stretch(stretch: RecordStretch, weights: Floats) -> RecordStretch | None:
-    from scipy.signal import lfilter  # slow to import, and only transfer functions need it
+    from scipy.signal import lfilter  # SciPy is slow to import, and only transfer functions need this module.
 
     lost = weights.size - 1
     if stretch.grid.size < lost + 2:
@@ -294,7 +321,7 @@ def _whiten_stretch(stretch: RecordStretch, weights: Floats) -> RecordStretch | 
 
 
 def places(problem: ProcessProblem) -> Places:
-    """(N,) positions of the measured samples of all stretches on one line of even steps."""
+    """Return the positions (N,) of the measured samples of all stretches on one line of even steps."""
     found, start = [], 0
     for stretch in problem.stretches:
         found.append(start + stretch.rows)
@@ -303,15 +330,18 @@ def places(problem: ProcessProblem) -> Places:
 
 
 def residual_noise(problem: ProcessProblem, point: ProcessPoint) -> Noise:
-    """The colour of what a point of the iteration leaves."""
+    """Return the noise model of the residual at a point of the iteration."""
     size = np.linalg.norm(point.zeta, axis=0)
     Q = np.linalg.qr(point.zeta / np.where(size > 0, size, 1.0))[0]
     return fit_noise(point.error, places(problem), Q)
 
 
 def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -> Floats:
-    """(p, p) of sum zeta v; zeta (N, p) of about one size, error (N,) with what the fit along zeta left of v, at places
-    (N,); None: one after the other."""
+    """Return the covariance (p, p) of the sum of zeta v, where v is the noise.
+
+    The columns of zeta (N, p) have similar sizes. The error (N,) is the part of v that the fit along zeta leaves, at
+    places (N,). Without places, the samples follow one another.
+    """
     place = np.arange(error.size) if place is None else place
     Q, R = np.linalg.qr(zeta)
     noise = fit_noise(error, place, Q)
@@ -320,7 +350,7 @@ def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -
 
 
 def covariance(point: ProcessPoint, problem: ProcessProblem) -> Floats:
-    """(p, p) of theta at a point where the iteration has settled, in the problem's units."""
+    """Return the covariance (p, p) of theta at a point of convergence, in the problem's units."""
     size = np.linalg.norm(point.zeta, axis=0)
     zeta = point.zeta / size
     inverse = np.linalg.inv(zeta.T @ (point.phi / size))
@@ -329,14 +359,17 @@ def covariance(point: ProcessPoint, problem: ProcessProblem) -> Floats:
 
 
 def residual_repeats(problem: ProcessProblem, point: ProcessPoint) -> bool:
-    """Does a part of the residual at a point repeat in every period of the input, by more than chance?"""
+    """Return whether a part of the residual at a point repeats in every period of the input, by more than chance."""
     unknowns = point.zeta.shape[1]
     phases = phases_of(problem.stretches, unknowns)
     return phases is not None and repeats(point.error, point.zeta, problem.stretches, phases, places(problem))
 
 
 def _spread(zeta: Floats, error: Floats, problem: ProcessProblem) -> Floats:
-    """(p, p) of the scores, of what repeats apart from what does not, where it does."""
+    """Return the covariance (p, p) of the scores.
+
+    A part of the residual that repeats enters separately from the rest.
+    """
     place, unknowns = places(problem), zeta.shape[1]
     phases = phases_of(problem.stretches, unknowns)
     if phases is None or not repeats(error, zeta, problem.stretches, phases, place):

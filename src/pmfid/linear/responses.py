@@ -16,8 +16,10 @@ from pmfid.types import Floats
 
 
 def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held: bool) -> Floats:
-    """As `respond`, but modes that grow by more than e over the grid run backward, and have their part of `start` at
-    the last instant."""
+    """Return the states as `respond` does, but simulate fast unstable modes in reversed time.
+
+    These modes grow by more than the factor e over the grid. Their part of `start` belongs to the last instant.
+    """
     n, limit = F.shape[0], 1 / max(grid.duration, 1e-300)
     T, Q, kept = schur(F - limit * np.eye(n), sort="lhp")
     if kept == n:
@@ -36,14 +38,18 @@ def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, 
 
 
 def _reverse_time(w: Floats, held: bool) -> Floats:
-    """w (channels, N) for time that runs backward: a held value belongs to the step before it then."""
+    """Return the inputs (channels, N) in reversed time. In reversed time, a held value belongs to the preceding
+    step.
+    """
     return np.concatenate([w[:, -2::-1], w[:, :1]], axis=1) if held else w[:, ::-1]
 
 
 @dataclass(frozen=True)
 class Late:
-    """states (n, channels, N), inputs (channels, N), their slopes, the dead time before each instant; zero where that
-    is before the first one."""
+    """Late states (n, channels, N), late inputs (channels, N) and the slopes of the inputs.
+
+    They are the values one dead time before each instant, and zero before the first instant.
+    """
 
     states: Floats
     inputs: Floats
@@ -51,9 +57,11 @@ class Late:
 
 
 def delay_states(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, dead_time: float, *, held: bool) -> Late:
-    """From states (n, channels, N) of x' = F x + g w at the instants of the grid and w (channels, N), held or linear.
+    """Return late states and inputs, from states (n, channels, N) of x' = F x + g w and w (channels, N) on the grid.
 
-    Each reading starts at the last instant before it, so a switch of the input inside a sample has its exact effect."""
+    The input w is held or linear. Each reading starts at the last instant before it, so that a switch of the input
+    within a sample has its exact effect.
+    """
     t = grid.instants
     steps = np.broadcast_to(np.asarray(grid.steps, float), (grid.size - 1,))
     index, rest = _places(grid, t, steps, dead_time)
@@ -68,7 +76,10 @@ def delay_states(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, de
 
 
 def _places(grid: Grid, t: Floats, steps: Floats, dead_time: float) -> tuple[NDArray[np.int64], Floats]:
-    """(N,) the last instant at or before each reading, negative where there is none, and the time from there to it."""
+    """Return the last instant (N,) at or before each reading, and the time from that instant to the reading.
+
+    The instant is negative if none exists.
+    """
     if isinstance(grid.steps, float):
         whole = int(np.ceil(dead_time / grid.steps - TUNING.responses_same))
         rest = max(0.0, whole * grid.steps - dead_time)
@@ -81,7 +92,7 @@ def _places(grid: Grid, t: Floats, steps: Floats, dead_time: float) -> tuple[NDA
 
 
 def _advance_states(F: Floats, g: Floats, grid: Grid, x: Floats, w: Floats, slope: Floats, rest: Floats) -> Floats:
-    """The states x (n, channels, N) after the further times `rest` (N,)."""
+    """Return the states x (n, channels, N) after the further times `rest` (N,)."""
     if grid.uniform:
         step = transition(F, g, Grid(float(rest[0]), 2))
         moved = product(step.phi, x.reshape(F.shape[0], -1)).reshape(x.shape)
@@ -93,11 +104,11 @@ def _advance_states(F: Floats, g: Floats, grid: Grid, x: Floats, w: Floats, slop
 
 @dataclass(frozen=True)
 class Structure:
-    """n poles, m zeros, with or without a constant in addition to the input.
+    """A transfer function with n poles and m zeros, with or without a constant output.
 
-    integrators: number of poles at 0. unstable: poles may be in the right half-plane. dead_time: of the input,
-    beyond what the stretches know of, in their unit of time; latest: None if it is known, else it is the last
-    parameter, sought from dead_time on and up to this.
+    `integrators` is the number of poles at 0. If `unstable`, poles may lie in the right half-plane. `dead_time` is the
+    part of the input's dead time that is not in the stretches, in their unit of time. `latest` is None for a known dead
+    time. Otherwise the dead time is the last parameter, between dead_time and `latest`.
     """
 
     n: int
@@ -110,12 +121,12 @@ class Structure:
 
     @property
     def free(self) -> int:
-        """How many coefficients of the denominator are unknown."""
+        """The number of unknown coefficients of the denominator."""
         return self.n - self.integrators
 
     @property
     def linear(self) -> int:
-        """Parameters but for an unknown dead time."""
+        """The number of parameters without an unknown dead time."""
         return self.free + self.m + 1 + self.offset
 
     @property
@@ -123,25 +134,25 @@ class Structure:
         return self.linear + (self.latest is not None)
 
     def split(self, theta: Floats) -> tuple[Floats, Floats, float]:
-        """a (free,), b (m + 1,), offset."""
+        """Return a (free,), b (m + 1,) and the offset."""
         b = theta[self.free : self.free + self.m + 1]
         return theta[: self.free], b, float(theta[self.linear - 1]) if self.offset else 0.0
 
     def denominator(self, theta: Floats) -> Floats:
-        """(n,) a_0 to a_{n-1}, with the zeros of the integrators."""
+        """Return the coefficients (n,) a_0 to a_{n-1}, with the zeros of the integrators."""
         return np.concatenate([np.zeros(self.integrators), theta[: self.free]])
 
     def lateness(self, theta: Floats) -> float:
-        """The dead time, known or unknown."""
+        """Return the dead time, whether it is known or a parameter."""
         return self.dead_time if self.latest is None else float(theta[-1])
 
     @property
     def respond(self) -> Callable[..., Floats]:
-        """How its states follow a signal."""
+        """The function that simulates the states for a signal."""
         return respond_bounded if self.unstable else respond
 
     def scale(self, rate: float) -> Floats:
-        """(p,) factors from parameters in time units of 1/rate to parameters in seconds."""
+        """Return the factors (p,) from parameters in time units of 1/rate to parameters in seconds."""
         powers = [self.n - i for i in range(self.integrators, self.n)] + [self.n - j for j in range(self.m + 1)]
         powers += [self.n] * self.offset + [-1] * (self.latest is not None)
         return np.asarray(rate ** np.array(powers, float))
@@ -149,8 +160,11 @@ class Structure:
 
 @dataclass(frozen=True)
 class Linearised:
-    """On r measured samples: error (r,) y minus the simulated output; phi (r, p) regressors from the data, zeta (r, p)
-    from the simulated output alone, its sensitivities; free (r, n) responses to the initial conditions."""
+    """The linearised problem at r measured samples.
+
+    `error` (r,) is y minus the simulated output. `phi` (r, p) are regressors from the data. `zeta` (r, p) are
+    sensitivities from the simulated output alone. `free` (r, n) are responses to the initial conditions.
+    """
 
     error: Floats
     phi: Floats
@@ -160,29 +174,33 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Channels:
-    """Filtered inputs, constant 1 (with offset) and impulse, a channel each. single (n+1, channels, M): s^k / A;
-    double (2n-k, channels, M): s^j / (A A'), or none; slopes (channels, M): s^(n+1) / A, from how fast a late input
-    changes."""
+    """Filtered signals, one channel each: the inputs, the constant 1 (with an offset) and an impulse.
+
+    `single` (n+1, channels, M) holds s^k / A. `double` (2n-k, channels, M) holds s^j / (A A'), or is empty. `slopes`
+    (channels, M) holds s^(n+1) / A from the slope of a late input.
+    """
 
     single: Floats
     double: Floats
     slopes: Floats
 
     def moving(self, b: Floats, source: int) -> Floats:
-        """(M,) how fast the response B/A to an input changes."""
+        """Return the slope (M,) of the response B/A to an input."""
         further = [*self.single[1:, source], self.slopes[source]]
         return np.asarray(sum(value * further[j] for j, value in enumerate(b)))
 
 
 def companion(a: Floats) -> Floats:
-    """F of the states s^i / A(s) w, i < n."""
+    """Return the matrix F of the states s^i / A(s) w with i < n."""
     F = np.diag(np.ones(a.size - 1), 1)
     F[-1] = -a
     return F
 
 
 def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twice: bool) -> Channels:
-    """The channels at theta (p,), through its denominator and dead time; twice: with s^j / (A A')."""
+    """Return the channels for the denominator and the dead time in theta (p,). If `twice`, they contain s^j / (A
+    A').
+    """
     n, free, size, late = structure.n, structure.free, stretch.grid.size, structure.lateness(theta)
     a = structure.denominator(theta)
     w = np.vstack([stretch.inputs, np.ones((int(structure.offset), size)), np.zeros((1, size))])
@@ -204,7 +222,10 @@ def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twi
 
 
 def _double(a: Floats, single: Floats, states: Floats) -> Floats:
-    """s^j / (A A') from 0 on, from those with j < free: s^(free+r) / (A A') = s^r / A - sum a_i s^(r+i) / (A A')."""
+    """Return s^j / (A A') for all j from 0, given those with j < free.
+
+    The recursion is s^(free+r) / (A A') = s^r / A - sum a_i s^(r+i) / (A A').
+    """
     double = list(states)
     for r in range(single.shape[0] - 1):
         double.append(single[r] - sum(a[i] * double[r + i] for i in range(a.size)))
@@ -212,7 +233,7 @@ def _double(a: Floats, single: Floats, states: Floats) -> Floats:
 
 
 def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch) -> Linearised:
-    """The linearisation at theta (p,), with initial conditions (n,) of the stretch; time in the unit of the stretch."""
+    """Return the linearisation at theta (p,) and initial conditions (n,), with time in the unit of the stretch."""
     n, free = structure.n, structure.free
     a, b, offset = structure.split(theta)
     here = channels(structure, theta, stretch, twice=True)
@@ -220,7 +241,7 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Rec
     simulated = b @ single[: b.size, 0] + initial @ single[:n, -1]
     if structure.offset:
         simulated = simulated + offset * single[0, -2]
-    source = stretch.inputs.shape[0] - 1  # the reference, where there is one
+    source = stretch.inputs.shape[0] - 1  # the reference, if one exists
     zeta = [b @ double[i : i + b.size, source] + initial @ double[i : i + n, -1] for i in range(free)]
     if structure.offset:
         zeta = [slope + offset * double[i, -2] for i, slope in enumerate(zeta)]
@@ -247,7 +268,7 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Rec
 
 
 def _filter_output(structure: Structure, a: Floats, stretch: RecordStretch) -> Floats:
-    """(free, M) s^i / A' of the output."""
+    """Return s^i / A' of the output (free, M)."""
     if not a.size:
         return np.zeros((0, stretch.grid.size))
     start = np.zeros((a.size, 1))
@@ -261,8 +282,10 @@ def _stack_columns(columns: list[Floats], rows: NDArray[np.int64]) -> Floats:
 def simulate(
     structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch, *, source: int | None = None
 ) -> Floats:
-    """Output (M,) from the initial conditions (n,) and an input alone: `source` of the stretch's, None: what
-    instruments are made from."""
+    """Return the output (M,) from the initial conditions (n,) and one input.
+
+    `source` is the number of the input in the stretch. None takes the input that the instruments come from.
+    """
     _, b, offset = structure.split(theta)
     single = channels(structure, theta, stretch, twice=False).single
     source = stretch.inputs.shape[0] - 1 if source is None else source
@@ -271,7 +294,7 @@ def simulate(
 
 
 def stable(a: Floats, duration: float) -> Floats:
-    """a with poles in the right half-plane reflected; those that hardly grow within the duration may stay."""
+    """Return a with reflected poles from the right half-plane. Poles that hardly grow within the duration remain."""
     poles = np.roots(np.r_[1.0, a[::-1]])
     bad = poles.real * duration > 1.0
     if not np.any(bad):
@@ -282,33 +305,36 @@ def stable(a: Floats, duration: float) -> Floats:
 
 @dataclass(frozen=True)
 class Filter:
-    """F = (cutoff / (s + cutoff))^order by the trapezoidal rule with the period dt [s]."""
+    """The filter F = (cutoff / (s + cutoff))^order by the trapezoidal rule with the sample period dt [s]."""
 
     cutoff: float
     order: int
     dt: float
 
     def output(self, signal: Floats, k: int) -> Floats:
-        """F_T s_T^k of a sampled signal (N,), from rest; k <= order."""
+        """Return F_T s_T^k of a sampled signal (N,) from rest, where k <= order."""
         for stage in range(self.order):
             signal = self.stage(signal, self.cutoff, differentiating=stage < k)
         return signal
 
     def stage(self, signal: Floats, cutoff: float, *, differentiating: bool) -> Floats:
-        """cutoff / (s + cutoff), or s times it."""
+        """Return the signal after cutoff / (s + cutoff), or after s times this filter."""
         high = 2 / self.dt
         gain, pole = cutoff / (high + cutoff), (high - cutoff) / (high + cutoff)
         top = (gain * high, -gain * high) if differentiating else (gain, gain)
         return first_order(signal, pole, *top)[0]
 
     def equation(self, signal: Floats, A: Floats) -> Floats:
-        """F_T A(s_T) of a sampled signal (N,); A: (n+1,) from the constant on."""
+        """Return F_T A(s_T) of a sampled signal (N,) with A (n+1,), starting with the constant."""
         return np.asarray(sum(A[k] * self.output(signal, k) for k in range(A.size)))
 
 
 @dataclass(frozen=True)
 class ExactTerm:
-    """coefficient of s^power times held signal `source`; column: of the unknown, None for a known one."""
+    """A term of an equation: coefficient of s^power times the held signal `source`.
+
+    `column` is the column of an unknown coefficient, or None for a known coefficient.
+    """
 
     source: int
     power: int
@@ -318,8 +344,11 @@ class ExactTerm:
 
 @dataclass(frozen=True)
 class Responses:
-    """responses (terms, N): s^j / A of each held term's signal, without its coefficient; simulated (N,) output;
-    slopes (n+1, N): s^k / A of the simulated output."""
+    """Responses of an equation to its held signals.
+
+    `responses` (terms, N) holds s^j / A of each term's signal without its coefficient. `simulated` (N,) is the output.
+    `slopes` (n+1, N) holds s^k / A of the simulated output.
+    """
 
     responses: Floats
     simulated: Floats
@@ -327,7 +356,10 @@ class Responses:
 
 
 def respond_exactly(A: Floats, terms: list[ExactTerm], signals: Floats, dt: float) -> Responses:
-    """From rest; A: (n+1,) from the constant on, signals (s, N) held. Powers are less than n."""
+    """Return the responses from rest for A (n+1,), starting with the constant, and held signals (s, N).
+
+    All powers are below n.
+    """
     n, size = A.size - 1, signals.shape[1]
     poles = np.roots(A[::-1])
     rate = max(float(np.max(np.abs(poles))), 1e-3 / dt)

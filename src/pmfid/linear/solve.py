@@ -17,7 +17,7 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class ProcessProblem:
-    """A structure and the stretches of all records, time in units of the inverse of `rate` [1/s]."""
+    """A structure and the stretches of all records, with time in units of the inverse of `rate` [1/s]."""
 
     structure: Structure
     stretches: tuple[RecordStretch, ...]
@@ -33,14 +33,17 @@ class ProcessProblem:
 
     @property
     def without_reference(self) -> ProcessProblem:
-        """The linearisation with the previous sensitivities to the input."""
+        """The problem with the inputs themselves in place of the parts that the reference explains."""
         return replace(self, stretches=tuple(replace(stretch, inputs=stretch.inputs[:1]) for stretch in self.stretches))
 
 
 @dataclass(frozen=True)
 class ProcessPoint:
-    """theta (p,) and initial conditions (stretches, n), and what is linear there with the initial conditions projected
-    out: error (N,), phi, zeta (N, p); cost: sum of squares of the error; power: of the output."""
+    """Parameters theta (p,) and initial conditions (stretches, n) with the linearisation at this point.
+
+    The initial conditions are projected out of error (N,), phi (N, p) and zeta (N, p). `cost` is the sum of squares of
+    the error, and `power` is that of the output.
+    """
 
     theta: Floats
     initial: Floats
@@ -53,16 +56,16 @@ class ProcessPoint:
 
 @dataclass(frozen=True)
 class Solution:
-    """The point at which the iteration ended; settled or not; how many passes."""
+    """The final point of an iteration, whether the iteration converged, and its number of passes."""
 
     point: ProcessPoint
     settled: bool
     passes: int
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of a process that is far off: its loss is not finite, and no better
+@np.errstate(over="ignore", invalid="ignore")  # the loss of a very poor process is not finite, and thus no better
 def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoint:
-    """Linearises at theta (p,); initial (stretches, n) is moved to where it fits best."""
+    """Linearise at theta (p,), where the initial conditions (stretches, n) move to their best fit."""
     errors, phis, zetas, found = [], [], [], []
     for stretch, start in zip(problem.stretches, initial, strict=True):
         here = linearise(problem.structure, theta, start, stretch)
@@ -78,7 +81,9 @@ def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoi
 
 
 def _regular(R: Floats) -> Floats:
-    """If too few samples remain to determine all initial conditions, a small pivot becomes infinite."""
+    """Return R with infinite values in place of small pivots, in case too few samples determine the initial
+    conditions.
+    """
     pivots = np.abs(np.diagonal(R))
     dead = pivots < 1e-12 * max(float(np.max(pivots)), 1e-300)
     if not np.any(dead):
@@ -89,7 +94,7 @@ def _regular(R: Floats) -> Floats:
 
 
 def step_from(point: ProcessPoint, phi: Floats) -> Floats:
-    """(zeta^T phi)^-1 zeta^T error, columns scaled to one size."""
+    """Return (zeta^T phi)^-1 zeta^T error, with columns scaled to equal size."""
     size = np.linalg.norm(point.zeta, axis=0)
     size = np.where(size > 0, size, 1.0)
     normal = (point.zeta / size).T @ (phi / size)
@@ -100,7 +105,7 @@ def step_from(point: ProcessPoint, phi: Floats) -> Floats:
 
 
 def movable(problem: ProcessProblem, point: ProcessPoint, step: Floats) -> Floats:
-    """(p,) which parameters may move: all, but for a dead time at its bound that the step (p,) would take beyond it."""
+    """Mark the parameters (p,) that may move. A dead time at its bound may not follow a step (p,) beyond the bound."""
     free, latest = np.ones(step.size, bool), problem.structure.latest
     if latest is not None:
         free[-1] = not (point.theta[-1] <= 0.0 and step[-1] < 0.0) and not (
@@ -110,7 +115,7 @@ def movable(problem: ProcessProblem, point: ProcessPoint, step: Floats) -> Float
 
 
 def _possible_step(problem: ProcessProblem, point: ProcessPoint, phi: Floats) -> Floats:
-    """The step from a point, a dead time that would leave its bounds kept there."""
+    """Return the step from a point, with a dead time that remains within its bounds."""
     step = step_from(point, phi)
     free = movable(problem, point, step)
     if not np.all(free):
@@ -120,7 +125,7 @@ def _possible_step(problem: ProcessProblem, point: ProcessPoint, phi: Floats) ->
 
 
 def filter_problem(problem: ProcessProblem, pole: float) -> ProcessPoint:
-    """All signals filtered by 1/(s + pole)^n, pole in units of the problem (state variable filters)."""
+    """Filter all signals by 1/(s + pole)^n, with the pole in units of the problem (state variable filters)."""
     structure = problem.structure
     a = np.atleast_1d(np.poly(np.full(structure.free, -pole)))[:0:-1]
     late = [structure.dead_time] * (structure.latest is not None)
@@ -129,7 +134,7 @@ def filter_problem(problem: ProcessProblem, pole: float) -> ProcessPoint:
 
 
 def first_guess(problem: ProcessProblem, pole: float) -> ProcessPoint:
-    """Least squares with the filter 1/(s + pole)^n."""
+    """Return the least squares with the filter 1/(s + pole)^n."""
     point = filter_problem(problem, pole)
     theta = point.theta
     size = np.linalg.norm(point.phi, axis=0)
@@ -143,8 +148,10 @@ def _visit_possible(problem: ProcessProblem, theta: Floats, initial: Floats) -> 
 
 
 def possible(problem: ProcessProblem, theta: Floats) -> Floats:
-    """theta with its poles on the stable side, unless the structure says otherwise: an unstable intermediate model
-    would drown the record. A dead time stays within its bounds."""
+    """Return theta with stable poles, unless the structure allows others, and with a dead time within its bounds.
+
+    The response of an unstable intermediate model would exceed the record by far.
+    """
     structure, theta = problem.structure, theta.copy()
     if not structure.unstable:
         theta[: structure.free] = stable(theta[: structure.free], problem.duration)
@@ -159,7 +166,10 @@ def refine(
     settled: float = TUNING.solve_settled,
     most: int = TUNING.solve_refinements,
 ) -> Solution:
-    """Instruments and filter follow the estimate; the best point on the way, where it does not settle."""
+    """Return the solution of an iteration in which instruments and filter follow the estimate.
+
+    If the iteration does not converge, the function returns its best point.
+    """
     point = best = start
     for passes in range(1, most + 1):
         step = _possible_step(problem, point, point.phi)
@@ -176,7 +186,7 @@ def refine(
 
 
 def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = TUNING.solve_settled) -> Solution:
-    """Damped Gauss-Newton steps (Levenberg and Marquardt) on the sum of squares of the output error."""
+    """Minimise the sum of squares of the output error by damped Gauss-Newton steps (Levenberg and Marquardt)."""
     point, damping = start, 1e-3
     for passes in range(1, TUNING.solve_descents + 1):
         size = np.maximum(np.linalg.norm(point.zeta, axis=0), 1e-300)
@@ -196,19 +206,20 @@ def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = TUNIN
                 break
             damping *= 4
         else:
-            # no step is downhill: rounding, or the way down leads beyond the stable models
+            # No step decreases the sum of squares, because of rounding or because the way leads beyond the stable
+            # models.
             return Solution(point, not _has_pole_at_edge(problem, point.theta), passes)
     return Solution(point, False, TUNING.solve_descents)
 
 
 def _has_pole_at_edge(problem: ProcessProblem, theta: Floats) -> bool:
-    """Is a pole as far in the right half-plane as it may be?"""
+    """Return whether a pole is as far in the right half-plane as the bound allows."""
     poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
     return bool(np.any(poles.real * problem.duration > TUNING.solve_edge))
 
 
 def small(point: ProcessPoint, step: Floats, settled: float = TUNING.solve_settled) -> bool:
-    """Whether such a step would lower the sum of squares by next to nothing."""
+    """Return whether a step would hardly lower the sum of squares."""
     if not np.all(np.isfinite(step)):
         return False
     predicted = float(np.sum((point.zeta @ step) ** 2))
@@ -216,9 +227,11 @@ def small(point: ProcessPoint, step: Floats, settled: float = TUNING.solve_settl
 
 
 def solve(problem: ProcessProblem) -> Solution:
-    """Refines the solution of least squares. If the refinement does not settle, descends, and tries other filters. With
-    solve_several poles
-    or more one of them may miss its resonance, so all filters are tried and the best solution counts."""
+    """Refine the solution of least squares.
+
+    If the refinement does not converge, the function descends and tries other filters. With solve_several poles or
+    more, a filter may miss a resonance. Then the function tries all filters and returns the best solution.
+    """
     best: Solution | None = None
     every = problem.structure.free >= TUNING.solve_several and not problem.referenced
     for pole in TUNING.solve_starts:
@@ -230,7 +243,8 @@ def solve(problem: ProcessProblem) -> Solution:
         if solution.settled and not every:
             break
     if problem.referenced and (best is None or not best.settled):
-        # from what the input as it was says, noise that is fed back among it: not far off
+        # The start comes from the measured input. That input contains noise from the feedback, but the solution is
+        # near.
         near = descend(problem.without_reference, first_guess(problem.without_reference, 1.0)).point
         best = refine(problem, _visit_possible(problem, near.theta, near.initial))
     if best is None or not best.settled:
@@ -239,14 +253,16 @@ def solve(problem: ProcessProblem) -> Solution:
 
 
 def _better(solution: Solution, best: Solution) -> bool:
-    """Settled where the other is not, or with a lower sum of squares than rounding explains."""
+    """Return whether a solution is better: it alone has converged, or its sum of squares is lower by more than
+    rounding.
+    """
     if solution.settled != best.settled:
         return solution.settled
     return solution.point.cost < (1 - TUNING.solve_lower) * best.point.cost
 
 
 def _reason(problem: ProcessProblem) -> str:
-    """Why it does not settle, as far as least squares can say."""
+    """Return the reason why the iteration does not converge, as far as least squares show it."""
     raw = filter_problem(problem, 1.0)
     theta = raw.theta + step_from(replace(raw, zeta=raw.phi), raw.phi)
     free = theta[: problem.structure.free][::-1]
@@ -262,10 +278,11 @@ def _reason(problem: ProcessProblem) -> str:
 
 
 def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
-    """Instrumental variables with the filter 1/(s + pole)^n throughout, instruments from the simulated output.
+    """Solve by instrumental variables with the fixed filter 1/(s + pole)^n and instruments from the simulated output.
 
-    What the output does between the samples matters here: a straight line, which costs an error of order dt^2; but for
-    what goes straight through (m = n), which jumps with the input."""
+    The output is a straight line between its samples, which causes an error of order dt^2. Direct feedthrough (m = n)
+    jumps with the input and is treated separately.
+    """
     data, point = filter_problem(problem, pole), first_guess(problem, pole)
     theta, missed = point.theta, _missed_by_lines(problem, pole, data)
     for passes in range(1, TUNING.solve_refinements + 1):
@@ -290,16 +307,17 @@ def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
 
 
 def _get_feedthrough(problem: ProcessProblem, theta: Floats) -> float:
-    """The coefficient of what goes straight through, 0 where there is none."""
+    """Return the coefficient of the direct feedthrough, or 0 without feedthrough."""
     structure = problem.structure
     return float(theta[structure.free + structure.n]) if structure.m == structure.n else 0.0
 
 
 def _missed_by_lines(problem: ProcessProblem, pole: float, data: ProcessPoint) -> Floats:
-    """(N, p) error of the regressors of an output that equals the input, if straight lines replace the input between
-    its samples; zero without direct feedthrough.
+    """Return the error (N, p) of the regressors if straight lines replace the input between its samples.
 
-    data: the filtered problem, whose regressors hold the exact input."""
+    The error belongs to an output that equals the input, and is zero without direct feedthrough. `data` is the filtered
+    problem, whose regressors contain the exact input.
+    """
     structure, missed = problem.structure, np.zeros(data.phi.shape)
     if structure.m < structure.n:
         return missed
@@ -316,14 +334,17 @@ def _missed_by_lines(problem: ProcessProblem, pole: float, data: ProcessPoint) -
 
 
 def _replace_output(stretch: RecordStretch, signal: Floats) -> RecordStretch:
-    """The stretch with a signal (M,) for output: between measured instants a straight line, as of every output."""
+    """Return the stretch with a signal (M,) as output, which follows straight lines between measured instants."""
     times = stretch.grid.instants
     return replace(stretch, y=np.interp(times, times[stretch.rows], signal[stretch.rows]))
 
 
 def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least: int) -> tuple[RecordStretch, ...]:
-    """Only outputs from `time` on after the first instant: before, the late input is not known. Stretches with fewer
-    than `least` of them are left out."""
+    """Return the stretches with the outputs from `time` after the first instant on, because the late input is unknown
+    before.
+
+    Stretches with fewer than `least` outputs are left out.
+    """
     found = []
     for stretch in stretches:
         known = stretch.grid.instants[stretch.rows] >= time * (1 - 1e-9)
@@ -334,8 +355,10 @@ def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least:
 def solve_dead_time(
     problem: ProcessProblem, solver: Callable[[ProcessProblem], Solution]
 ) -> tuple[ProcessProblem, Solution]:
-    """The best of the solutions from the most promising whole samples, and the problem that it solves: with as many
-    outputs as can be compared."""
+    """Return the best solution of several start values for the dead time, and the problem that it solves.
+
+    The start values are the most promising whole samples. All solutions use the same outputs, as many as possible.
+    """
     structure, least = problem.structure, problem.structure.n + 2
     latest, step = structure.latest or 0.0, float(np.median(problem.stretches[0].grid.steps))
     places = np.arange(0.0, latest + 1e-6 * step, step)
@@ -360,7 +383,7 @@ def solve_dead_time(
 
 
 def _cost(problem: ProcessProblem, dead_time: float) -> float:
-    """The remaining cost after a few passes with this dead time."""
+    """Return the remaining cost after a few passes with this dead time."""
     fixed = replace(problem, structure=replace(problem.structure, dead_time=dead_time, latest=None))
     with np.errstate(all="ignore"):
         try:
@@ -371,7 +394,7 @@ def _cost(problem: ProcessProblem, dead_time: float) -> float:
 
 
 def _minima(places: Floats, costs: Floats) -> Floats:
-    """The best local minima, best first; the first place where there is none."""
+    """Return the best local minima, best first, or the first place if no minimum exists."""
     around = np.r_[np.inf, costs, np.inf]
     low = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]) & np.isfinite(costs))
     order = low[np.argsort(costs[low])][: TUNING.solve_followed]

@@ -1,1 +1,1 @@
-"""Makes records from the columns of a file: clock, counts, gaps, wrong samples."""
+"""Records from the columns of a file: clock, counts, gaps and wrong samples."""

@@ -1,4 +1,4 @@
-"""Time stamps: the clock of a record, and where lines are missing."""
+"""Time stamps: the clock of a record, and its missing lines."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["UNITS", "named_unit", "sample_period", "time_factor"]
 
-#: Unit of time -> its length [s].
+#: Length [s] of each unit of time.
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-#: Unit -> what may end a column's name, after a separator.
+#: Possible ends of a column's name for each unit, after a separator.
 _NAMES = {
     "s": r"s|secs?|seconds?",
     "ms": r"ms|msecs?|millis|milliseconds?",
@@ -30,12 +30,12 @@ _NAMES = {
 
 
 def time_factor(config: RecordConfig) -> float:
-    """Seconds per unit of the time column."""
+    """Return the seconds per unit of the time column."""
     return UNITS[config.time_unit or named_unit(config.time or "") or "s"]
 
 
 def named_unit(name: str) -> str | None:
-    """The unit of time in a column's name, as in "t_ms", "Time [ms]" or "time/us"; None if there is none."""
+    """Return the unit of time in a column's name, such as "t_ms", "Time [ms]" or "time/us", or None without a unit."""
     text = name.strip().lower()
     for unit, pattern in _NAMES.items():
         if re.search(rf"(?:^|[\s_.,:/(\[-])(?:{pattern})[)\]]?$", text):
@@ -44,10 +44,10 @@ def named_unit(name: str) -> str | None:
 
 
 def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
-    """The sample period [s] of an axis' record with the time column (n,), and notes for people.
+    """Return the sample period [s] of an axis' record with the time column (n,), and notes for people.
 
-    Raises UsageError if there is no period, if the steps are uneven, if [record] dt differs, and if no axis has such a
-    period and the configuration does not confirm it.
+    Raises UsageError without a period, for uneven steps, and if [record] dt differs from the period. It is also raised
+    for a period that is unusual for an axis, unless the configuration confirms the period.
     """
     if time is None:
         if config.dt is None:
@@ -73,19 +73,19 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
 
 
 def _steps_of(time: Floats) -> tuple[float, float]:
-    """The median of the steps of stamps (n,), and the largest deviation from the median, as a part of it."""
+    """Return the median step of stamps (n,), and the largest relative deviation from the median."""
     steps = np.diff(time)
     median = float(np.median(steps))
     return median, _furthest(steps, median) / median if median else 0.0
 
 
 def even_grid(time: Floats) -> tuple[float, bool]:
-    """The period of the line through the stamps (n,), in their unit, and whether the stamps scatter by chance around an
-    even grid with one sample for each of its points.
+    """Return the period of the line through the stamps (n,), in their unit, and whether they scatter around an even
+    grid.
 
-    The grid is even under three conditions. No stamp is off by nearly a period, as a duplicate is. The steps scatter
-    more than the stamps, which errors that add up never do. No group of stamps is off by a quarter of a period, as
-    after a missing sample.
+    An even grid has one sample for each of its points and meets three conditions. No stamp deviates by nearly a period,
+    as a duplicate does. The steps scatter more than the stamps, which is impossible if errors add up. No group of
+    stamps deviates by a quarter of a period, as after a missing sample.
     """
     n = time.size
     if n < TUNING.clock_group or not np.all(np.isfinite(time)):
@@ -109,19 +109,21 @@ def even_grid(time: Floats) -> tuple[float, bool]:
 
 
 def _furthest(values: Floats, middle: float) -> float:
-    """The largest distance of the values (n,) from a middle; without a copy, because a long record is large."""
+    """Return the largest distance of the values (n,) from a middle, without a copy, because a record may be large."""
     return max(float(np.max(values)) - middle, middle - float(np.min(values)))
 
 
 def _counts_samples(time: Floats, config: RecordConfig) -> bool:
-    """Does the time column number the samples?"""
+    """Return whether the time column numbers the samples."""
     unit = config.time_unit or named_unit(config.time or "")
     return unit is None and bool(time[0] == np.rint(time[0]) and np.all(np.diff(time) == 1.0))
 
 
 def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
-    """The unit in which the first stamp is a date of this century and the step a period of an axis; None without such a
-    unit, or if the unit is known."""
+    """Return the unit that makes the first stamp a date of this century and the step a usual sample period.
+
+    The result is None without such a unit, or if the unit is known.
+    """
     if config.time_unit or config.dt is not None or named_unit(config.time or ""):
         return None
     dated = [
@@ -136,7 +138,10 @@ def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
 def _check_unit(
     step: float, factor: float, config: RecordConfig, epoch: str | None = None, counted: bool = False
 ) -> None:
-    """`step` is the mean step of the time column in its own unit; counted: it may count the samples."""
+    """Check the unit of the time column, where `step` is its mean step in its own unit.
+
+    `counted` says whether the column may number the samples.
+    """
     if config.dt is not None:
         if abs(step * factor - config.dt) <= TUNING.clock_same * config.dt:
             return
@@ -200,7 +205,9 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
 
 
 def _back(k: int, median: float) -> str:
-    """The remedy for a time that goes back after step k: usually the logger restarted, rarely rows are mixed."""
+    """Return the remedy for a time that decreases after step k. Usually the logger restarted, and rarely rows are
+    mixed.
+    """
     if median <= 0:
         return "most rows go back: sort them by time"
     return (
@@ -214,8 +221,7 @@ Number = TypeVar("Number", bound=np.generic)
 
 @dataclass(frozen=True)
 class PlacedRows:
-    """The used rows (m,) of a record, the places (m,) of these samples on a grid of period dt [s], and notes for
-    people."""
+    """The used rows (m,) of a record and their places (m,) on a grid with the period dt [s], with notes for people."""
 
     rows: NDArray[np.intp]
     places: NDArray[np.intp]
@@ -224,14 +230,16 @@ class PlacedRows:
 
     @property
     def whole(self) -> bool:
-        """Does every place have its sample?"""
+        """Whether every place has a sample."""
         return bool(self.places.size == self.places[-1] + 1)
 
 
 def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig, output: Floats) -> PlacedRows:
-    """The rows `kept` (N,) on a grid, by time (N,) in the unit of its column or at a constant period. repeated (N,):
-    rows with the values of the previous row; output (N,): it tells missing lines from rounded stamps. Raises UsageError
-    for a time without an even grid."""
+    """Place the rows `kept` (N,) on a grid, by the time (N,) in the unit of its column or at a constant period.
+
+    `repeated` (N,) marks rows with the values of the previous row. The output (N,) distinguishes missing lines from
+    rounded stamps. Raises UsageError for a time without an even grid.
+    """
     if time is None:
         rows = np.flatnonzero(kept)
         return PlacedRows(rows, _shorten_gaps(rows), *sample_period(None, config))
@@ -248,21 +256,24 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
         if found is not None:
             places, period = found
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
-    dt, notes = sample_period(stamps, config)  # which refuses what is on no grid
+    dt, notes = sample_period(stamps, config)  # refuses stamps without a grid
     counts = kept[rows]
     places = np.flatnonzero(counts) if places is None else places[counts]
     return PlacedRows(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
 
 
 def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:
-    """The values (N,) at rising rows (n,); no copy if these are all rows."""
+    """Return the values (N,) at rising rows (n,), without a copy if these are all rows."""
     return values if rows.size == values.size else values[rows]
 
 
 def left_out(
     time: Floats | None, samples: int, config: RecordConfig, mask: Floats | None
 ) -> tuple[Flags, tuple[str, ...]]:
-    """(N,): the rows that [record] mask and exclude leave out, and notes for people; mask (N,): that column."""
+    """Mark the rows (N,) that [record] mask and exclude leave out, and return notes for people.
+
+    `mask` (N,) is the column that [record] mask names.
+    """
     out, notes = np.zeros(samples, bool), []
     if mask is not None:
         out |= ~(mask == 0)
@@ -278,17 +289,18 @@ def left_out(
 
 
 def is_steady(time: Floats) -> bool:
-    """Does the time (n,) rise without a step in which samples are missing?"""
+    """Return whether the time (n,) rises without a step that contains missing samples."""
     steps = np.diff(time)
     return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= TUNING.clock_missing * np.median(steps))
 
 
 def misses_lines(time: Floats, output: Floats) -> bool | None:
-    """Whether lines are missing (True) or stamps are rounded (False), where steps of stamps (n,) are whole multiples of
-    the median step. None if there are fewer than long_steps of them, or if the output (n,) shows no difference.
+    """Return True if lines are missing and False if stamps are rounded.
 
-    Over a step of k periods the output changes by k times its usual change if lines are missing, by its usual change if
-    stamps are rounded. The usual change is the mean of those in the two neighbouring steps.
+    The steps of the stamps (n,) are whole multiples of the median step. The result is None for fewer than long_steps
+    such steps, or if the output (n,) shows no difference. If lines are missing, the output changes over a step of k
+    periods by k times its usual change. If stamps are rounded, it changes by its usual change. The usual change is the
+    mean over the two neighbouring steps.
     """
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else 0.0
@@ -298,7 +310,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
     times = np.rint(steps)
     if np.max(np.abs(steps - times)) > TUNING.clock_whole or np.min(times) < 1:
         return None
-    longer = bool(np.max(times) > 2)  # than rounding makes of a step
+    longer = bool(np.max(times) > 2)  # rounding gives at most two periods
     if longer and np.count_nonzero(times == 2) < TUNING.long_steps:
         return True
     long = np.flatnonzero(times[1:-1] == 2 if longer else times[1:-1] > 1) + 1
@@ -314,7 +326,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
 
 
 def _even_stamps(time: Floats) -> Floats:
-    """Stamps (n,) on the line through them, if none is off by nearly a period; else the stamps as they are."""
+    """Return the stamps (n,) on the line through them, or unchanged if any stamp deviates by nearly a period."""
     k = np.arange(time.size, dtype=np.float64)
     period, start = np.polyfit(k, time - time[0], 1)
     line = time[0] + start + period * k
@@ -322,7 +334,7 @@ def _even_stamps(time: Floats) -> Floats:
 
 
 def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """The rows without repetitions of the previous row with the same time."""
+    """Return the rows without repetitions of the previous row at the same time."""
     again = np.r_[False, np.diff(_take_rows(time, rows)) == 0] & _take_rows(repeated, rows)
     count = int(np.count_nonzero(again))
     if not count:
@@ -332,8 +344,10 @@ def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tupl
 
 
 def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """The rows without the few that closely follow another one, as at the start of a logger: no grid has a place for
-    them."""
+    """Return the rows without the few rows that closely follow another row, as at the start of a logger.
+
+    A grid has no place for such rows.
+    """
     steps = np.diff(_take_rows(time, rows))
     early = (
         np.r_[False, (steps > 0) & (steps < TUNING.clock_early * np.median(steps))]
@@ -348,7 +362,8 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
 
 
 def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
-    """Places (n,) of rising stamps (n,) on an even grid, from 0 on, and its period; None without a grid.
+    """Return the places (n,) of rising stamps (n,) on an even grid, starting at 0, and its period, or None without a
+    grid.
 
     Each step is nearly a whole number of periods. If the stamps scatter more, a line through all stamps gives the grid.
     """
@@ -372,7 +387,7 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
 
 
 def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
-    """Sample numbers and period for stamps that scatter by chance, from approximate sample numbers (n,)."""
+    """Return sample numbers and period of stamps that scatter by chance, from approximate sample numbers (n,)."""
     for _ in range(TUNING.clock_turns):
         period, start = np.polyfit(places, time - time[0], 1)
         at = (time - time[0] - start) / period
@@ -385,6 +400,6 @@ def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.i
 
 
 def _shorten_gaps(places: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Places with gaps of at most clock_longest samples."""
+    """Return the places with gaps of at most clock_longest samples."""
     steps = np.diff(places, prepend=places[:1])
     return np.cumsum(np.minimum(steps, TUNING.clock_longest + 1, out=steps), out=steps)

@@ -1,4 +1,4 @@
-"""Lost samples that the motion fills."""
+"""Filling of lost samples by the motion."""
 
 from __future__ import annotations
 
@@ -20,8 +20,12 @@ from pmfid.types import Counts, Flags, Floats
 
 @dataclass(frozen=True)
 class Steps:
-    """start: deviation of the velocity at the first sample [counts/s]; size, variance: (g,) of the velocity's steps at
-    the events, 0 at the first; deviation: (n,) [counts]."""
+    """The smoothed deviation of the measured motion from the simulated motion.
+
+    `start` is the deviation of the velocity at the first sample [counts/s]. `size` and `variance` (g,) belong to the
+    steps of the velocity at the events, and are 0 at the first event. `deviation` (n,) is the deviation of the position
+    [counts].
+    """
 
     start: float
     size: Floats
@@ -32,8 +36,11 @@ class Steps:
 def smooth_deviation(
     deviation: Floats, there: Flags, events: NDArray[np.intp], steps: Floats, moves: Floats, decay: float, dt: float
 ) -> Steps:
-    """The smoothed deviation (n,) [counts] and its steps, from the samples that are there. events: (g,) samples, the
-    first is 0; steps, moves: (g,) variances of the changes of velocity and position at the events; decay [1/s]."""
+    """Return the smoothed deviation (n,) [counts] and its steps, from the measured samples.
+
+    `events` (g,) are sample numbers that start with 0. `steps` and `moves` (g,) are the variances of the changes of
+    velocity and position at the events. `decay` is in 1/s.
+    """
     n, g = deviation.size, events.size
     segment = np.repeat(np.arange(g), np.diff(np.r_[events, n]))
     response = _travel(np.asarray((np.arange(n) - events[segment]) * dt, np.float64), decay)
@@ -44,7 +51,7 @@ def smooth_deviation(
     )
     lasting = np.diff(events) * dt
     along, kept, free, still = _travel(lasting, decay), np.exp(-decay * lasting), 1 / steps[1:], 1 / moves[1:]
-    band = np.zeros((4, 2 * g))  # of the lower triangle; position and velocity in turn
+    band = np.zeros((4, 2 * g))  # lower triangle of the matrix, alternating position and velocity
     band[0, 0::2] = one + np.r_[still, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, still]
     band[0, 1::2] = (
         second + np.r_[still * along**2 + free * kept**2, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, free]
@@ -61,12 +68,14 @@ def smooth_deviation(
 
 
 def _travel(time: Floats, decay: float) -> Floats:
-    """The change of the position within a time by a unit deviation of the velocity at its start."""
+    """Return the change of the position during a time after a unit deviation of the velocity."""
     return np.asarray(-np.expm1(-decay * time) / decay if decay > 0 else time)
 
 
 def _variances(factor: Floats, kept: Floats) -> Floats:
-    """(g - 1,) posterior variances of the steps velocity - kept * velocity before."""
+    """Return the posterior variances (g - 1,) of the steps, which are velocity minus `kept` times the previous
+    velocity.
+    """
     variances = np.empty(kept.size)
     for first in range(0, kept.size, TUNING.filling_chunk):
         own = np.arange(first, min(first + TUNING.filling_chunk, kept.size))
@@ -78,28 +87,30 @@ def _variances(factor: Floats, kept: Floats) -> Floats:
 
 
 class FilledMachine(Body):
-    """A model with its parameters, and the quantities of it that fill a gap."""
+    """A model with its parameters, and the derived quantities that fill a gap."""
 
     def motion(self, u: Floats, speed: float) -> tuple[Floats, Floats]:
-        """Position [counts] from 0 and velocity [counts/s], (n,) each, after a start at a speed [counts/s]."""
+        """Return position [counts] from 0 and velocity [counts/s], each (n,), after a start at `speed` [counts/s]."""
         velocity = self.speeds(u, speed)[0]
         return np.r_[0.0, np.cumsum(velocity[:-1])] * self.dt, velocity
 
     @property
     def often(self) -> int:
-        """Samples in which a wrong parameter changes the deviation of the velocity little."""
+        """The number of samples within which a wrong parameter hardly changes the deviation of the velocity."""
         return max(TUNING.filling_fewest, round(TUNING.filling_often / (self.cutoff * self.dt)))
 
     @property
     def push(self) -> float:
-        """Change of the velocity by one sample of a unit input [counts/s]."""
+        """The change of the velocity by one sample of a unit input [counts/s]."""
         return self.equation.input_gain * self.dt / self.values[MASS] / self.step
 
 
 def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
-    """Input and counts (n,) with missing samples filled by the motion. The present values come from `fill_gaps`. An
-    input that is NaN stays NaN, and becomes NaN if the motion determines it better. None if the record identifies no
-    motion."""
+    """Return input and counts (n,) with missing samples filled by the motion.
+
+    The present values come from `fill_gaps`. An input that is NaN remains NaN, and an input that the motion should
+    determine becomes NaN. The result is None if the record identifies no motion.
+    """
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
@@ -122,10 +133,10 @@ def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple
 
 
 def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
-    """(p,): relative errors of the parameters by missing samples; 1 if too few samples remain.
+    """Return the relative errors (p,) of the parameters by missing samples, or 1 if too few samples remain.
 
-    An equal part of the measured samples is removed and filled again. The change of the parameters estimates their
-    error by the samples that are really missing.
+    The function removes an equal part of the measured samples and fills them. The change of the parameters then
+    estimates the error by the samples that are really missing.
     """
     chance, part = np.random.default_rng(TUNING.filling_again), 1 - float(np.mean(there[np.isfinite(u)]))
     fewer = there & (chance.random(u.size) >= part)
@@ -142,7 +153,7 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
 
 
 def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
-    """Input and counts of one part (n,) with measured ends, filled; held: is the input held between changes?"""
+    """Return the filled input and counts of one part (n,) with measured ends. `held` says whether the input is held."""
     place, speed = counts - counts[0] + 0.5, 0.0
     gap = _doubtful(u, there, held)
     missed, none = _estimate_input_errors(gap, u, there, held), np.zeros(0, np.intp)
@@ -154,7 +165,7 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
         at = np.searchsorted(events, gap.after)
         if held:
             _decide(machine, gap, u, found.size[at], found.variance[at])
-    by_motion = found.variance[at] < (machine.push * missed) ** 2 / 2  # the counts know it better than interpolation
+    by_motion = found.variance[at] < (machine.push * missed) ** 2 / 2  # the counts know better than interpolation
     if held:
         gap, missed = Gap(none, none), missed[:0]
     position, velocity = machine.motion(u, speed)
@@ -174,14 +185,17 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
 
 
 def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
-    """The gaps in which the motion determines the input (n,): changes of a held input, and long gaps of any other."""
+    """Return the gaps in which the motion determines the input (n,).
+
+    These are the changes of a held input, and the long gaps of any other input.
+    """
     gap = gaps_of(there)
     found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > TUNING.gaps_always)
     return Gap(gap.before[found], gap.after[found])
 
 
 def _estimate_input_errors(gap: Gap, u: Floats, there: Flags, held: bool) -> Floats:
-    """(g,) standard deviations of the sum of the input (n,) over each gap."""
+    """Return the standard deviations (g,) of the sum of the input (n,) over each gap."""
     if held:
         return np.asarray(np.abs(u[gap.after] - u[gap.before]) * gap.missing / np.sqrt(12))
     if not gap.before.size:
@@ -195,10 +209,11 @@ def _estimate_input_errors(gap: Gap, u: Floats, there: Flags, held: bool) -> Flo
 def _deviation(
     machine: FilledMachine, gap: Gap, missed: Floats, deviation: Floats, velocity: Floats, there: Flags, wrong: float
 ) -> tuple[Steps, NDArray[np.intp]]:
-    """The smoothed deviation (n,) [counts] of the measured motion from the simulated one, and its events.
+    """Return the smoothed deviation (n,) [counts] of the measured motion from the simulated motion, and its events.
 
-    Events are gaps, reversals and, for wrong parameters, one sample in every `machine.often`. missed: (g,) standard
-    deviation of the sum of the input over each gap; wrong: error of the model at each event, as a part of the velocity.
+    Events are gaps, reversals and, for wrong parameters, one sample in every `machine.often`. `missed` (g,) is the
+    standard deviation of the sum of the input over each gap. `wrong` is the error of the model at each event, relative
+    to the velocity.
     """
     turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
     often = np.arange(0, deviation.size, machine.often)
@@ -212,8 +227,11 @@ def _deviation(
 
 
 def _decide(machine: FilledMachine, gap: Gap, u: Floats, steps: Floats, variance: Floats) -> None:
-    """Sets the input (n,) in gaps that hide a change. The steps (g,) of the velocity beyond those of the present input
-    determine the instant; an instant that is not known stays between two samples."""
+    """Set the input (n,) in gaps that hide a change.
+
+    The steps (g,) of the velocity in excess of those of the present input determine the instant of the change. An
+    uncertain instant lies between two samples.
+    """
     before, change = u[gap.before], u[gap.after] - u[gap.before]
     total = np.r_[0.0, np.cumsum(u)]
     inside = total[gap.after] - total[gap.before + 1] + steps / machine.push

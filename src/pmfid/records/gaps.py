@@ -1,4 +1,4 @@
-"""Gaps in a record, and what stands in the place of lost samples."""
+"""Gaps in a record, and values for lost samples."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pmfid.types import Counts, Flags, Floats
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A polynomial of a degree, by least squares through `half` samples on either side."""
+    """A polynomial of a degree, fitted by least squares to `half` samples on either side."""
 
     degree: int
     half: int
 
     def fill_grid(self, u: Floats, places: NDArray[np.intp]) -> Floats:
-        """The input (n,) at every place from 0 to the last, from u (m,) at rising places (m,)."""
+        """Return the input (n,) at every place from 0 to the last, given u (m,) at rising places (m,)."""
         whole = np.empty(int(places[-1]) + 1)
         missing = np.setdiff1d(np.arange(whole.size), places)
         whole[places] = u
@@ -30,8 +30,10 @@ class Polynomial:
         return whole
 
     def estimate_error(self, u: Floats, places: NDArray[np.intp], length: int) -> float:
-        """Root mean square error of the sum of `length` successive samples, on measured samples; infinite if there are
-        too few."""
+        """Return the root mean square error of the sum of `length` successive samples.
+
+        The error is measured at measured samples. It is infinite if these are too few.
+        """
         first = np.arange(self.half, places.size - self.half - length + 1)
         first = first[places[first + length - 1] - places[first] == length - 1]
         if first.size < TUNING.gaps_fewest:
@@ -46,7 +48,7 @@ class Polynomial:
     def _interpolate_at(
         self, u: Floats, places: NDArray[np.intp], rows: NDArray[np.intp], at: NDArray[np.intp]
     ) -> Floats:
-        """Values (t,) at places (t,), interpolated from the samples in rows (t, 2 half)."""
+        """Return values (t,) at places (t,), interpolated from the samples in rows (t, 2 half)."""
         apart = (places[rows] - at[:, None]).astype(np.float64)
         weight = np.where(np.abs(apart) <= TUNING.gaps_near * self.half, 1.0, TUNING.far_weight)
         powers = (apart / np.max(np.abs(apart), axis=1, keepdims=True))[..., None] ** np.arange(self.degree + 1)
@@ -56,7 +58,7 @@ class Polynomial:
         return np.asarray(np.linalg.solve(weighted @ powers, right)[:, 0, 0] + level)
 
 
-#: Polynomials that are tried: a line, cubics through more and more samples, and a mean for an input of pure noise.
+#: Candidate polynomials: a line, cubics through more and more samples, and a mean for an input of pure noise.
 TRIED = (
     Polynomial(1, 1),
     Polynomial(3, 2),
@@ -69,34 +71,38 @@ TRIED = (
 
 
 def best_of(u: Floats, places: NDArray[np.intp]) -> Polynomial:
-    """The polynomial with the smallest error on the samples u (m,) at rising places (m,); the line if there are too
-    few."""
+    """Return the polynomial with the smallest error on the samples u (m,) at rising places (m,).
+
+    If the samples are too few, the function returns the line.
+    """
     return min(TRIED, key=lambda tried: tried.estimate_error(u, places, 1) if places.size > 2 * tried.half else np.inf)
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples `before` + 1 to `after` - 1 are missing."""
+    """Gaps, each with the missing samples `before` + 1 to `after` - 1."""
 
     before: NDArray[np.intp]
     after: NDArray[np.intp]
 
     @property
     def missing(self) -> NDArray[np.intp]:
-        """Number of missing samples in each gap."""
+        """The number of missing samples in each gap."""
         return np.asarray(self.after - self.before - 1, np.intp)
 
 
 def gaps_of(there: Flags) -> Gap:
-    """The gaps between measured samples; there (n,)."""
+    """Return the gaps between the measured samples, which `there` (n,) marks."""
     places = np.flatnonzero(there)
     first = np.flatnonzero(np.diff(places) > 1)
     return Gap(places[first], places[first + 1])
 
 
 def is_held(u: Floats, there: Flags) -> bool:
-    """Does the input (n,) keep its values for several samples? An input that sometimes rests, and otherwise changes in
-    every sample, does not."""
+    """Return whether the input (n,) keeps its values for several samples.
+
+    An input that rests occasionally and otherwise changes in every sample is not held.
+    """
     pairs = there[1:] & there[:-1]
     return bool(np.any(pairs) and np.mean((np.diff(u) == 0)[pairs]) > TUNING.gaps_held and _longest_held(u, there) > 0)
 
@@ -104,10 +110,12 @@ def is_held(u: Floats, there: Flags) -> bool:
 def fill_gaps(
     u: Floats, counts: Counts, places: NDArray[np.intp], *, bridged: bool = True
 ) -> tuple[Floats, Counts, Flags]:
-    """Input and counts (n,) on the whole grid, from samples (m,) at their places, and which samples were measured. The
-    input is NaN in gaps that are too long; the counts are on a straight line.
+    """Return input and counts (n,) on the whole grid from samples (m,) at their places, and a mask of the measured
+    samples.
 
-    bridged: do the counts determine the travel in a gap? The counts of a velocity do not: all its gaps are too long."""
+    In gaps that are too long, the input is NaN and the counts follow a straight line. `bridged` says whether the counts
+    determine the travel in a gap. The counts of a velocity do not, so that all its gaps are too long.
+    """
     grid, there = np.arange(places[-1] + 1), np.zeros(places[-1] + 1, bool)
     there[places] = True
     whole = np.rint(np.interp(grid, places, (counts - counts[0]).astype(np.float64))).astype(np.int64) + counts[0]
@@ -128,7 +136,7 @@ def fill_gaps(
 
 
 def describe_missing(u: Floats, there: Flags) -> str:
-    """The missing samples of a record, and how they are filled, for people."""
+    """Describe the missing samples of a record and their imputation."""
     lost, gap = int(np.count_nonzero(~there)), gaps_of(there)
     long = np.isnan(u[gap.before + 1])
     part, plural = lost / there.size, "s" * (long.size > 1)
@@ -142,7 +150,7 @@ def describe_missing(u: Floats, there: Flags) -> str:
 
 
 def _longest_held(u: Floats, there: Flags) -> int:
-    """Longest gap that hides at most one change of a held input (n,) [samples]."""
+    """Return the longest gap that hides at most one change of a held input (n,) [samples]."""
     places = np.flatnonzero(there)
     changes = places[1:][np.diff(u[places]) != 0]
     if changes.size < 2:
@@ -151,8 +159,10 @@ def _longest_held(u: Floats, there: Flags) -> int:
 
 
 def _longest_bridged(local: Polynomial, u: Floats, places: NDArray[np.intp], most: int) -> int:
-    """Longest gap that interpolation fills faithfully [samples], by the samples u (m,) at their places (m,); at most
-    the longest gap of the record."""
+    """Return the longest gap that interpolation fills faithfully [samples], for samples u (m,) at their places (m,).
+
+    The result is at most the longest gap of the record.
+    """
     size, longest = float(np.sqrt(np.mean(u**2))), 0
     for length in TUNING.gaps_lengths:
         if u.size < 10 * (length + 2) or local.estimate_error(u, places, length) > TUNING.gaps_faithful * size * length:

@@ -1,4 +1,4 @@
-"""Several records as one, and the longest part without a gap."""
+"""Several records as one record, and the longest part without a gap."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from pmfid.types import Counts, Flags, Floats
 
 
 def join_records(records: Sequence[Record], place_matters: bool) -> Record:
-    """The records one after the other; the counts of each continue the previous ones, for a counter may start anywhere.
+    """Join the records, with the counts of each record continuing those of the previous record.
 
-    Raises UsageError for records of different sample periods, and for an axis with forces that depend on the position.
+    A counter may start anywhere. Raises UsageError for records with different sample periods, and for an axis with
+    forces that depend on the position.
     """
     if len(records) == 1:
         return records[0]
@@ -43,7 +44,10 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
 
 
 def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
-    """Input, counts that begin at `start`, and which samples were measured; all but the first record follow a gap."""
+    """Return the input, the counts from `start` on, and a mask of the measured samples of one record.
+
+    Each record except the first follows a gap.
+    """
     there = np.ones(record.u.size, bool) if record.there is None else record.there
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
     if first:
@@ -56,8 +60,10 @@ __all__ = ["unbroken"]
 
 
 def unbroken(record: Record) -> Record:
-    """The stretch of a record in which the input is known and the counts (n,) change most often, with a note; the
-    record itself if it has no gaps."""
+    """Return the stretch of a record with a known input in which the counts (n,) change most often, with a note.
+
+    A record without gaps is returned unchanged.
+    """
     known = np.isfinite(record.u)
     edges = np.flatnonzero(np.diff(np.r_[0, known, 0]))
     if np.all(known) or edges.size == 0:

@@ -1,4 +1,4 @@
-"""Counters that wrap, and wrong samples."""
+"""Correction of counters that wrap, and of wrong samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ __all__ = ["Wrap", "wrap_of"]
 
 @dataclass(frozen=True)
 class Wrap:
-    """span: range over which counts wrap; times: number of wraps; row: of the first wrap, counted from 1."""
+    """The wrap of a counter.
+
+    `span` is the range of the counter, `times` is the number of wraps, and `row` is the row of the first wrap, counted
+    from 1.
+    """
 
     span: int
     times: int
@@ -28,11 +32,13 @@ class Wrap:
 
     @property
     def bits(self) -> int | None:
-        """The width of a counter of that range, None if the range is no power of two."""
+        """The width of a counter with this range, or None if the range is no power of two."""
         return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
 
     def describe_mistake(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
-        """The mistake and its remedy, for an output column of that output_kind; unit: of the resolution."""
+        """Return the mistake and its remedy for an output column with this output_kind. `unit` is that of the
+        resolution.
+        """
         size = self.span if kind == "counts" else self.span * resolution
         what = f"the output column {column!r} wraps at {size:.4g}, the first time at row {self.row}"
         if kind == "counts" and self.bits is not None:
@@ -47,14 +53,16 @@ class Wrap:
 
 
 def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
-    """The wrap of counts (n,): the largest changes are all nearly the range of the counts, and once undone they leave a
-    smooth motion; None without a wrap."""
+    """Return the wrap of counts (n,), or None without a wrap.
+
+    The largest changes of a wrapping counter are all nearly its range. After unwrapping, they leave a smooth motion.
+    """
     change, extent = np.diff(counts), int(np.ptp(counts))
     jumps = np.abs(change) > extent / 2
     usual = int(np.max(np.abs(change[~jumps]), initial=0))
     if (
         extent < TUNING.outliers_least or not np.any(jumps) or usual == 0
-    ):  # without motion between the jumps, these are the motion
+    ):  # without motion between the jumps, the jumps are the motion
         return None
     for span in _spans(change, jumps, usual, extent):
         undone = (change + span // 2) % span - span // 2
@@ -69,7 +77,7 @@ def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
 def _smooth(
     change: NDArray[np.int64], undone: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, span: int
 ) -> bool:
-    """Do the undone changes give a motion in which the former jumps are like the other changes?"""
+    """Return whether the unwrapped changes give a motion in which the former jumps resemble the other changes."""
     rough, smooth = (float(np.sum(np.diff(series.astype(np.float64)) ** 2)) for series in (change, undone))
     alike = np.max(np.abs(undone[jumps])) <= 2 * usual + 2
     return bool(
@@ -78,7 +86,9 @@ def _smooth(
 
 
 def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, extent: int) -> list[int]:
-    """Ranges to try: the range of a counter, and the size of the jumps, for another period such as a turn."""
+    """Return the possible ranges of a counter: a power of two, and the size of the jumps for another period such as
+    a turn.
+    """
     counter = 2 ** math.ceil(math.log2(extent + 1))
     sizes = np.abs(change[jumps])
     spans = [counter] if counter <= 2**TUNING.most_bits else []
@@ -88,7 +98,7 @@ def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, exte
 
 @dataclass(frozen=True)
 class RepairedRecord:
-    """A record without samples that no motion explains, and findings on these samples."""
+    """A record without the samples that no motion explains, and findings on these samples."""
 
     record: Record
     findings: tuple[Finding, ...] = ()
@@ -105,24 +115,29 @@ class RepairedRecord:
 
 @dataclass(frozen=True)
 class _WrongRun:
-    """Changes first to last - 1 of the counts that are no motion; `moved`: shift of the zero [counts]."""
+    """Changes first to last - 1 of the counts, which are no motion. `moved` is the shift of the zero [counts]."""
 
     first: int
     last: int
     moved: int
 
     def rows(self, samples: int) -> NDArray[np.intp]:
-        """Rows with wrong readings in a record of `samples` samples: between the changes, or from them to an end of the
-        record."""
+        """Return the rows with wrong readings in a record of `samples` samples.
+
+        The rows lie between the changes, or between the changes and an end of the record.
+        """
         return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
 
 
 def repair_record(record: Record) -> RepairedRecord:
-    """The record with wrong counts and spikes of the input interpolated, and shifts of a counter's zero undone. A
-    record with a counter that wraps, or with too many errors, stays as it is."""
+    """Return the record without wrong counts, spikes of the input and shifts of a counter's zero.
+
+    Wrong counts and spikes are interpolated, and shifts are reversed. A record with a counter that wraps, or with too
+    many errors, remains unchanged.
+    """
     runs, counts = _find_runs(record.counts, _paces_of(record))
     moves = [run for run in runs if run.moved]
-    if moves and wrap_of(record.counts) is not None:  # a run without a shift comes back at once and is no wrap
+    if moves and wrap_of(record.counts) is not None:  # a run without a shift returns at once and is no wrap
         runs, moves, counts = [], [], record.counts
     rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
     spikes = _spikes(record.u, counts)
@@ -134,19 +149,22 @@ def repair_record(record: Record) -> RepairedRecord:
 
 
 def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
-    """The repaired record if the configuration has the guard on and the model is a body that can rest."""
+    """Return the repaired record if the configuration has the guard on and the plant can be at rest."""
     rests = plant_of(axis.model.make().equation).rests
     return repair_record(record) if axis.encoder.guard and rests else RepairedRecord(record)
 
 
 def _paces_of(record: Record) -> Floats:
-    """(n - 1,): the step before each sample but the first, over the sample period."""
+    """Return the step before each sample except the first, relative to the sample period (n - 1,)."""
     return np.ones(record.counts.size - 1) if record.steps is None else record.steps.before[1:] / record.dt
 
 
 def _find_runs(counts: Counts, paces: Floats) -> tuple[list[_WrongRun], Counts]:
-    """Runs of changes that are no motion, and the counts (n,) without them; no runs if some remain after all passes, or
-    if steps are so short that a count in one says nothing of the speed."""
+    """Return runs of changes that are no motion, and the counts (n,) without them.
+
+    The function returns no runs if wrong changes remain after all passes. It also returns none if a step is so short
+    that its counts say nothing about the speed.
+    """
     found, left = list[_WrongRun](), counts
     if np.min(paces, initial=1.0) < TUNING.outliers_pace:
         return [], counts
@@ -159,7 +177,7 @@ def _find_runs(counts: Counts, paces: Floats) -> tuple[list[_WrongRun], Counts]:
 
 
 def _runs(counts: Counts, paces: Floats) -> list[_WrongRun]:
-    """Runs of successive changes of the counts (n,) that are no motion."""
+    """Return runs of successive changes of the counts (n,) that are no motion."""
     change = np.diff(counts) / paces
     usual, limit = _predict_changes(change)
     wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
@@ -170,8 +188,10 @@ def _runs(counts: Counts, paces: Floats) -> list[_WrongRun]:
 
 
 def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
-    """(n,): changes near either end of the record that lie on the line through the next two. There the mirrored window
-    does not show how a motion starts."""
+    """Mark the changes (n,) near either end of the record that lie on the line through the next two changes.
+
+    At an end, the mirrored window does not show how a motion starts.
+    """
     half, found = min(TUNING.outliers_around // 2, change.size - 2), np.zeros(change.size, dtype=bool)
     for own, near, next_one in ((slice(0, half), 1, 2), (slice(change.size - half, None), -1, -2)):
         line = 2 * np.roll(change, -near) - np.roll(change, -next_one)
@@ -180,7 +200,7 @@ def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
 
 
 def _split_runs(counts: Counts, paces: Floats, wild: NDArray[np.intp], limit: Floats) -> list[_WrongRun]:
-    """The runs of changes `wild` (k,) close to each other: one run if the counts return after it."""
+    """Return the runs of neighbouring changes `wild` (k,), or one run if the counts return after it."""
     whole = _run(counts, paces, int(wild[0]), int(wild[-1]) + 1, limit)
     if whole.moved == 0:
         return [whole]
@@ -199,7 +219,7 @@ def _run(counts: Counts, paces: Floats, first: int, last: int, limit: Floats) ->
 
 
 def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
-    """The predicted changes of the counts (n,), and the allowed deviations (n,)."""
+    """Return the predicted changes of the counts (n,), and the allowed deviations (n,)."""
     windows = _stack_neighbours(change)
     middle = np.concatenate(
         [
@@ -214,14 +234,16 @@ def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
 
 
 def _stack_neighbours(values: Floats) -> Floats:
-    """(n, outliers_around): a window around each of the values (n,), mirrored at the ends."""
+    """Return a window around each of the values (n,), mirrored at the ends (n, outliers_around)."""
     half = min(TUNING.outliers_around // 2, values.size - 1)
     return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
 
 
 def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
-    """The counts (n,) with shifts of the zero undone and wrong readings interpolated; at the ends of the record they
-    are extrapolated from the nearest two."""
+    """Return the counts (n,) without shifts of the zero, and with interpolated wrong readings.
+
+    At the ends of the record, the counts are extrapolated from the nearest two.
+    """
     counts = counts.copy()
     for run in runs:
         counts[run.last :] -= run.moved
@@ -238,7 +260,7 @@ def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
 
 
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
-    """Samples of the input (n,) that are spikes: the counts (n,) do not follow them."""
+    """Return the samples of the input (n,) that are spikes, which the counts (n,) do not follow."""
     size = np.abs(np.nan_to_num(u))  # unknown in a gap
     large = np.flatnonzero(size > TUNING.outliers_spike * np.quantile(size, 1 - TUNING.most_inputs, method="lower"))
     if large.size == 0 or counts.size < 4 * TUNING.answer_samples:
@@ -252,13 +274,13 @@ def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
 
 
 def _bridge_input(u: Floats, places: NDArray[np.intp]) -> Floats:
-    """The input (n,) with the samples at places (k,) interpolated."""
+    """Return the input (n,) with interpolated samples at places (k,)."""
     good = np.setdiff1d(np.arange(u.size), places)
     return np.interp(np.arange(u.size), good, u[good]) if places.size else u
 
 
 def _format_rows(rows: list[int]) -> str:
-    """The numbers of rows for people, counted from 1."""
+    """Return the numbers of rows as text, counted from 1."""
     shown = ", ".join(str(row + 1) for row in rows[: TUNING.outliers_named])
     more = f" and {len(rows) - TUNING.outliers_named} more" if len(rows) > TUNING.outliers_named else ""
     return f"row{'s' * (len(rows) > 1)} {shown}{more}"
@@ -271,7 +293,7 @@ def _wrong(rows: list[int]) -> tuple[Finding, ...]:
     return (Finding("count_jump", sentence, f"check the wiring; {UNGUARDED}", detail="The other counts continue."),)
 
 
-#: If the finding is a mistake.
+#: Remedy if the finding is a mistake.
 UNGUARDED = "if the axis did move so, give [encoder] guard = false"
 
 

@@ -1,4 +1,4 @@
-"""A record: counts, input and time from the columns of a file."""
+"""A record with counts, input and time from the columns of a file."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ __all__ = ["measure_travel"]
 
 
 def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats, str]:
-    """The position (n,), which starts at 0, of a velocity (n,) that is sampled every dt [s], and the method, for
-    people.
+    """Return the position (n,) of a velocity (n,) that is sampled every dt [s], and a description of the method.
 
-    A drive that differentiates its counts logs multiples of resolution / dt, the mean over the interval that ends.
-    These add up to the counts again. Any other velocity is linear between samples.
+    The position starts at 0. A drive that differentiates its counts logs multiples of resolution / dt, which are means
+    over the preceding interval. Their sum gives the counts exactly. Any other velocity is taken as linear between
+    samples.
     """
     steps = velocity * (dt / resolution)
     if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < TUNING.record_whole):
@@ -46,7 +46,7 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
 
 
 def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
-    """The travel of the output, unwrapped or integrated, and notes for people."""
+    """Return the travel of the output, unwrapped or integrated, and notes for people."""
     if axis.record.output_kind == "velocity":
         position, how = _position_of(y, dt, axis.encoder.resolution)
         return position, (how,)
@@ -62,14 +62,17 @@ def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str,
 
 
 def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
-    """Counts (n,) of the output column (n,) [unit of y, or counts] as `axis` describes it, and notes for people. Raises
-    UsageError for a column that is neither counts nor a position, and beyond 2**53 counts."""
+    """Return the counts (n,) of the output column (n,) [unit of y, or counts] as `axis` describes it, and notes for
+    people.
+
+    Raises UsageError for a column that is neither counts nor a position, and beyond 2**53 counts.
+    """
     bits = axis.encoder.bits
     if axis.record.output_kind != "counts":
         if axis.record.output_kind == "position":
             _check_position(output, axis)
-        # A position that is a multiple of the resolution in decimal often falls just below it in binary, and
-        # a bare floor would lose a whole count: hence the tiny tolerance.
+        # In binary, a decimal multiple of the resolution is often slightly too small, and a bare floor would lose a
+        # whole count. Hence the small tolerance.
         counts = floor_counts(output, axis.encoder.resolution, 1e-6)
         return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
     counts = _whole(output)
@@ -77,7 +80,9 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
 
 
 def _check_position(output: Floats, axis: Axis) -> None:
-    """Refuses whole numbers as a position with a resolution below 1: such a column holds counts."""
+    """Raise UsageError for whole numbers as a position with a resolution below 1, because such a column holds
+    counts.
+    """
     whole = (
         np.array_equal(output, np.rint(output)) and np.unique(output[: TUNING.record_distinct]).size > TUNING.most_whole
     )
@@ -93,7 +98,7 @@ def _whole(output: Floats) -> Counts:
     rounded = np.rint(output)
     off = np.subtract(output, rounded)
     bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= TUNING.max_count) | (output <= -TUNING.max_count))
-    del off  # of a long record it is a good part of the memory
+    del off  # it takes much memory for a long record
     if len(bad):
         raise UsageError(
             f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
@@ -103,8 +108,11 @@ def _whole(output: Floats) -> Counts:
 
 
 def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
-    """Counts (n,) of a floor quantiser of a step, for positions y (n,), both in unit of y; tolerance: part of a step by
-    which a position below an edge still belongs to it. Raises UsageError beyond 2**53 counts."""
+    """Return the counts (n,) of a floor quantiser for positions y (n,), both in the unit of y.
+
+    `tolerance` is the part of a step by which a position below an edge still belongs to the upper step. Raises
+    UsageError beyond 2**53 counts.
+    """
     with np.errstate(over="ignore"):
         counts = np.floor(y / step + tolerance)
     bad = np.flatnonzero(np.abs(counts) >= TUNING.max_count)
@@ -117,7 +125,7 @@ def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
 
 
 def unwrap_counts(output: Floats, bits: int | None) -> Floats:
-    """Counts (n,) as numbers, the wrap of a counter undone; missing ones stay missing."""
+    """Return unwrapped counts (n,) as floats. Missing counts remain missing."""
     if bits is None:
         return output
     unwrapped, there = output.copy(), np.isfinite(output)
@@ -127,7 +135,7 @@ def unwrap_counts(output: Floats, bits: int | None) -> Floats:
 
 
 def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
-    """Undo the wrap of a counter of `bits` bits: every step is the shortest way round."""
+    """Unwrap a counter of `bits` bits, where every step takes the shortest way."""
     span = 2**bits
     raw = np.diff(counts)
     steps = (raw + span // 2) % span - span // 2
@@ -143,12 +151,14 @@ def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
 class Record:
     """One run of a drive.
 
-    u: input, (n,), already scaled, NaN in gaps in which it is not known; counts: encoder counts, (n,), unwrapped; dt:
-    sample period [s]; resolution: unit of y per count; notes: changes to the data, for people; name: name of the file;
-    rotary: is the output an angle? there: (n,) the samples that were measured, None: all; `gaps` fills the others;
-    doubt: (p,) relative error of parameters that filled samples may cause, None: no error. jitter: root mean square
-    deviation of the steps of an uneven clock, as a part of the period, from which the record was resampled. own: that
-    record at its own instants, None: they are even; it has steps, the times of its samples since the ones before.
+    `u` (n,) is the scaled input, with NaN in gaps where the input is unknown. `counts` (n,) are the unwrapped encoder
+    counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
+    data. `name` is the name of the file. `rotary` says whether the output is an angle.
+    `there` (n,) marks the measured samples, or is None if all were measured. `gaps` fills the other samples. `doubt`
+    (p,) is the relative error of parameters that filled samples may cause, or None without an error.
+    `jitter` is the root mean square deviation of the steps of an uneven clock, relative to the period, before
+    resampling. `own` is the record at its own uneven instants, or None for even instants. Such a record has `steps`,
+    the times between its samples.
     """
 
     u: Floats
@@ -166,16 +176,16 @@ class Record:
 
     @property
     def times(self) -> Floats:
-        """(n,) times of the samples [s], from 0."""
+        """The times (n,) of the samples [s], starting at 0."""
         if self.steps is None:
             return np.arange(self.u.size, dtype=np.float64) * self.dt
         return np.append(0.0, np.cumsum(self.steps.before[1:]))
 
 
 def read_experiment(path: Path, axis: Axis) -> Experiment:
-    """The record as it is, for a transfer function: any spacing, gaps, missing (empty) samples of the output.
+    """Read the unchanged record of a transfer function, with any spacing, gaps and missing (empty) outputs.
 
-    Counts are converted to travel. Raises UsageError naming the file and the remedy.
+    Counts are converted to travel. Raises UsageError with the name of the file and the remedy.
     """
     try:
         return experiment_of(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, path.name)
@@ -184,7 +194,7 @@ def read_experiment(path: Path, axis: Axis) -> Experiment:
 
 
 def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
-    """The experiment in a table of columns that `axis.record` names."""
+    """Return the experiment in a table of columns that `axis.record` names."""
     config, table, columns = _columns(axis.record, table)
     keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     _check_lengths(columns, keys)
@@ -210,12 +220,12 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
 def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:
     """Read the record that `axis.record` describes from a file of one of the `formats`.
 
-    With `quantize`, a step in unit of y, the position is quantised by a coarser encoder with that step
-    (floor quantiser, mean error -step/2). Raises UsageError naming the file, the column, the first bad row
-    and the remedy. A constant input or a record without motion is not an error.
+    With `quantize`, a step in unit of y, a coarser encoder with that step quantises the position (floor quantiser, mean
+    error -step/2). Raises UsageError with the file, the column, the first bad row and the remedy. A constant input or a
+    record without motion is not an error.
     """
     resolution = axis.encoder.resolution
-    # written so that NaN fails too
+    # This form also rejects NaN.
     if quantize is not None and not resolution * (1 - 1e-9) <= quantize < np.inf:
         raise UsageError(
             f"quantize = {quantize:g} must be positive, finite and not finer than [encoder] resolution = "
@@ -224,18 +234,20 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
     try:
         return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, quantize, path.name)
     except UsageError as error:
-        # one line, whatever the names in a damaged file contain
+        # The message has one line, whatever the names in a damaged file contain.
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
 
 
 def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
-    """The record in a table of columns that `axis.record` names. Raises UsageError as `read_record` does."""
+    """Return the record in a table of columns that `axis.record` names. Raises UsageError as `read_record` does."""
     return _build(table, axis, None, name)
 
 
 def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, dict[str, Floats]]:
-    """The named columns, on one clock, and the configuration with the full names of the file. If the time column has
-    dates or times of day, the configuration has its unit, too."""
+    """Return the named columns on one clock, and the configuration with the full names of the file.
+
+    If the time column has dates or times of day, the configuration also has its unit.
+    """
     names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
     if isinstance(table, ClockedSignals):
@@ -253,8 +265,11 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, d
 
 
 def _stated_factor(config: RecordConfig) -> float:
-    """Seconds per unit of the time column of a transfer function. The process may be slow or fast, so a unit in the
-    column's name is only a hint that the configuration must give one."""
+    """Return the seconds per unit of the time column of a transfer function.
+
+    The process may be slow or fast. Therefore a unit in the column's name is only a hint that the configuration must
+    confirm.
+    """
     unit = named_unit(config.time or "")
     if config.time_unit is None and unit not in (None, "s"):
         raise UsageError(
@@ -275,7 +290,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     columns, found, clock_notes = _resample(axis, columns, units.y)
     jitter = 0.0 if found is None else found.jitter
     rows, row_notes = _rows(table, config, columns)
-    if rows.rows.size < len(columns["input"]):  # else a copy of each for nothing
+    if rows.rows.size < len(columns["input"]):  # avoids a needless copy of each column
         columns = {key: values[rows.rows] for key, values in columns.items()}
     columns.pop("time", None)
     y = _scale_column(columns["output"], units.y, "the unit of the output")
@@ -283,7 +298,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     counts, count_notes = counts_of(travel, axis)
     resolution = axis.encoder.resolution
     if quantize is not None:
-        # y is computed from the counts only without a position, so that no position is floored twice
+        # Without a position, y is computed from the counts, so that no position is floored twice.
         y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
         counts, resolution = floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised again with a step of {quantize:g}",)
@@ -309,7 +324,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
 def _own_record(
     own: OwnSamples, steps: SampleSteps, u_scale: float, y_scale: float, quantize: float | None, axis: Axis
 ) -> Record:
-    """The record at its own instants. scales: factors of input and output."""
+    """Return the record at its own instants. `u_scale` and `y_scale` are the factors of input and output."""
     kind, resolution = axis.record.output_kind, axis.encoder.resolution
     y = _scale_column(np.rint(own.y) if kind == "counts" else own.y, y_scale, "the unit of the output")
     counts = counts_of(y, axis)[0]
@@ -322,15 +337,17 @@ def _own_record(
 
 
 def _span_gaps(u: Floats, counts: Counts, steps: SampleSteps) -> tuple[Floats, NDArray[np.intp], SampleSteps]:
-    """Input (m,), rows (m,) that stay, and steps (m,), of samples (n,) with NaN in gaps: a gap that the input can be
-    filled in is one long step, with the mean of what fills it."""
+    """Return input (m,), remaining rows (m,) and steps (m,) of samples (n,) with NaN in gaps.
+
+    A gap in which the input can be filled becomes one long step with the mean of the filled input.
+    """
     there = np.isfinite(u)
     if np.all(there):
         return u, np.arange(u.size), steps
     places = np.flatnonzero(there)
     filled = np.full(u.size, np.nan)
     filled[: places[-1] + 1] = fill_gaps(u[places], counts[places], places)[0]
-    if is_held(u, there):  # when it jumped nobody knows
+    if is_held(u, there):  # the instant of its jump is unknown
         filled[~np.isin(filled, u[there])] = np.nan
     kept = np.flatnonzero(there | np.isnan(filled))
     time = np.cumsum(steps.before)
@@ -343,15 +360,17 @@ def _span_gaps(u: Floats, counts: Counts, steps: SampleSteps) -> tuple[Floats, N
 def _resample(
     axis: Axis, columns: dict[str, Floats], y_scale: float
 ) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
-    """The columns of an uneven clock on an even grid, what they are made of, None for an even clock, and notes.
+    """Return the columns of an uneven clock on an even grid, the resampled data, and notes.
 
-    y_scale: of the output. A record of a velocity, with a range or rows that are left out keeps its clock."""
+    The resampled data are None for an even clock. `y_scale` is the factor of the output. A record of a velocity, with a
+    range or with excluded rows keeps its clock.
+    """
     given, config, encoder = columns, axis.record, axis.encoder
     keeps = config.output_kind == "velocity" or config.mask or config.exclude
     if "time" not in columns or keeps or encoder.range is not None:
         return columns, None, ()
     if config.output_kind == "position":
-        _check_position(columns["output"], axis)  # while it is what the file has
+        _check_position(columns["output"], axis)  # the column still has the values of the file
     wraps = 0
     if config.output_kind == "counts" and encoder.bits is not None:
         columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}
@@ -374,7 +393,7 @@ def _resample(
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
-    """The travel (m,) of the used rows; a velocity is interpolated over missing rows."""
+    """Return the travel (m,) of the used rows. A velocity is interpolated over missing rows."""
     if axis.record.output_kind != "velocity":
         return measure_travel(y, rows.dt, axis)
     whole, notes = measure_travel(np.interp(np.arange(rows.places[-1] + 1), rows.places, y), rows.dt, axis)
@@ -382,7 +401,7 @@ def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tu
 
 
 def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> tuple[PlacedRows, tuple[str, ...]]:
-    """The used rows, their places on the grid, and notes for people."""
+    """Return the used rows, their places on the grid, and notes for people."""
     time, samples = columns.get("time"), columns["input"].size
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     out, notes = left_out(time, samples, config, mask)
@@ -429,9 +448,9 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
 
 
 def _scale_column(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:
-    if scale == 1:  # no copy of a long record
+    if scale == 1:  # avoids a copy of a long record
         return column
-    with np.errstate(over="ignore"):  # looked at
+    with np.errstate(over="ignore"):  # checked below
         scaled = scale * column
     if np.any(np.isinf(scaled) & np.isfinite(column)):
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Rows that repeat the output of the row before while the axis moves: a bus that is polled faster than refreshed."""
+"""Rows that repeat the previous output during motion, because a bus is polled faster than it is refreshed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ __all__ = ["drop_stale_rows"]
 
 
 def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[str, Floats], int]:
-    """Columns (n,) of input, output and time without the rows whose output is old, and the number of these rows; step:
-    of the encoder, in the unit of the column. Only if all rows have numbers, and the time rises.
+    """Return the columns (n,) of input, output and time without rows with an old output, and the number of these rows.
 
-    The input of a row that stays is its mean until the next one: no impulse is lost. A row at which the input jumps
-    stays, with an output from the cubic through its neighbours: a mean would move the jump.
+    `step` is the step of the encoder in the unit of the column. The function changes nothing unless all rows have
+    numbers and the time rises. The input of a kept row is its mean until the next row, so that no impulse is lost. A
+    row at which the input jumps remains, because a mean would move the jump. Its output comes from the cubic through
+    its neighbours.
     """
     time, u, y = columns["time"], columns["input"], columns["output"]
     if not (np.all(np.isfinite(u + y + time)) and np.all(np.diff(time) > 0)):
@@ -40,15 +41,18 @@ def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[st
 
 
 def find_stale_rows(time: Floats, y: Floats) -> Flags:
-    """(n,): rows with the output of the row before that are off the cubic through the new values around them; y: in
-    steps of the encoder. All False unless single rows stand still between changes of many steps, as no motion does."""
+    """Mark the rows (n,) that repeat the previous output and lie off the cubic through the neighbouring new values.
+
+    `y` is in steps of the encoder. No row is marked unless single rows stand still between changes of many steps, which
+    no motion does.
+    """
     stale = np.zeros(y.size, bool)
     new = np.flatnonzero(np.diff(y, prepend=np.nan))
     if new.size < TUNING.repeats_fewest:
         return stale
     before, after = np.diff(y[new])[:-1], np.diff(y[new])[1:]
     rows_each = np.diff(new)
-    caught_up = np.append(False, np.abs(after) > 0.5 * rows_each[1:] * np.abs(before))  # unlike after a stop
+    caught_up = np.append(False, np.abs(after) > 0.5 * rows_each[1:] * np.abs(before))  # in contrast to a stop
     rests = (rows_each > 1) & (rows_each <= np.where(caught_up, TUNING.repeats_longest, TUNING.repeats_longest_slow))
     fast = (np.sign(before) == np.sign(after)) & (np.minimum(np.abs(before), np.abs(after)) > TUNING.repeats_sudden)
     sudden, most = int(np.count_nonzero(fast & rests[1:])), int(np.count_nonzero(fast))
@@ -64,7 +68,9 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
 
 
 def _cubic(time: Floats, y: Floats, place: NDArray[np.intp], at: Floats) -> Floats:
-    """The polynomials through four neighbouring points, of which `place` (m,) is the second, at (m,)."""
+    """Return the values at (m,) of the cubic polynomials through four neighbouring points, of which `place` (m,) is
+    the second.
+    """
     values = np.zeros(at.size)
     for i in range(-1, 3):
         weight = np.ones(at.size)

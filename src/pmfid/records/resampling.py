@@ -1,5 +1,8 @@
-"""Records of an uneven clock on an even grid: resampled if the stamps are the instants of the samples, taken as they
-are if an even clock stands in front of stamps of arrival."""
+"""Records of an uneven clock on an even grid.
+
+If the stamps are the instants of the samples, the record is resampled. If an even clock samples before late stamps, the
+samples remain unchanged.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,11 @@ from pmfid.types import Flags, Floats
 
 @dataclass(frozen=True)
 class Resampled:
-    """Columns (m,) on an even grid: time in the unit of the stamps, input, output; NaN in gaps. jitter: root mean
-    square deviation of the steps, as a part of the period; 0 if the samples are even and only their stamps are not.
-    own: the samples before resampling, None: they are even, or the clock drifts."""
+    """Columns (m,) on an even grid: time in the unit of the stamps, input and output, with NaN in gaps.
+
+    `jitter` is the root mean square deviation of the steps, relative to the period. It is 0 if only the stamps are
+    uneven. `own` holds the samples before resampling, or None if the samples are even or the clock drifts.
+    """
 
     time: Floats
     u: Floats
@@ -27,8 +32,11 @@ class Resampled:
 
 @dataclass(frozen=True)
 class OwnSamples:
-    """Samples (n,) at their own instants: time of each since the one before, in the unit of the stamps, the first one a
-    period; input, NaN in the rows that fill a gap; output, there on a line."""
+    """Samples (n,) at their own instants.
+
+    `before` is the time since the previous sample in the unit of the stamps, and one period for the first sample. The
+    input is NaN in the rows that fill a gap, and the output follows a line there.
+    """
 
     before: Floats
     u: Floats
@@ -36,12 +44,11 @@ class OwnSamples:
 
 
 def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False) -> Resampled | None:
-    """The record (N,) on an even grid, or None if its clock is even but for gaps, or is no clock at all.
+    """Return the record (N,) on an even grid, or None if its clock is even except for gaps, or is no clock.
 
-    A gap of more than clock_longest samples is shortened, whatever its stamps say: the motion restarts after it anyway.
-    The input is held from stamp to stamp, and its mean over each interval of the grid is taken: no impulse is lost.
-    The output is interpolated by a cubic that keeps its shape (Fritsch and Carlson 1980). thinned: rows with an old
-    output were left out.
+    A gap of more than clock_longest samples is shortened, because the motion restarts after it anyway. The input is
+    held from stamp to stamp and averaged over each interval of the grid, so that no impulse is lost. A monotone cubic
+    interpolates the output (Fritsch and Carlson 1980). `thinned` says whether rows with an old output were left out.
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
     stamps, u, y = time[known], u[known], y[known]
@@ -70,7 +77,7 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
 
 
 def _drifts(steps: Floats) -> bool:
-    """Do the halves of a record differ in the mean of their steps (n,) by more than chance?"""
+    """Return whether the mean steps (n,) of the two halves of a record differ by more than chance."""
     half = steps.size // 2
     first, last = (float(np.mean(part)) for part in (steps[:half], steps[half:]))
     scatter = float(np.std(np.diff(steps)))  # differences of neighbours, which a drift hardly changes
@@ -79,8 +86,10 @@ def _drifts(steps: Floats) -> bool:
 
 
 def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float, longest: float) -> OwnSamples:
-    """The samples themselves, without those that another follows at once, and with rows that fill the gaps evenly;
-    longest: step that is no gap."""
+    """Return the samples without those that the next sample follows at once, and with rows that fill the gaps evenly.
+
+    `longest` is the longest step that is not a gap.
+    """
     kept = np.append(np.diff(stamps) > TUNING.resampling_at_once * period, True)
     stamps, u, y = stamps[kept], u[kept], y[kept]
     steps = np.diff(stamps)
@@ -93,7 +102,9 @@ def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float, longest: floa
 
 
 def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
-    """Even samples (n,) whose stamps are late; with a jitter if the halves of the record do not agree on the period."""
+    """Return even samples (n,) whose stamps are late. They have a jitter if the halves of the record differ in the
+    period.
+    """
     k = np.arange(stamps.size, dtype=np.float64)
     period, start = np.polyfit(k, stamps, 1)
     half = stamps.size // 2
@@ -107,7 +118,7 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
 
 
 def _usual_step(steps: Floats) -> float:
-    """The mean of the steps (n,) without gaps; in bursts most steps are shorter than that."""
+    """Return the mean of the steps (n,) without gaps. In bursts, most steps are shorter than this mean."""
     mean = np.mean(steps[steps <= np.quantile(steps, TUNING.resampling_usual)])
     return float(np.mean(steps[steps <= TUNING.longest_step * mean]))
 
@@ -117,9 +128,7 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
     median = float(np.median(steps))
     if not (np.min(steps) > 0 and np.max(np.abs(steps - median)) > TUNING.even_steps * median):
         return False
-    if (
-        np.sum(steps) > TUNING.most_missing * steps.size * median
-    ):  # bursts, or lines that are missing more often than not
+    if np.sum(steps) > TUNING.most_missing * steps.size * median:  # bursts, or lines that are usually missing
         return True
     if misses_lines(stamps, y) is not None:
         return False
@@ -133,16 +142,17 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
 
 
 def _are_late(stamps: Floats, y: Floats) -> bool:
-    """Does the output show an even clock in front of the stamps (n,)?"""
+    """Return whether the output shows that an even clock samples before the stamps (n,)."""
     part, error = _weigh_stamps(stamps, y)
     return part + TUNING.resampling_errors * error < 0.5
 
 
 def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
-    """The part of what stamps (n,) would make of the output that it shows, 1: they are the instants of the samples, 0:
-    an even clock stands in front of them; and the standard error of this part.
+    """Return the part of the effect of stamps (n,) that the output shows, and its standard error.
 
-    A slope: of the distances of the output from the middle of its neighbours, by those of the lines through them.
+    The part is 1 if the stamps are the instants of the samples, and 0 if an even clock samples before the stamps. It is
+    the slope of a regression. The regressor is the distance between the interpolated output and the mean of its
+    neighbours. The target is the same distance for the measured output.
     """
     steps = np.diff(stamps)
     part = steps[:-1] / (steps[:-1] + steps[1:])

@@ -1,4 +1,4 @@
-"""Rows of two topics in one table, as of a command and a state: each row has the value of one of them."""
+"""Tables with the rows of two topics, such as a command and a state, where each row has the value of one topic."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ["join_topics"]
 
 
 def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple[str, ...]]:
-    """Columns (n,) of input, output and time at the rows of the output (m,), and notes for people.
+    """Return the columns of input, output and time at the rows of the output (m,), and notes for people.
 
-    The input holds from its own stamp to the next, and its mean until the next output is taken: no time between the
-    two topics is lost. Columns with both values in their rows stay as they are.
+    The input holds from its stamp to the next, and its mean until the next output is taken. Therefore no time between
+    the two topics is lost. If the rows of the columns (n,) have both values, they remain unchanged.
     """
     u, y = np.isfinite(columns["input"]), np.isfinite(columns["output"])
     if "time" not in columns or np.sum(u & y) > TUNING.most_together * min(np.sum(u), np.sum(y)):

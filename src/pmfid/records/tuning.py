@@ -1,4 +1,4 @@
-"""Thresholds, limits and counts of `pmfid.records`, each with what it decides."""
+"""Thresholds, limits and counts of `pmfid.records`, each with the decision that depends on it."""
 
 from __future__ import annotations
 
@@ -7,67 +7,68 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class RecordTuning:
-    """One value for each decision of `pmfid.records`, by module."""
+    """Thresholds and counts of `pmfid.records`, grouped by module."""
 
     # clock
-    #: Sample periods of machine axes [s], the first included, the last excluded: drives log every 10 us to 100 ms.
+    #: Range of the sample periods of machine axes [s], as drives log every 10 us to 100 ms. The upper limit is
+    #: excluded.
     shortest_plain_period: float = 0.999e-5
     longest_plain_period: float = 0.1
     #: Seconds since 1970 at the beginning of 2000 and of 2100.
     clock_epochs: tuple[float, float] = (946_684_800.0, 4_102_444_800.0)
-    #: Steps may differ from their median by this part without a note.
+    #: Relative deviation of steps from their median that needs no note.
     clock_even: float = 0.1
-    #: Steps that differ by less than this part are an even grid without a further test.
+    #: Relative deviation of steps below which the grid is even without a further test.
     clock_plain: float = 1e-6
-    #: A step is a multiple of another one within this part.
+    #: Relative deviation within which a step is a multiple of another step.
     clock_whole: float = 0.01
     #: Largest deviation of a stamp from an even grid by chance [sample periods].
     clock_furthest: float = 0.9
-    #: Stamps that are averaged to detect a missing sample; largest mean by chance, in standard deviations.
+    #: Number of averaged stamps that reveal a missing sample, and largest mean by chance in standard deviations.
     clock_group: int = 50
     most_by_chance: float = 5.0
-    #: A period and a time column agree within this part.
+    #: Relative difference within which a period and a time column agree.
     clock_same: float = 0.01
-    #: Longest step without a missing sample, in medians.
+    #: Longest step without a missing sample, in median steps.
     clock_missing: float = 1.5
     #: Largest distance of a step from a whole number of periods on an even grid [periods].
     clock_near: float = 0.3
-    #: Longest step that determines the period [periods]: a pause need not be a whole number.
+    #: Longest step that determines the period [periods], because a pause may have a fractional length.
     clock_short: int = 5
     #: Relative accuracy of the period.
     clock_settled: float = 1e-9
-    #: Largest standard deviation of stamps around a grid [periods]; random stamps have 0.29.
+    #: Largest standard deviation of stamps around a grid [periods]. Random stamps have 0.29.
     clock_scatter: float = 0.2
-    #: A row within clock_early periods after another one is odd if no larger part of the rows than clock_rare is.
+    #: Time after another row within which a row is odd [periods], and the greatest part of odd rows.
     clock_early: float = 0.3
     clock_rare: float = 0.001
     #: Most iterations between grid and places.
     clock_turns: int = 5
     #: Least part of the steps of a grid that are single periods.
     clock_single: float = 0.3
-    #: Least number of long steps for a distinction of missing lines and rounded stamps. After one or two pauses the
+    #: Least number of long steps that distinguishes missing lines from rounded stamps. After one or two pauses the
     #: output says too little.
     long_steps: int = 5
-    #: Longest gap on the grid [samples]. Longer gaps are shortened: the motion restarts after a gap of any length.
+    #: Longest gap on the grid [samples]. Longer gaps are shortened, because the motion restarts after any gap.
     clock_longest: int = 1000
 
     # filling
     #: Variance of a count [counts^2].
     filling_count: float = 1 / 12
-    #: Information on position and velocity before the record [1/counts^2, s^2/counts^2]: practically none.
+    #: Information on position and velocity before the record [1/counts^2, s^2/counts^2], which is practically none.
     filling_nothing: float = 1e-12
-    #: Right-hand sides that are solved at once.
+    #: Number of right-hand sides that are solved together.
     filling_chunk: int = 256
-    #: Most iterations of estimate and filling: the filled samples hardly change the estimate.
+    #: Most iterations of estimate and filling, as the filled samples hardly change the estimate.
     filling_turns: int = 3
     #: Relative change of the parameters below which the iteration ends.
     filling_settled: float = 1e-4
-    #: Error of the velocity at an event by wrong parameters, as a part of the root mean square velocity: before and
-    #: after the inputs are found.
+    #: Error of the velocity at an event by wrong parameters, relative to the root mean square velocity. The second
+    #: value holds after the inputs are known.
     filling_wrong: tuple[float, float] = (1e-2, 1e-3)
-    #: The same limit for the position [counts].
+    #: Error of the position at an event by wrong parameters [counts].
     filling_shift: float = 0.1
-    #: Interval of further events, in filter time constants and in samples: a deviation is as smooth as the motion.
+    #: Interval of further events, in filter time constants and in samples. A deviation is as smooth as the motion.
     filling_often: float = 2.0
     filling_fewest: int = 8
     #: Seed of the samples that `doubt` removes.
@@ -78,118 +79,126 @@ class RecordTuning:
     filling_within: float = 1.0
 
     # gaps
-    #: Samples farther away than gaps_near times `half` lie beyond another gap and have the weight far_weight.
+    #: Distance, in multiples of `half`, of samples beyond another gap, and the weight of such samples.
     gaps_near: float = 3.0
     far_weight: float = 1e-6
-    #: Most and fewest samples that are left out for the error; missing samples that are filled at once.
+    #: Most and fewest samples that are omitted to measure the error, and number of missing samples that are filled
+    #: together.
     gaps_most: int = 1000
     gaps_fewest: int = 30
     gaps_chunk: int = 20_000
     #: Least part of the samples in which a held input does not change.
     gaps_held: float = 0.5
-    #: Quantile of the times for which a held input keeps its values; shorter gaps are filled.
+    #: Quantile of the times for which a held input keeps its values. Shorter gaps are filled.
     gaps_shortest: float = 0.02
-    #: Lengths of gaps [samples] that may be filled.
+    #: Possible lengths of filled gaps [samples].
     gaps_lengths: tuple[int, ...] = (1, 2, 3, 5, 8, 12, 20, 30, 50, 100)
-    #: Largest error of the interpolated mean input over a gap, as a part of the root mean square input.
+    #: Largest error of the interpolated mean input over a gap, relative to the root mean square input.
     gaps_faithful: float = 0.1
-    #: If more than the part gaps_scattered of the samples stays missing, gaps of up to gaps_always samples are filled
-    #: in any case: between scattered gaps no motion could restart.
+    #: Length of gaps that are always filled if more than gaps_scattered of the samples are missing. Between scattered
+    #: gaps, no motion could restart.
     gaps_always: int = 8
     gaps_scattered: float = 0.02
     #: Samples without input between two joined records.
     gaps_apart: int = 20
 
     # joining
-    #: Largest relative difference of sample periods, which tolerances of clocks explain.
+    #: Largest relative difference of sample periods that tolerances of clocks explain.
     joining_same_period: float = 1e-3
 
     # outliers
-    #: Once the wrap is undone: largest change, as a part of the range; largest roughness, as a part of the former one.
+    #: Largest change after unwrapping relative to the range, and largest ratio of the roughness after unwrapping to
+    #: that before.
     outliers_room: float = 0.25
     outliers_smoother: float = 0.1
-    #: Jumps of one size differ by at most this part of it.
+    #: Largest relative difference between jumps of equal size.
     outliers_alike: float = 0.05
     #: Largest relative distance of a range from whole turns.
     whole_turns: float = 0.005
-    #: Largest width of a counter; least range of the counts, for over fewer any motion may look like a jump.
+    #: Largest width of a counter, and least range of the counts. With a smaller range, any motion may resemble a jump.
     most_bits: int = 32
     outliers_least: int = 8
-    #: Changes of the counts in the window of the median that predicts one change. The median follows a velocity that
-    #: steps, and five wrong changes in a row do not move it. Steps of the velocity are searched in the same window.
+    #: Changes of the counts in the window of the median that predicts one change. The median follows a step of the
+    #: velocity, and five successive wrong changes do not move it. The same window shows steps of the velocity.
     outliers_around: int = 11
-    #: Allowed deviation from the median [counts], and as a multiple of the usual deviation plus the step of the
+    #: Allowed deviation from the median in counts, and as a multiple of the usual deviation plus the step of the
     #: velocity.
     outliers_counts: float = 10.0
     outliers_times: float = 4.0
     #: Quantile of the deviations that counts as usual.
     outliers_usual: float = 0.95
-    #: Shortest step, in periods, of a clock whose changes of the counts are judged as speeds.
+    #: Shortest step of a clock, in periods, for which changes of the counts are judged as speeds.
     outliers_pace: float = 0.25
-    #: Most passes: wrong changes close together hide each other.
+    #: Most passes, because neighbouring wrong changes hide each other.
     outliers_passes: int = 4
-    #: Largest part of wrong changes; above it, the errors are not single samples.
+    #: Largest part of wrong changes. With more, the errors are not single samples.
     most_changes: float = 0.04
-    #: Least ratio of a spike to the quantile 1 - most_inputs of the input; answer of the velocity, as a multiple of its
-    #: usual change over answer_samples samples, above which the input is no spike.
+    #: Least ratio of a spike to the quantile 1 - most_inputs of the input. The second value limits the response of the
+    #: velocity, relative to its usual change over answer_samples samples. With a larger response, the input is not a
+    #: spike.
     outliers_spike: float = 50.0
     outliers_answer: float = 3.0
     answer_samples: int = 10
     most_inputs: float = 0.01
-    #: Windows that are sorted at once: the windows of a long record need eleven times its memory.
+    #: Number of windows that are sorted together. The windows of a long record need eleven times its memory.
     outliers_chunk: int = 65_536
-    #: Rows that a sentence names.
+    #: Number of rows that a sentence names.
     outliers_named: int = 4
 
     # record
-    #: Largest distance of a velocity from a multiple of a step, as a part of the step.
+    #: Largest distance of a velocity from a multiple of a step, relative to the step.
     record_whole: float = 1e-3
-    # Beyond 2**53 neighbouring integers share one float64, and a count would be silently wrong.
+    # Limit of counts, because neighbouring integers beyond 2**53 share one float64 and a count would be silently wrong.
     max_count: float = 2.0**53
-    #: Rows that are tested for counts; whole numbers without exception, and more of them than this differ, are counts.
+    #: Number of rows that are tested for counts. If all are whole numbers, and more than the second value are distinct,
+    #: the column holds counts.
     record_distinct: int = 10_000
     most_whole: int = 20
     min_samples: int = 10
 
     # repeats
-    #: Counts in a row before and after one without any: no motion stops and goes on like that.
+    #: Counts in the rows before and after a row without counts. No motion stops and continues so suddenly.
     repeats_sudden: float = 3.0
-    #: Rows with one value; more are a stop, or a sensor that is stuck. The second: unless the next value catches up.
+    #: Most rows with one value. More rows are a stop or a stuck sensor. The second limit holds if the next value does
+    #: not catch up.
     repeats_longest: int = 8
     repeats_longest_slow: int = 4
-    #: Fewest such rows, and their least and most part of the fast ones: a single one is a wrong reading, and an output
-    #: that is held in every other row has a remedy of its own.
+    #: Fewest rows that repeat an output, and their least and greatest part of the fast rows. A single row is a wrong
+    #: reading, and an output that is held in every second row has its own remedy.
     repeats_fewest: int = 5
     repeats_part: float = 0.005
     repeats_most: float = 0.5
-    #: A repeated value is off by more than this [steps of the encoder]; below it, it is as good as the new one.
+    #: Least error of an old value [steps of the encoder]. With a smaller error, the value is as good as a new one.
     repeats_off: float = 0.75
-    #: Of the range of the input: a change by more is a jump.
+    #: Least jump of the input, relative to its range.
     repeats_jump: float = 0.2
 
     # resampling
-    #: Steps that differ from their median by less than this part are taken as even.
+    #: Relative deviation of steps from their median below which the steps are even.
     even_steps: float = 0.02
-    #: Standard errors by which the output must tell whether stamps are the instants of the samples, and the part of the
-    #: rows that it is asked in: the others may be wrong readings.
+    #: Standard errors by which the output must show whether stamps are the instants of the samples. The second value is
+    #: the part of the rows that is used, as the other rows may be wrong readings.
     resampling_errors: float = 2.0
     resampling_plain: float = 0.99
-    #: A step beyond this many usual ones is a gap: nothing is interpolated across a gap.
+    #: Longest step in usual steps. A longer step is a gap without interpolation.
     longest_step: float = 3.5
-    #: The same where rows with an old output were left out, whose input is known.
+    #: Longest step in usual steps if rows with an old output were left out, as their input is known.
     longest_between_repeats: float = 8.5
-    #: Part of the steps, the shortest ones, whose mean is usual.
+    #: Part of the steps, the shortest ones, whose mean is the usual step.
     resampling_usual: float = 0.98
-    #: Length of a record in median steps, as a multiple of its samples, from which on missing lines do not explain it.
+    #: Ratio of a record's length in median steps to its number of samples above which missing lines do not explain the
+    #: length.
     most_missing: float = 2.0
-    #: Two halves of a record agree on the period within this part: half of it is an error of the mass that matters.
+    #: Relative difference within which two halves of a record agree on the period. Half of this difference causes a
+    #: significant error of the mass.
     resampling_same_period: float = 0.01
-    #: Fewest samples for a decision.
-    #: Of a period, within which a sample is followed at once: it holds for nothing.
+    #: Part of the period within which the next sample follows at once, so that the input of the first sample acts for
+    #: no time. The second value is the fewest samples for a decision.
     resampling_at_once: float = 1e-3
     resampling_fewest: int = 50
     # topics
-    #: Part of the rows that may have both values if input and output have rows of their own; least rows of each.
+    #: Greatest part of the rows with both values if input and output have separate rows, and least number of rows of
+    #: each.
     most_together: float = 0.05
     topics_fewest: int = 10
 

@@ -1,1 +1,1 @@
-"""From a record alone to an AXIS.toml: each guess with its reason."""
+"""The way from a record alone to an AXIS.toml, with a reason for each guess."""

@@ -1,4 +1,4 @@
-"""The AXIS.toml that a record suggests, each line with its reason."""
+"""The AXIS.toml that a record suggests, with a reason for each line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pmfid.types import Floats
 
 __all__ = ["AxisGuess", "guess"]
 
-#: Asks for a number that the record does not show: the question, and the value without an answer.
+#: Callback that asks for a number that the record does not show. Its arguments are the question and the default value.
 Ask = Callable[[str, str], str]
 
 HEADING = """\
@@ -32,7 +32,7 @@ TO_DO = "TO DO: "
 
 @dataclass
 class AxisGuess:
-    """Lines of an AXIS.toml, by section."""
+    """The lines of an AXIS.toml by section."""
 
     name: str
     sections: dict[str, list[str]] = field(default_factory=dict)
@@ -42,15 +42,17 @@ class AxisGuess:
 
     @property
     def text(self) -> str:
-        """The whole file."""
+        """The text of the whole file."""
         parts = ["\n".join([f"[{name}]", *lines]) for name, lines in self.sections.items()]
         return "\n".join([HEADING.format(name=self.name), "\n\n".join(parts), ""])
 
 
 def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> AxisGuess:
-    """The AXIS.toml that a record suggests; ask: asks for numbers that the record does not show; output: the column of
-    the output, None: guessed. Raises UsageError if the record cannot be read, or has fewer than two columns of
-    numbers."""
+    """Return the AXIS.toml that a record suggests.
+
+    `ask` asks for numbers that the record does not show. `output` is the column of the output, or None for a guess.
+    Raises UsageError if the record cannot be read, or if it has fewer than two columns of numbers.
+    """
     table = read_table(path)
     columns = numeric(table)
     found, dt = _time(table, columns, ask)
@@ -108,7 +110,7 @@ def _why(pair: Pair) -> str:
 
 
 def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str] | None, float]:
-    """Name, unit and reason of the time column, and the sample period [s]."""
+    """Return name, unit and reason of the time column, and the sample period [s]."""
     found = time_of(table, columns)
     if found is None or _may_be_numbers(*found):
         answer = ask("sample period in s", "0.001") if ask else ""
@@ -133,7 +135,7 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
 
 
 def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
-    """Does the column grow by 1 from row to row, as a sample number, without a name that says that it is a time?"""
+    """Return whether a column without a time in its name grows by 1 from row to row, as a sample number does."""
     return not written and named_unit(name) is None and bool(np.all(np.diff(values) == 1))
 
 
@@ -167,7 +169,7 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
 
 
 def _format_number(value: float, unit: Unit | None) -> str:
-    """A number in TOML, with its unit if that is not the SI unit."""
+    """Return a number in TOML, with its unit if that is not the SI unit."""
     return repr(value) if unit is None or unit.plain else f'"{value:.12g} {unit.name}"'
 
 
@@ -200,7 +202,10 @@ def _sign(pair: Pair) -> str:
 
 
 def _number(answer: str, usual: float) -> float:
-    """The answer as a number, `usual` without one. Raises UsageError for zero, and for a text that is no number."""
+    """Return the answer as a number, or `usual` for an empty answer.
+
+    Raises UsageError for zero, and for a text that is no number.
+    """
     if not answer.strip():
         return usual
     try:
@@ -213,6 +218,6 @@ def _number(answer: str, usual: float) -> float:
 
 
 def quote_name(name: str) -> str:
-    """A name as a string of TOML."""
+    """Return a name as a TOML string."""
     escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in name)
     return f'"{escaped}"'

@@ -1,4 +1,4 @@
-"""Which columns of a file are time, input and position."""
+"""The choice of the time, input and position columns of a file."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ __all__ = ["is_whole", "step_of"]
 
 
 def is_whole(values: Floats) -> bool:
-    """Are all values whole numbers?"""
+    """Return whether all values are whole numbers."""
     return bool(np.array_equal(values, np.rint(values)))
 
 
 def step_of(values: Floats) -> tuple[float, bool]:
-    """The smallest step that divides all others, and whether there is one; values: (n,), finite.
+    """Return the smallest step that divides all other steps of finite values (n,), and whether such a step exists.
 
     Steps up to a billionth of the range are rounding, and a log may have rounded each value to a number of decimals.
-    Without such a step, the range over columns_fine.
+    Without a common step, the function returns the range divided by columns_fine.
     """
     found = np.unique(values[: TUNING.columns_most])
     reach = float(np.ptp(found))
@@ -41,7 +41,7 @@ def step_of(values: Floats) -> tuple[float, bool]:
     steps = np.diff(found)
     steps = steps[steps > 1e-9 * reach]
     step = float(steps.min())
-    for most in (4, 16, 64, 256, 1000):  # more digits with every turn: small multiples first
+    for most in (4, 16, 64, 256, 1000):  # small multiples come first, because more iterations need more digits
         times = np.rint(steps / step)
         near = (times > 0) & (times < most) & (np.abs(steps / step - times) < 0.25)
         step = float(np.sum(steps[near]) / np.sum(times[near]))
@@ -55,8 +55,10 @@ def step_of(values: Floats) -> tuple[float, bool]:
 
 
 def _last_digit(values: Floats) -> float:
-    """The last digit of the largest of values (n,) that a log wrote with a few significant digits; 0.0 if there are
-    more."""
+    """Return the last digit of the largest of the values (n,), if a log wrote them with a few significant digits.
+
+    The result is 0.0 if the values have more digits.
+    """
     some = values[:: max(1, values.size // 1000)].tolist()
     for digits in range(3, 8):
         if all(float(f"{value:.{digits - 1}e}") == value for value in some):
@@ -65,7 +67,7 @@ def _last_digit(values: Floats) -> float:
 
 
 def rounding_of(values: Floats) -> float:
-    """The power of ten that divides all values (n,); 0.0 if the values have too many digits."""
+    """Return the power of ten that divides all values (n,), or 0.0 if the values have too many digits."""
     for digits in range(10):
         scaled = values * 10.0**digits
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-6) and np.ptp(scaled) < 1e9:
@@ -74,7 +76,7 @@ def rounding_of(values: Floats) -> float:
 
 
 def _round_step(step: float) -> float:
-    """The step with the fewest digits that give its value."""
+    """Return the step with the fewest digits that give its value."""
     for digits in range(1, 8):
         short = float(f"{step:.{digits}g}")
         if abs(short - step) < 1e-5 * step:
@@ -88,9 +90,12 @@ OUTPUT_ROLES: tuple[Role, ...] = ("counts", "position", "velocity")
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Input and output by name; kind: "counts", "position" or "velocity"; turned: the input drives against the output;
-    explained: part of the input that the motion explains; reason: for people; gravity: the motion explains the input
-    much better with a force in the sine of the angle."""
+    """Input and output by name.
+
+    `kind` is "counts", "position" or "velocity". `turned` says whether the input drives against the output. `explained`
+    is the part of the input that the motion explains. `reason` is a text for the user. `gravity` says whether a force
+    in the sine of the angle explains the input much better.
+    """
 
     input: str
     output: str
@@ -102,8 +107,11 @@ class Pair:
 
 
 def numeric(table: Table) -> dict[str, Floats]:
-    """The columns of numbers that are not constant, by name, at the rows of the position if a table has topics in rows
-    of their own; other missing values are the last ones before, which suffices for a guess."""
+    """Return the columns of numbers that are not constant, by name.
+
+    If the topics of a table have separate rows, the rows are those of the position. Other missing values take the last
+    value, which suffices for a guess.
+    """
     found: dict[str, Floats] = {}
     rows: Flags | None = None
     for name in table:
@@ -122,7 +130,9 @@ def numeric(table: Table) -> dict[str, Floats]:
 
 
 def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, bool] | None:
-    """The time column, its values, and whether these are dates or times of day; None without a time column."""
+    """Return the time column, its values, and whether these are dates or times of day, or None without a time
+    column.
+    """
     named = [name for name in table if role_of(name) == "time"]
     content = [name for name in columns if role_of(name) == "" and _even(columns[name])]
     for name in (*named, *content):
@@ -135,16 +145,19 @@ def time_of(table: Table, columns: Mapping[str, Floats]) -> tuple[str, Floats, b
 
 
 def _even(values: Floats) -> bool:
-    """Does a column grow by nearly equal steps, as time does and no motion?"""
+    """Return whether a column grows by nearly equal steps, as time does and motion does not."""
     steps = np.diff(values)
     usual = np.abs(steps - np.median(steps)) < TUNING.columns_even * np.median(steps)
     return bool(np.all(steps > 0) and np.mean(usual) > TUNING.columns_mostly)
 
 
 def pair_of(columns: Mapping[str, Floats], dt: float, output: str | None = None) -> Pair | None:
-    """Input and output among columns (n,) by name, sampled every dt [s]. Names decide first: input and output of one
-    joint have one number, and a measured column is better than a command. Among several pairs, the one whose motion
-    explains most of the input. None without two columns. output: the output, None: guessed."""
+    """Return input and output among the columns (n,) with a sample period dt [s].
+
+    Names decide first: input and output of one joint have the same number, and a measured column is better than a
+    command. Among several pairs, the motion of the best pair explains most of the input. The result is None without two
+    columns. `output` is the column of the output, or None for a guess.
+    """
     roles = {name: role_of(name) for name in columns}
     named = ([name for name in columns if roles[name] == role] for role in OUTPUT_ROLES)
     outputs = next(filter(None, named), None) or [name for name in columns if roles[name] in ("", "input")]
@@ -182,7 +195,7 @@ def pair_of(columns: Mapping[str, Floats], dt: float, output: str | None = None)
 
 
 def _least_distant(names: list[str]) -> list[str]:
-    """The columns that are closest to a measurement, of those with the same number."""
+    """Return the columns that are closest to a measurement among columns with the same number."""
     closest = dict[str, int]()
     for name in names:
         closest[number_of(name)] = min(closest.get(number_of(name), 2), distance_from_measured(name))
@@ -190,15 +203,17 @@ def _least_distant(names: list[str]) -> list[str]:
 
 
 def _moving(columns: Mapping[str, Floats], outputs: list[str]) -> list[str]:
-    """The outputs that a mass can have: none that jumps, and no velocity of another one."""
+    """Return the outputs that are possible for a mass: without jumps, and not the velocity of another output."""
     smooth = [name for name in outputs if role_of(name) or not _jumps(columns[name])]
     rates = {a for a in smooth for b in smooth if a != b and not role_of(a) and _is_rate(columns[a], columns[b])}
     return [name for name in smooth if name not in rates]
 
 
 def _jumps(values: Floats) -> bool:
-    """Does a column (n,) cross much of its range within a sample, in both directions, as a relay does and no mass? A
-    counter that wraps moves before it jumps, in the opposite direction."""
+    """Return whether a column (n,) crosses much of its range within a sample in both directions, as a relay does.
+
+    A mass cannot jump. A counter that wraps moves in the opposite direction before it jumps.
+    """
     change = np.diff(values)
     at = np.flatnonzero(np.abs(change) > TUNING.columns_jump * np.ptp(values))
     at = at[at > 0]
@@ -209,7 +224,7 @@ def _jumps(values: Floats) -> bool:
 
 
 def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role, dt: float) -> Pair | None:
-    """A pair of columns under its best reading; None for a column and its own velocity, in either order."""
+    """Return a pair of columns under its best reading, or None for a column and its own velocity in either order."""
     if role != "velocity" and _is_rate(columns[name], columns[output]):
         return None
     if _is_rate(columns[output], columns[name]) or _is_set_point(columns[name], columns[output]):
@@ -219,7 +234,7 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
     seen = [(kind, view) for kind, view in found if view is not None]
     if not seen:
         return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0)
-    # against its name a column is a velocity only if it explains far more as one
+    # A column whose name contradicts a velocity must explain far more as a velocity.
     kind, view = min(
         seen, key=lambda pair: _cost(pair[1]) * (TUNING.columns_against if role and pair[0] != role else 1.0)
     )
@@ -231,8 +246,11 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
 
 
 def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> bool:
-    """Does a force in the sine of the output explain much of what a plain drive leaves of the input, and more than a
-    spring? u, y: (n,); plain: the part that the drive leaves. An output that is no angle, or turns little, has none."""
+    """Return whether a force in the sine of the output explains much of the input u (n,) that a plain drive leaves.
+
+    The force must also explain more than a spring does. `plain` is the part that the drive leaves. The answer is no if
+    the output y (n,) is no angle or turns little.
+    """
     angle = y * (unit.factor if unit else 1.0)
     if is_whole(y) if unit is None else unit.of != "angle":
         return False
@@ -249,7 +267,7 @@ def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> 
 
 
 def _kinds(role: Role, unit: Unit | None) -> tuple[str, ...]:
-    """The possible kinds of an output, by the role and the unit in its name."""
+    """Return the possible kinds of an output, from the role and the unit in its name."""
     if role == "velocity":
         return ("velocity",)
     travel = role == "counts" or (unit is not None and unit.of in ("length", "angle"))
@@ -257,30 +275,30 @@ def _kinds(role: Role, unit: Unit | None) -> tuple[str, ...]:
 
 
 def _is_rate(values: Floats, output: Floats) -> bool:
-    """Is a column (n,) the velocity of the output (n,), as a drive logs it together with the position?"""
+    """Return whether a column (n,) is the velocity of the output (n,), which a drive may log with the position."""
     change = np.gradient(output)
     size = float(np.std(values) * np.std(change))
     return size > 0 and float(np.mean((values - values.mean()) * (change - change.mean()))) > TUNING.columns_same * size
 
 
 def _is_set_point(values: Floats, output: Floats) -> bool:
-    """Is a column (n,) nearly the output itself, in its unit, as its reference is?"""
+    """Return whether a column (n,) is nearly equal to the output, as its reference is."""
     alike = float(np.std(values - output)) < TUNING.columns_set_point * float(np.std(output))
     return alike and abs(float(np.mean(values - output))) < float(np.std(output))
 
 
 def _cost(view: View) -> float:
-    """The unexplained part; 1 without a significant mass, for a velocity explains its own column."""
+    """Return the unexplained part, or 1 without a significant mass, because a velocity explains its own column."""
     return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.columns_significant else 1.0
 
 
 def _whole(name: str, output: Floats, kind: str) -> str:
-    """The kind of an output: whole numbers are counts, unless the name has a unit of travel."""
+    """Return the kind of an output. Whole numbers are counts, unless the name has a unit of travel."""
     return "counts" if kind == "position" and is_whole(output) and column_unit(name, OUTPUTS) is None else kind
 
 
 def _undo_wrap(y: Floats) -> Floats:
-    """An output (n,) without the jumps of a counter or an angle that begins again."""
+    """Return an output (n,) without the jumps of a counter or an angle that wraps."""
     step, found = step_of(y)
     wrap = wrap_of(np.floor(y / step + 0.5).astype(np.int64)) if found else None
     return y if wrap is None else np.asarray(np.unwrap(y, period=wrap.span * step))

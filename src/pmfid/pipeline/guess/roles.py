@@ -1,4 +1,4 @@
-"""What the names of columns say: the role of a column, its joint, and whether it was measured."""
+"""The role of a column, its joint, and whether it was measured, according to its name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pmfid.records.clock import named_unit
 
 Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
 
-#: Role of a column, and the words of its name: whole words, or the end of one; the first match counts.
+#: Role of a column, and the words of its name. A word is a whole word or the end of a word, and the first match counts.
 _WORDS: tuple[tuple[Role, str], ...] = (
     ("other", r"soll\w*|target|ref\w*|set\w*|desired|demand|goal|error|err|fehler|schleppfehler|status|temp\w*|"
               r"limit|fric\w*|rigid|enable\w*|mask"),
@@ -23,7 +23,7 @@ _WORDS: tuple[tuple[Role, str], ...] = (
     ("input", r"u|i|iq|input|torque|moment|drehmoment|current|strom|force|kraft|volts?|voltage|spannung|pwm|effort|tau|"
               r"duty|stell\w*|motor|m|f|eingang|drive|load|last|cmd|command\w*"),
 )  # fmt: skip
-#: Quantity of a unit -> role of the column.
+#: Role of a column for the quantity of its unit.
 _MEASURED: dict[str, Role] = {
     "length": "position",
     "angle": "position",
@@ -33,13 +33,13 @@ _MEASURED: dict[str, Role] = {
 
 
 def role_of(name: str) -> Role:
-    """The role of the column with this name; empty if the name shows none."""
+    """Return the role of the column with this name, or an empty text if the name shows no role."""
     bare = re.sub(r"\s*[\[(][^\])]*[\])]\s*$", "", name)
     output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
-    split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # MotorTorque
+    split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # splits names such as MotorTorque
     words = [word.rstrip("0123456789") or word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
     if len(words) > 1 and re.search(r"[\s_.,:/-][AVN]$", bare):
-        words = words[:-1]  # "i_A", "u_V": a unit, as "a" and "v" alone are none
+        words = words[:-1]  # "i_A", "u_V": the letter is a unit here, and "a" or "v" alone is not
     if output is not None or driven is not None:  # with any name, except for set points
         set_point = any(re.fullmatch(_WORDS[0][1], word) for word in words)
         return "other" if set_point else "input" if output is None else _MEASURED[output.of]
@@ -54,34 +54,37 @@ def role_of(name: str) -> Role:
     return "time" if named_unit(name) else ""
 
 
-#: Words of a torque or a position that is not measured, or not as it was measured.
+#: Words of a torque or a position that was not measured or is not the raw measurement.
 _COMMANDED = r"cmd|command\w*|con|ctrl|control\w*|target|goal|desired|demand|ref\w*|set\w*|soll\w*"
 _CHANGED = r"filt\w*|smooth\w*|est|estimate\w*|model|pred\w*|kalman"
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a column's name, without numbers."""
+    """Return the words of a column's name, without numbers."""
     split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", name)
     return [word for word in re.split(r"[\W_\d]+", split.lower()) if word]
 
 
 def is_commanded(name: str) -> bool:
-    """Does the name say that the column is a command, and no measurement?"""
+    """Return whether the name says that the column is a command and not a measurement."""
     return any(re.fullmatch(_COMMANDED, word) for word in words_of(name))
 
 
 def is_position(name: str) -> bool:
-    """Does a whole word of the name say that the column is a position? Of the letters only q does, a joint's."""
+    """Return whether a whole word of the name says that the column is a position.
+
+    The only such letter is q, the angle of a joint.
+    """
     return role_of(name) in ("position", "counts") and any(len(word) > 1 or word == "q" for word in words_of(name))
 
 
 def distance_from_measured(name: str) -> int:
-    """0 for a measured column, 1 for one that was filtered or estimated, 2 for a command; by the name alone."""
+    """Return 0 for a measured column, 1 for a filtered or estimated column and 2 for a command, by the name alone."""
     changed = any(re.fullmatch(_CHANGED, word) for word in words_of(name))
     return 2 if is_commanded(name) else int(changed)
 
 
 def number_of(name: str) -> str:
-    """The number in a name, as of a joint; empty without one, and with several."""
+    """Return the number in a name, such as that of a joint, or an empty text without a single number."""
     found = re.findall(r"\d+", re.sub(r"[\[(][^\])]*[\])]\s*$", "", name) or name) or re.findall(r"\d+", name)
     return found[0] if len(found) == 1 else ""

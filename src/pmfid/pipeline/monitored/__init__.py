@@ -1,1 +1,1 @@
-"""A monitored run: from configuration and samples to estimates and events."""
+"""A monitored run, from configuration and samples to estimates and events."""

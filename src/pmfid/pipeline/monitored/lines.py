@@ -1,4 +1,4 @@
-"""Lines of text, and what their fields mean."""
+"""Lines of text and the values of their fields."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from pmfid.records.clock import time_factor
 
 __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
 
-#: Limit of counts: above it, neighbouring whole numbers are no longer separate doubles.
+#: Limit of counts. Above it, a double cannot represent every whole number.
 MAX_COUNT = 2.0**53
-#: Largest time stamp [s], also for one that is in ns by mistake: in samples it must stay a number.
+#: Largest time stamp [s], which a stamp in ns may be by mistake. In samples it must remain a finite number.
 MOST_TIME = 1e30
 
-#: A value as a text, and as JSON and line protocol have it.
+#: A value as text, or as JSON and line protocol give it.
 Value = float | str
 
 
 def check_streamed(axis: Axis) -> None:
-    """Raises UsageError for a configuration whose columns cannot be read one sample at a time."""
+    """Raise UsageError if the configured columns cannot be read one sample at a time."""
     if isinstance(axis.record.input_scale, str):
         raise UsageError(f"[record] input_scale = {axis.record.input_scale!r} names a variable; a pipe needs a number")
     if axis.record.output_kind == "velocity" or axis.encoder.range is not None:
@@ -37,10 +37,10 @@ def check_streamed(axis: Axis) -> None:
 
 
 class Reading:
-    """From the values of input and output, and perhaps of time, to a `Line`.
+    """A reader that converts the values of input, output and time to a `Line`.
 
-    names: of their columns, perhaps with units. Raises UsageError for units that contradict the configuration, and for
-    a configuration that cannot be read one sample at a time.
+    `names` are the names of their columns, which may have units. Raises UsageError if a unit contradicts the
+    configuration, or if the configuration cannot be read one sample at a time.
     """
 
     def __init__(self, axis: Axis, names: tuple[str, ...]) -> None:
@@ -52,8 +52,10 @@ class Reading:
         self._unit = time_factor(config.model_copy(update={"time": names[2] if len(names) == 3 else None}))
 
     def time(self, value: Value) -> float:
-        """A time stamp [s]; dates and times of day ignore the unit of [record]. Raises ValueError for any other
-        text."""
+        """Return a time stamp [s]. Dates and times of day ignore the unit of [record].
+
+        Raises ValueError for any other text.
+        """
         try:
             time = self._unit * float(value)
         except ValueError:
@@ -63,8 +65,11 @@ class Reading:
         return time
 
     def line(self, u: Value, output: Value, time: float = math.nan) -> Line:
-        """The line of values at a time [s], NaN for none. A value that cannot be used is the line's problem if there is
-        a time; without a time, it raises ValueError or OverflowError."""
+        """Return the line of values at a time [s], where NaN stands for no time.
+
+        If a line with a time has an invalid value, the line stores the problem. Without a time, an invalid value raises
+        ValueError or OverflowError.
+        """
         try:
             scaled, place = self._scale * float(u), float(output)
             if not (math.isfinite(scaled) and math.isfinite(place)):
@@ -76,7 +81,7 @@ class Reading:
             return Line(time, math.nan, 0, str(error))
 
     def _count(self, value: float) -> int:
-        """The count of an output; a position slightly below a step belongs to it, as in a record."""
+        """Return the count of an output. A position slightly below a step belongs to that step, as in a record."""
         counts = math.floor(value / self._step + 1e-6) if self._step else round(value)
         if abs(counts) >= MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
             raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
@@ -84,9 +89,10 @@ class Reading:
 
 
 class FieldReader:
-    """Fields by name, as of JSON or line protocol, to a `Line`; [record] names input, output and time.
+    """A reader that converts named fields, such as those of JSON or line protocol, to a `Line`.
 
-    Raises UsageError for a configuration that cannot be read one sample at a time.
+    [record] names the fields of input, output and time. Raises UsageError if the configuration cannot be read one
+    sample at a time.
     """
 
     def __init__(self, axis: Axis) -> None:
@@ -96,15 +102,20 @@ class FieldReader:
         self._readings = {self._wanted: Reading(axis, self._wanted)}
 
     def __call__(self, fields: Mapping[str, object], stamp: float = math.nan) -> Line:
-        """The line of some fields; never raises, the line has the problem. stamp: time outside of the fields [s], used
-        if [record] names a time that is no field."""
+        """Return the line of some fields. An invalid field raises nothing, because the line stores the problem.
+
+        `stamp` is a time outside of the fields [s]. It is used if [record] names a time that is not a field.
+        """
         try:
             return self._line(fields, stamp)
         except (ValueError, OverflowError, UsageError) as error:
             return Line(math.nan, math.nan, 0, str(error)[: TUNING.most_letters])
 
     def rows(self, columns: Mapping[str, object], size: int) -> Iterator[Line]:
-        """The first `size` samples of columns by name; a value that is no list is the same in each. Never raises."""
+        """Yield the first `size` samples of columns by name, without an exception.
+
+        A value that is no list is the same in each sample.
+        """
         names = {whole_name(columns, name) for name in self._wanted}
         used = {name: columns[name] for name in names if name in columns}
         for k in range(size):
@@ -131,7 +142,7 @@ class FieldReader:
 
 
 def _value(fields: Mapping[str, object], name: str) -> Value:
-    """The value of a field. Raises ValueError if the field is missing, or is neither number nor text."""
+    """Return the value of a field. Raises ValueError if the field is missing, or is neither number nor text."""
     if name not in fields:
         raise ValueError(f"there is no field {name!r}")
     value = fields[name]
@@ -145,7 +156,7 @@ def _is_value(value: object) -> TypeGuard[Value]:
 
 
 def _moment(text: str) -> float:
-    """Seconds since 1970 of a date with a time, and since midnight of a time of day, both in ISO 8601."""
+    """Return the seconds since 1970 of a date with a time, or since midnight of a time of day, both in ISO 8601."""
     day = "" if "-" in text[1:] else "1970-01-01 "
     try:
         moment = datetime.fromisoformat(day + text)
@@ -168,9 +179,10 @@ class _Header:
 
 
 class LineParser:
-    """Reads u, counts and, if [record] names it, the time from lines with the separators and decimal signs of files.
+    """A parser that reads u, counts and, if [record] names it, the time from lines of text.
 
-    header: the first line. Raises UsageError if a column of [record] is missing in it.
+    The lines may have the separators and decimal signs of files. `header` is the first line. Raises UsageError if the
+    header does not have a column of [record].
     """
 
     def __init__(self, header: bytes, axis: Axis) -> None:
@@ -191,8 +203,10 @@ class LineParser:
         self._header = header
 
     def __call__(self, line: bytes) -> Line | None:
-        """The values of a line; None for a comment, for units, and for a header, which a logger writes on each
-        start."""
+        """Return the values of a line, or None for a comment, a row of units or a header.
+
+        A logger writes a header at each start.
+        """
         text = _text(line)
         if _is_comment(text) and not (self._header.separator == ";" and text.startswith(";")):
             return None
@@ -204,7 +218,7 @@ class LineParser:
             return Line(math.nan, math.nan, 0, str(error))
 
     def _is_header(self, text: str) -> bool:
-        """Uses a line as the header of the next lines if it has the columns."""
+        """Take a line as the header of the next lines if it has the columns, and return whether it has them."""
         if not all(name in text for name in self._wanted):
             return False
         header = _likeliest(text, self._wanted)
@@ -212,7 +226,7 @@ class LineParser:
             return False
         try:
             self._read_header(header)
-        except UsageError:  # of other units, or with a column twice: the next lines are read as the previous ones
+        except UsageError:  # this header has other units or a repeated column, so the previous header remains valid
             return False
         return True
 
@@ -231,7 +245,7 @@ class LineParser:
 
 
 def is_comment(line: bytes) -> bool:
-    """Is a line empty or a comment?"""
+    """Return whether a line is empty or a comment."""
     return _is_comment(_text(line))
 
 
@@ -241,17 +255,22 @@ def _is_comment(text: str) -> bool:
 
 def _text(line: bytes) -> str:
     text = line.decode("utf-8", "replace").strip(" \r\n\ufeff")
-    return text.replace("\r", " ") if "\r" in text else text  # some loggers end lines inside with it
+    return text.replace("\r", " ") if "\r" in text else text  # some loggers put it inside a line
 
 
 def _are_units(fields: Sequence[str]) -> bool:
-    """Is this a row of units, with at least one real unit? Empty cells and ones may be a damaged line of data."""
+    """Return whether this is a row of units with at least one real unit.
+
+    A row of empty cells and ones may be a damaged line of data.
+    """
     return are_units(fields) and any(field.strip("-1%") for field in fields)
 
 
 def _likeliest(text: str, wanted: Sequence[str]) -> _Header:
-    """The line as a header, with the separator that gives most of the wanted columns. Spaces, which may be inside
-    names, come last."""
+    """Return the line as a header, with the separator that gives most of the wanted columns.
+
+    Spaces come last, because names may contain spaces.
+    """
     readings = [_header(text, separator, wanted) for separator in SEPARATORS]
     return max(readings, key=_columns_in)
 

@@ -1,4 +1,4 @@
-"""Files for the estimates of a monitored run: CSV line by line, or Parquet, which is made of such lines at the end."""
+"""Files for the estimates of a monitored run, as CSV or as Parquet."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ Row = tuple[float | int | str, ...]
 
 
 class RowSink(Protocol):
-    """Takes rows; after `close` all of them are in the file. path: of the file, None without one; lost: rows that could
-    not be written."""
+    """A sink for rows, which are all in the file after `close`.
+
+    `path` is the path of the file, or None without a file. `lost` is the number of rows that could not be written.
+    """
 
     @property
     def path(self) -> Path | None: ...
@@ -30,20 +32,20 @@ class RowSink(Protocol):
 
 
 class Nowhere:
-    """No estimates are wanted."""
+    """A sink that drops all rows."""
 
     path: Path | None = None
     lost = 0
 
     def write(self, row: Row) -> None:
-        """Nothing."""
+        """Drop a row."""
 
     def close(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class StreamSink:
-    """Each row is in the pipe when `write` returns."""
+    """A sink whose rows are in the pipe when `write` returns."""
 
     path: Path | None = None
     lost = 0
@@ -53,7 +55,7 @@ class StreamSink:
         self._put(",".join(header))
 
     def write(self, row: Row) -> None:
-        """A line; numbers with 9 digits."""
+        """Write a line with 9 digits per number."""
         self._put(_short(row))
 
     def _put(self, line: str) -> None:
@@ -61,11 +63,11 @@ class StreamSink:
         self._stream.flush()
 
     def close(self) -> None:
-        """The stream stays open."""
+        """Leave the stream open."""
 
 
 class CsvSink:
-    """Each row is in the file when `write` returns."""
+    """A sink whose rows are in the CSV file when `write` returns."""
 
     def __init__(self, path: Path, header: Sequence[str], tell: Tell) -> None:
         self._file = RowFile(path, tell)
@@ -77,17 +79,19 @@ class CsvSink:
         return self._file.lost
 
     def write(self, row: Row) -> None:
-        """A line; numbers with 9 digits."""
+        """Write a line with 9 digits per number."""
         self._file.put(_short(row))
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
 
 
 class ParquetSink:
-    """Rows go to a CSV file in the same folder, and `close` converts it to Parquet. Memory stays small, and a process
-    that is killed loses no row."""
+    """A sink that writes rows to a CSV file in the same folder, and converts it to Parquet in `close`.
+
+    The memory stays small, and a killed process loses no row.
+    """
 
     def __init__(self, path: Path, header: Sequence[str], tell: Tell) -> None:
         self.path = path
@@ -100,11 +104,11 @@ class ParquetSink:
         return self._rows.lost
 
     def write(self, row: Row) -> None:
-        """A row, with all digits."""
+        """Write a row with all digits."""
         self._rows.put(",".join(map(str, row)))
 
     def close(self) -> None:
-        """Makes the Parquet file; if that fails, the rows stay, and `tell` gets the error."""
+        """Make the Parquet file. If this fails, the rows remain in the CSV file and `tell` gets the error."""
         import polars as pl
 
         self._rows.close()
@@ -123,7 +127,7 @@ class ParquetSink:
 
 
 def rows_path(path: Path) -> Path:
-    """The CSV file with the rows of an unfinished Parquet file."""
+    """Return the CSV file with the rows of an unfinished Parquet file."""
     return path.with_name(f"{path.name}.csv")
 
 
@@ -132,7 +136,9 @@ def _short(row: Row) -> str:
 
 
 def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink:
-    """The sink for a path; "-": CSV on standard output. An existing file stays: the rows go to path-2 and so on.
+    """Open the sink for a path, where "-" means CSV on standard output.
+
+    An existing file remains, and the rows go to path-2, path-3 and so on.
 
     Raises UsageError for another kind of file.
     """
@@ -148,5 +154,5 @@ def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink:
             if kind == ".csv":
                 return CsvSink(out if is_stream(out) else fresh(out), header, tell)
             return ParquetSink(fresh(out, rows_path), header, tell)
-        except FileExistsError:  # another monitor took that name just now
+        except FileExistsError:  # another monitor has just taken this name
             continue

@@ -1,4 +1,4 @@
-"""A monitored run: samples in, estimates and events out."""
+"""A monitored run, which converts samples to estimates and events."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sam
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
-#: A notice for JSON: texts, numbers, and tables of them, by key.
+#: A notice for JSON, with texts, numbers and tables by key.
 Notice = dict[str, Any]
 Tell = Callable[[Notice], None]
-#: Time, u, counts, theta, std, innovation, status bits, state.
+#: Time, u, counts, theta, std, innovation, status bits and state of one sample.
 Row = tuple[float, float, int, Floats, Floats, float, int, str]
-#: Called with each sample, its estimate and the monitor's state.
+#: Callback with each sample, its estimate and the monitor's state.
 Observer = Callable[[Sample, Estimate | Seen, str], None]
 
 
 @dataclass
 class RunHistory:
-    """The curves of the report, in bounded memory: time, u, counts, theta, std, innovation, status bits and state of
-    every `stride`th sample. Status bits and the largest innovation also include the samples between."""
+    """The curves of the report in bounded memory.
+
+    A row holds time, u, counts, theta, std, innovation, status bits and state of every `stride`th sample. Status bits
+    and the largest innovation also cover the samples between two rows.
+    """
 
     stride: int = field(default=1, init=False)
     rows: list[Row] = field(default_factory=list, init=False)
     _taken: int = field(default=0, init=False)
 
     def __call__(self, sample: Sample, estimate: Estimate | Seen, state: str) -> None:
-        """Adds a sample with its estimate and the monitor's state."""
+        """Add a sample with its estimate and the monitor's state."""
         if self._taken % self.stride == 0:
             if len(self.rows) >= TUNING.most_rows:
                 self.rows, self.stride = self.rows[::2], 2 * self.stride
@@ -52,11 +55,12 @@ class RunHistory:
 
 @dataclass
 class MonitoredRun:
-    """Totals of a run and its first run_kept events, as for JSON.
+    """The totals of a run and its first run_kept events, as for JSON.
 
-    bad_lines: could not be used; repeated_lines: came twice or too late; comments: with repeated headers; gaps: in the
-    times; missing: samples in these gaps; clock_jumps: how often the clock was set; outliers: samples that no motion
-    explains; problem: error that ended the run early, or "".
+    `bad_lines` counts unusable lines. `repeated_lines` counts lines that came twice or too late. `comments` includes
+    repeated headers. `gaps` counts gaps in the times, and `missing` counts the samples in these gaps. `clock_jumps`
+    counts how often the clock was set. `outliers` counts samples that no motion explains. `problem` is the error that
+    ended the run, or an empty text.
     """
 
     samples: int = 0
@@ -75,13 +79,13 @@ class MonitoredRun:
         return [event for event in self.events if event["event"] == "alarm"]
 
     def totals(self) -> dict[str, int]:
-        """All counts, by name."""
+        """Return all totals by name."""
         names = ("samples", "bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps", "outliers")
         return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
 
 
 def header(monitor: Monitor) -> list[str]:
-    """Columns of the estimates."""
+    """Return the column names of the estimates."""
     names = monitor.names
     return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
 
@@ -89,9 +93,9 @@ def header(monitor: Monitor) -> list[str]:
 def watch(
     found: Iterable[Found], monitor: Monitor, sink: RowSink, tell: Tell, observers: Sequence[Observer] = ()
 ) -> MonitoredRun:
-    """Runs the monitor over the samples; `tell` gets each event as an object for JSON, times as in the samples.
+    """Run the monitor over the samples. `tell` gets each event as an object for JSON, with the times of the samples.
 
-    A UsageError in the samples ends the run without an exception, so that its results are still written.
+    A UsageError in the samples ends the run without an exception, so that the results are still written.
     """
     run = MonitoredRun()
     try:
@@ -129,7 +133,7 @@ def _step(
 
 
 def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
-    """Counts a line that is no sample, and reports the first ones."""
+    """Count a line that is not a sample, and report the first such lines."""
     name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
     setattr(run, name, getattr(run, name) + 1)
     if line.kind != COMMENT and getattr(run, name) <= TUNING.most_notices:
@@ -137,7 +141,7 @@ def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
 
 
 def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> list[Event]:
-    """Counts and reports a gap or a clock that was set, and passes it to the monitor."""
+    """Count and report a gap or a clock that was set, and pass it to the monitor."""
     if sample.missing:
         run.gaps += 1
         run.missing += sample.missing
@@ -153,12 +157,12 @@ def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tel
 
 
 def _row(time: float, estimate: Estimate | Seen, state: str) -> tuple[float | int | str, ...]:
-    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite while nothing is known
+    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite before the first information
     return (time, *theta, *std, estimate.innovation, estimate.status, state)
 
 
 def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> Notice:
-    """The object that `--json` prints; shift: of the times [s]."""
+    """Return the object that `--json` prints, with times shifted by `shift` [s]."""
     if isinstance(event, StateChange):
         return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
     if isinstance(event, Settled):
@@ -182,8 +186,10 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> No
 
 
 def _format_settled(event: Settled, names: tuple[str, ...]) -> dict[str, dict[str, float | None]]:
-    """Value, standard deviation and relative change by name. After an alarm of the input gain, the gain comes first,
-    and the other values use the present gain."""
+    """Return value, standard deviation and relative change by name.
+
+    After an alarm of the input gain, the gain comes first, and the other values use the present gain.
+    """
     gain = {} if event.gain is None else {INPUT_GAIN: event.gain}
     factor = event.gain[0] / event.gain[2] if event.gain else 1.0
     own = zip((factor * event.theta).tolist(), (factor * event.std).tolist(), event.before.tolist(), strict=True)

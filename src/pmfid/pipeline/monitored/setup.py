@@ -1,4 +1,4 @@
-"""A monitor from AXIS.toml; thresholds are kept in a cache."""
+"""A monitor from AXIS.toml, with thresholds in a cache."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
-#: Version of the calibration and of its file; to be raised with every change of either.
+#: Version of the calibration and of its file, which grows with every change of either.
 VERSION = 6
 
 
 def cache_dir() -> Path:
-    """The folder of calibrations: PMFID_CACHE, or pmfid in the user's cache folder."""
+    """Return the folder of calibrations: PMFID_CACHE, or pmfid in the user's cache folder."""
     if os.environ.get("PMFID_CACHE"):
         return Path(os.environ["PMFID_CACHE"])
     home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -55,7 +55,7 @@ def cached_calibration(
     hours: float,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Calibration, Path, bool]:
-    """The calibration, its file, and whether the file existed. A cache that cannot be written is ignored."""
+    """Return the calibration, its file, and whether the file existed. An unwritable cache is ignored."""
     detectors = make_detectors(block_keep(estimator))  # the file keeps their thresholds
     digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None} {detectors!r}".encode())
     for part in (theta, u, np.zeros(0) if counts is None else counts):
@@ -75,7 +75,7 @@ def _write(path: Path, calibration: Calibration) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
         part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
-        part.replace(path)  # another run may write the same one
+        part.replace(path)  # another run may write the same file
     except OSError:
         return
 
@@ -89,7 +89,7 @@ def _read(path: Path) -> Calibration | None:
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")
         if digest != _digest(text):
             return None  # damaged: numbers may have changed and still be numbers
-        raw: dict[str, Any] = json.loads(text)  # another structure ends in one of the errors below
+        raw: dict[str, Any] = json.loads(text)  # another structure raises one of the errors below
         return Calibration(
             np.array(raw["theta"]),
             _scale(raw["scale"]),
@@ -101,7 +101,7 @@ def _read(path: Path) -> Calibration | None:
             None if raw["work"] is None else _work(raw["work"]),
         )
     except (OSError, ValueError, TypeError, KeyError):
-        return None  # no file, or not of this version: the calibration is computed again
+        return None  # without a file of this version, the calibration is computed again
 
 
 def _scale(raw: dict[str, Any]) -> Scale:
@@ -119,8 +119,11 @@ def _work(raw: dict[str, Any]) -> NormalWork:
 
 @dataclass(frozen=True)
 class Setup:
-    """A monitor at its start; nominal: (p,); calibration, and its file `path`; cached: was it in the cache? notes: for
-    people."""
+    """A monitor at its start.
+
+    `nominal` (p,) are the normal parameters. `calibration` is stored in the file `path`, and `cached` says whether the
+    cache had it. `notes` are texts for the user.
+    """
 
     monitor: Monitor
     nominal: Floats
@@ -131,16 +134,17 @@ class Setup:
 
     @property
     def reported(self) -> Floats:
-        """(q,): nominal, and the input gain if it is estimated."""
+        """The nominal values, followed by the input gain if it is estimated (q,)."""
         further = len(self.monitor.names) - len(self.monitor.estimator.names)
         return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * further])
 
 
 def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None) -> Setup:
-    """The monitor of AXIS.toml; folder: of AXIS.toml; record: to be watched, None: a pipe.
+    """Return the monitor of AXIS.toml in `folder` for a record, or for a pipe if `record` is None.
 
-    Without a reference the record's own input calibrates, with the encoder as the only noise. Raises UsageError without
-    both, or without nominal values, and NotIdentifiableError if the reference cannot identify them.
+    Without a reference, the record's own input calibrates the monitor, with the encoder as the only noise. Raises
+    UsageError without reference and record, or without nominal values. Raises NotIdentifiableError if the reference
+    cannot identify the nominal values.
     """
     config, notes = axis.monitor, []
     check_monitored(axis)
@@ -172,7 +176,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
 
 
 def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float) -> list[str]:
-    """Notes on the thresholds if normal work is noisier than its simulation."""
+    """Return notes on the thresholds if normal work is noisier than its simulation."""
     hours, notes = calibration.record_hours, []
     if np.max(calibration.noise) > TUNING.setup_noisy or hours:
         notes.append(
@@ -192,7 +196,7 @@ def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float
 
 
 def check_monitored(axis: Axis) -> None:
-    """Raises UsageError for a model that the monitor cannot watch; for use before a record is read."""
+    """Raise UsageError for a model that the monitor cannot watch. The check needs no record."""
     reason = axis.model.make().equation.without_simulation
     if reason:
         raise UsageError(
@@ -202,7 +206,7 @@ def check_monitored(axis: Axis) -> None:
 
 
 def _configure_recursive(axis: Axis, dt: float) -> Axis:
-    """The axis with a recursive method, `riv` for auto, and with a memory."""
+    """Return the axis with a recursive method (`riv` for auto) and with a memory."""
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     forgetting = axis.estimator.forgetting
     if forgetting == 1:
@@ -212,7 +216,7 @@ def _configure_recursive(axis: Axis, dt: float) -> Axis:
 
 
 def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
-    """The configured recursive method; wraps: do the counter's bits matter, as in a pipe?"""
+    """Return the configured recursive method. `wraps` says whether the counter's bits matter, as in a pipe."""
     method = axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator) or issubclass(ESTIMATORS[method], RLS):
         usable = [
@@ -228,8 +232,10 @@ def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
 
 
 def _set_normal_gain(axis: Axis, source: Record) -> Axis:
-    """The axis with the input gain of normal work, if it is estimated: from [monitor] nominal or the reference. Raises
-    UsageError if nominal has no input gain."""
+    """Return the axis with the input gain of normal work if the gain is estimated.
+
+    The gain comes from [monitor] nominal or the reference. Raises UsageError if nominal has no input gain.
+    """
     if not finds_gain(axis):
         return axis
     given = axis.monitor.nominal
@@ -250,7 +256,7 @@ def _set_normal_gain(axis: Axis, source: Record) -> Axis:
 def _nominal(
     estimator: RecursiveEstimator, given: dict[str, float] | None, source: Record, known: Known | None
 ) -> Floats:
-    """The normal parameters (p,): as given, or identified from the reference."""
+    """Return the normal parameters (p,), as given or as identified from the reference."""
     front = like(IV, estimator, prefilter_zeros=None)
     names = front.names
     if given is None:
@@ -263,7 +269,7 @@ def _nominal(
 
 
 def start_object(setup: Setup) -> dict[str, object]:
-    """The settings of a watched axis, for `--json`."""
+    """Return the settings of a monitored axis for `--json`."""
     monitor = setup.monitor
     return {
         "event": "start",

@@ -1,4 +1,4 @@
-"""Samples from lines of CSV in a pipe, or from a record, with an orderly stop at signals."""
+"""Samples from lines of CSV in a pipe or from a record, with an orderly end on signals."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ from pmfid.records.record import Record
 
 
 class _InterruptedError(Exception):
-    """A signal came while nothing was being processed."""
+    """A signal that arrives while the run waits for input."""
 
 
 @contextmanager
 def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
-    """SIGINT, SIGTERM and, if wanted and known to the system, SIGHUP go to a handler inside the block."""
+    """Pass SIGINT, SIGTERM and SIGHUP to a handler inside the block.
+
+    SIGHUP is included only if it is wanted and the system has it.
+    """
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hangup and hasattr(signal, "SIGHUP"):
         numbers.append(signal.SIGHUP)
@@ -39,9 +42,11 @@ def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool 
 
 @dataclass
 class Stop:
-    """Ends a run at SIGINT, SIGTERM and SIGHUP: after the present sample, or at once if it waits for the next one.
+    """The end of a run on SIGINT, SIGTERM or SIGHUP.
 
-    A SIGHUP that is ignored, as under nohup, stays ignored."""
+    The run ends after the present sample, or at once if it waits for the next sample. An ignored SIGHUP, as under
+    nohup, remains ignored.
+    """
 
     requested: bool = field(default=False, init=False)
     _waiting: bool = field(default=False, init=False)
@@ -53,14 +58,14 @@ class Stop:
 
     @contextmanager
     def handling(self) -> Iterator[Stop]:
-        """This object handles signals inside the block."""
+        """Handle signals with this object inside the block."""
         hangup = getattr(signal, "SIGHUP", None)
         ignored = hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN
         with catch_signals(self._handle, hangup=not ignored):
             yield self
 
     def read(self, stream: BinaryIO) -> bytes:
-        """The next line, b"" at the end or when a signal comes."""
+        """Return the next line, or b"" at the end or on a signal."""
         try:
             self._waiting = True
             line = b"" if self.requested else stream.readline(TUNING.longest_line)
@@ -73,7 +78,7 @@ class Stop:
 
 
 def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
-    """The samples of a record, from time 0."""
+    """Yield the samples of a record, starting at time 0."""
     for k in range(record.u.size):
         if stop.requested:
             return
@@ -81,10 +86,11 @@ def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
 
 
 def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Found]:
-    """The samples of the lines after the header, each as soon as possible, and the lines that are no samples.
+    """Yield the samples of the lines after the header, each as soon as possible, and the skipped lines.
 
-    dt: sample period [s]. Raises UsageError for a header without the columns of [record], for no line at all, for lines
-    with another period than dt, and if the first lines, or most of all lines, cannot be used.
+    dt [s] is the sample period. Raises UsageError if the header does not have the columns of [record], or if the lines
+    have another sample period than dt. It is also raised without any line, or if the first lines or most of all lines
+    are unusable.
     """
     parse = _read_header(stream, axis, stop)
     if parse is None:
@@ -103,7 +109,7 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
 
 
 def _read_header(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
-    """The parser with the header; None if a signal comes before it."""
+    """Return the parser with the header, or None if a signal comes before the header."""
     beginning = Beginning(axis)
     while line := stop.read(stream):
         parser = beginning.take(line)
@@ -116,8 +122,11 @@ def _read_header(stream: BinaryIO, axis: Axis, stop: Stop) -> LineParser | None:
 
 @dataclass
 class Beginning:
-    """Searches the header: the first line that has the columns. Earlier lines, such as the name of the logger, are
-    skipped; data end the search. problem: why no line so far is the header."""
+    """The search for the header, which is the first line with the columns.
+
+    Earlier lines, such as the name of the logger, are skipped. A line of data ends the search. `problem` says why no
+    line so far is the header.
+    """
 
     axis: Axis
     problem: UsageError = field(
@@ -129,7 +138,10 @@ class Beginning:
     _lines: int = field(default=0, init=False)
 
     def take(self, line: bytes) -> LineParser | None:
-        """The parser for the next lines, if this line is the header. Raises UsageError once no header can come."""
+        """Return the parser for the next lines if this line is the header.
+
+        Raises UsageError if no header can follow.
+        """
         if is_comment(line):
             return None
         self._lines += 1
@@ -145,7 +157,9 @@ class Beginning:
 
 @dataclass
 class _Tally:
-    """Counts samples, bad lines, repeated lines, and lines since the last sample, and refuses a run with too few."""
+    """Totals of samples, bad lines, repeated lines and lines since the last sample. A run with too few samples is
+    refused.
+    """
 
     samples: int = 0
     bad: int = 0
@@ -158,7 +172,7 @@ class _Tally:
         return self.samples + self.bad + self.repeated
 
     def count(self, found: Sequence[Found]) -> None:
-        """Raises UsageError if the first lines are bad."""
+        """Count the findings. Raises UsageError if the first lines are bad."""
         before = self.lines
         for one in found:
             if isinstance(one, Sample):
@@ -180,8 +194,9 @@ class _Tally:
         self.problem = self.problem or line.problem
 
     def check(self) -> None:
-        """Raises UsageError if the last lines are bad, if more lines are bad than good, or if nearly all are
-        repeated."""
+        """Raise UsageError if the last lines are bad, if bad lines are the majority, or if nearly all lines are
+        repeated.
+        """
         if self.tail >= TUNING.first_lines:
             self._refuse(self.tail, self.tail)
         if max(self.bad, self.repeated // TUNING.most_repeated) > self.samples:

@@ -1,4 +1,4 @@
-"""From lines to samples on a regular grid."""
+"""Conversion of lines to samples on a regular grid."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.pipeline.tuning import TUNING
 
-#: Successive wrong groups that end the run, before and after a right one: a late logger writes many lines at once.
+#: Successive wrong groups that end the run, before and after a right group. A late logger writes many lines at once.
 FIRST, LATER = 1, 3
 
-#: A state, as an object for JSON.
+#: A state as an object for JSON.
 Saved = dict[str, Any]
 
 
 @dataclass
 class Period:
-    """Checks the period of stamps; dt: expected [s]. Every method raises UsageError once the period is another one."""
+    """A check of the sample period in time stamps, with the expected period dt [s].
+
+    Every method raises UsageError if the stamps have another period.
+    """
 
     dt: float
     _steps: list[float] = field(default_factory=list, init=False)
@@ -33,7 +36,7 @@ class Period:
     _checked: bool = field(default=False, init=False)
 
     def save_state(self) -> Saved:
-        """The state, for JSON with NaN."""
+        """Return the state for JSON with NaN."""
         return {
             "steps": list(self._steps),
             "last": self._last,
@@ -45,13 +48,13 @@ class Period:
         }
 
     def restore(self, saved: Saved) -> None:
-        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
+        """Continue from a saved state. Raises KeyError, TypeError or ValueError for an invalid state."""
         self._steps, self._last = [float(step) for step in saved["steps"]], float(saved["last"])
         self._wrong, self._patience = int(saved["wrong"]), int(saved["patience"])
         self._start, self._count, self._checked = float(saved["start"]), int(saved["count"]), bool(saved["checked"])
 
     def line(self, time: float) -> None:
-        """Adds the stamp [s] of any line."""
+        """Add the stamp [s] of any line."""
         step, self._last = (time - self._last) / self.dt, time
         if abs(step) > TUNING.timeline_doubled:
             self._steps.append(step)
@@ -60,7 +63,7 @@ class Period:
             self._judge(steps)
 
     def sample(self, time: float) -> None:
-        """Adds the stamp [s] of a line that is a sample."""
+        """Add the stamp [s] of a line that is a sample."""
         if math.isnan(self._start):
             self._start, self._count = time, 0
             return
@@ -72,11 +75,11 @@ class Period:
                 self._refuse(mean)
 
     def slots(self, samples: int) -> None:
-        """Adds samples without a line."""
+        """Add samples without a line."""
         self._count += samples
 
     def restart(self) -> None:
-        """Forgets the stamps so far, because the clock was set."""
+        """Forget the previous stamps, because the clock was set."""
         self._start, self._checked, self._patience = math.nan, False, FIRST
 
     def _judge(self, steps: np.ndarray) -> None:
@@ -103,7 +106,10 @@ BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
 
 @dataclass(frozen=True)
 class Line:
-    """The values of a line. time [s], NaN without one; u, NaN if it cannot be used; problem: why not, or ""."""
+    """The values of a line.
+
+    `time` [s] is NaN without a time. `u` is NaN if it is unusable, and `problem` is the reason or an empty text.
+    """
 
     time: float
     u: float
@@ -113,8 +119,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Sample:
-    """time [s]; u, NaN if the sample is lost; counts, the last ones if it is lost; missing: samples that are missing
-    before it; jump: change of the clock before it [s]."""
+    """A sample on the regular grid.
+
+    `time` is in s. `u` is NaN if the sample is lost, and `counts` then holds the last counts. `missing` is the number
+    of missing samples before this sample. `jump` is the change of the clock before this sample [s].
+    """
 
     time: float
     u: float
@@ -125,7 +134,10 @@ class Sample:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A line that is no sample. time: of the next expected sample [s]; kind: BAD, REPEATED or COMMENT."""
+    """A line that is not a sample.
+
+    `time` is the time of the next expected sample [s]. `kind` is BAD, REPEATED or COMMENT.
+    """
 
     time: float
     kind: str
@@ -137,22 +149,22 @@ Found = Sample | Skipped
 
 @dataclass
 class Metronome:
-    """Lines without a time: each is the next sample. dt: sample period [s]."""
+    """A timeline for lines without a time, where each line is the next sample after dt [s]."""
 
     dt: float
     _next: float = field(default=0.0, init=False)
     _counts: int = field(default=0, init=False)
 
     def save_state(self) -> Saved:
-        """The state, for JSON."""
+        """Return the state for JSON."""
         return {"next": self._next, "counts": self._counts}
 
     def restore(self, saved: Saved) -> None:
-        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
+        """Continue from a saved state. Raises KeyError, TypeError or ValueError for an invalid state."""
         self._next, self._counts = float(saved["next"]), int(saved["counts"])
 
     def take(self, line: Line) -> list[Found]:
-        """The sample of a line; a line that cannot be used takes its time, too."""
+        """Return the sample of a line. An unusable line also takes one sample period."""
         time, self._next = self._next, self._next + self.dt
         if line.problem:
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
@@ -160,15 +172,16 @@ class Metronome:
         return [Sample(time, line.u, line.counts)]
 
     def end(self) -> list[Found]:
-        """Nothing is held."""
+        """Return nothing, because no lines are held."""
         return []
 
 
 @dataclass
 class Timeline:
-    """Lines with a time. dt: sample period [s].
+    """A timeline for lines with a time, with a sample period dt [s].
 
-    `take` raises UsageError if the lines have another period, or if most_strays in a row fit nowhere.
+    `take` raises UsageError if the lines have another sample period, or if most_strays successive lines have no valid
+    time.
     """
 
     dt: float
@@ -183,7 +196,7 @@ class Timeline:
         self._recent: deque[Line] = deque(maxlen=TUNING.timeline_remembered)
 
     def save_state(self) -> Saved:
-        """The state, for JSON with NaN."""
+        """Return the state for JSON with NaN."""
         lines = {"held": self._held, "recent": self._recent}
         return {
             "expected": self._expected,
@@ -195,7 +208,7 @@ class Timeline:
         }
 
     def restore(self, saved: Saved) -> None:
-        """Continues from a saved state. Raises KeyError, TypeError or ValueError for an invalid one."""
+        """Continue from a saved state. Raises KeyError, TypeError or ValueError for an invalid state."""
         self._expected, self._unused = float(saved["expected"]), int(saved["unused"])
         self._strays, self._counts = int(saved["strays"]), int(saved["counts"])
         self._held = [Line(*entry) for entry in saved["held"]]
@@ -203,7 +216,7 @@ class Timeline:
         self._period.restore(saved["period"])
 
     def take(self, line: Line) -> list[Found]:
-        """The samples and skipped lines that are known after a line, in the order of time."""
+        """Return the samples and skipped lines that are known after a line, in the order of time."""
         if math.isnan(line.time):
             return [self._skip(line.problem)]
         self._period.line(line.time)
@@ -217,14 +230,16 @@ class Timeline:
         return self._irregular(line)
 
     def end(self) -> list[Found]:
-        """The lines that were held to the end."""
+        """Return the lines that were held to the end."""
         return self._drop_held()
 
     def _offset(self, time: float) -> float:
         return (time - self._expected) / self.dt
 
     def _place(self, time: float) -> int | None:
-        """The place of a line, in samples after the expected one; unusable lines may have the places before it."""
+        """Return the place of a line, in samples after the expected sample. Unusable lines may take the earlier
+        places.
+        """
         offset = self._offset(time)
         place = min(max(0, round(offset)), self._unused + len(self._held))
         return place if abs(offset - place) < TUNING.timeline_near else None
@@ -234,7 +249,7 @@ class Timeline:
         self._expected += place * self.dt
         self._period.slots(place)
         held, self._held = self._held, []
-        # lines with an old time and new values are samples of a clock that was set back by a few periods
+        # Lines with an old time and new values are samples of a clock that was set back by a few periods.
         late = sum(
             other.time < self._expected - TUNING.timeline_near * self.dt and other not in self._recent for other in held
         )
@@ -246,7 +261,7 @@ class Timeline:
         return found
 
     def _accept(self, line: Line, missing: int = 0, jump: float = 0.0) -> list[Found]:
-        """The line is the expected sample."""
+        """Return a line as the expected sample, and move the grid."""
         grid = self._expected + TUNING.timeline_follow * (line.time - self._expected)
         self._expected, self._strays = grid + self.dt, 0
         self._period.sample(line.time)
@@ -258,7 +273,7 @@ class Timeline:
         return [Sample(line.time, line.u, line.counts, missing, jump)]
 
     def _irregular(self, line: Line) -> list[Found]:
-        """Holds a line, until it is known whether the next ones follow it."""
+        """Hold a line until the next lines show whether they follow it."""
         follows = (
             bool(self._held)
             and TUNING.timeline_soonest < (line.time - self._held[-1].time) / self.dt < TUNING.timeline_latest
@@ -276,7 +291,7 @@ class Timeline:
         return found + self._restart_grid() if len(self._held) >= needed else found
 
     def _restart_grid(self) -> list[Found]:
-        """The held lines are a new grid."""
+        """Return the held lines as samples of a new grid."""
         (first, *others), self._held, self._unused = self._held, [], 0
         jump = first.time - self._expected
         gap = 0 < jump <= TUNING.longest_gap
