@@ -116,8 +116,8 @@ def by_init(log: Log, folder: Path, reference: Floats) -> Outcome:
     said = gain(keys["model"]["input_gain"])
     known = {"force": said if isinstance(said, Quantity) else bench.truth.input_gain, "travel": bench.step}
 
-    def ask(question: str, _: str) -> str:
-        return f"{known.get(question.split()[0], bench.dt):.12g}"
+    def ask(question: str, read: Callable[[str], float]) -> float:
+        return read(f"{known.get(question.split()[0], bench.dt):.12g}")
 
     path = log.write(folder, bench)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Callable
 from functools import cache
@@ -15,7 +16,7 @@ from click.testing import CliRunner
 from pmfid.cli.main import main
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.pipeline.guess.axis_file import guess
+from pmfid.pipeline.guess.axis_file import Reader, guess, read_duration, read_gain, read_travel
 from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import kind_of
@@ -112,10 +113,24 @@ def test_of_several_inputs_the_one_that_explains_the_motion_is_taken(tmp_path: P
 
 def test_what_is_asked_is_written(tmp_path: Path) -> None:
     answers = iter([str(RESOLUTION), "2,0"])
-    text = guess(saved("counts", tmp_path), lambda question, usual: next(answers)).text
+    text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
     assert f"resolution = {RESOLUTION!r}" in text
     assert "input_gain = 2.0" in text
     assert "TO DO: travel" not in text
+
+
+def test_an_answer_may_have_a_unit_and_may_be_left_out(tmp_path: Path) -> None:
+    answers = iter(["2,5 um", "0.42 N/A"])
+    text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
+    assert 'resolution = "2.5 um"' in text
+    assert 'input_gain = "0.42 N/A"' in text
+    assert "TO DO" in guess(saved("counts", tmp_path), lambda question, read: None).text
+
+
+@pytest.mark.parametrize(("read", "text"), [(read_travel, "1 furlong"), (read_gain, "zero"), (read_duration, "1 h")])
+def test_an_answer_that_is_no_number_is_asked_again(read: Reader, text: str) -> None:
+    with pytest.raises(ValueError, match="is no"):
+        read(text)
 
 
 def test_the_command_never_writes_over_a_file(tmp_path: Path) -> None:
@@ -176,6 +191,10 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     path = saved("counts", tmp_path)
     record = kind_of(guess_axis(path)).read([path], guess_axis(path))
     assert "resolution is 1: lengths are in counts; give the travel of a count in [encoder]" in record.notes
+    assert any(note.startswith("input_gain is 1: forces are in the unit of 'u'") for note in record.notes)
+    result = CliRunner().invoke(main, ["identify", str(path), "--config", str(path.with_suffix(".toml")), "--json"])
+    units = {name: own["unit"] for name, own in json.loads(result.stdout)["parameters"].items()}
+    assert units == {"mass": "N s2/count", "viscous_friction": "N s/count", "coulomb_friction": "N"}
     (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
     assert "TO DO: taken to be in m or rad, else write" in line
 

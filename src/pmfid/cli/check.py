@@ -41,9 +41,14 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     if as_json:
         print_json({"record": name, "samples": samples, "findings": [finding.to_json() for finding in found]})
     else:
+        from pmfid.diagnostics.matter import is_small_doubt
+
+        small = dict.fromkeys(finding.code for finding in found if is_small_doubt(finding))
+        below = f"; below the tolerance: {', '.join(small)}" if small else ""
         said = "" if faults else ", nothing wrong found" if found else ", nothing found"
-        click.echo(printable(f"{name}: {samples} samples{said}"))
+        click.echo(printable(f"{name}: {samples} samples{said}{below}"))
         for finding in found:
-            click.echo(printable("\n".join(finding.lines)))
+            if not is_small_doubt(finding):
+                click.echo(printable("\n".join(finding.lines)))
     wrong = any(finding.severity == "wrong" for finding in found)
     ctx.exit(EXIT_WRONG if wrong else EXIT_FOUND if faults else 0)

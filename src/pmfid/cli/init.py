@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -37,9 +38,18 @@ def init(record: Path, out: Path, output: str | None) -> None:
     with progress("init") as tell:
         from pmfid.pipeline.guess.axis_file import guess
 
-        def ask(question: str, usual: str) -> str:
+        def ask(question: str, read: Callable[[str], float]) -> float | None:
+            def convert(text: str) -> float | None:
+                try:
+                    return read(text) if text.strip() else None
+                except ValueError as error:
+                    raise click.BadParameter(printable(str(error))) from None
+
             tell.end()
-            return str(click.prompt(question, default=usual, err=True))
+            answer: float | None = click.prompt(
+                f"{question} (Enter: TO DO)", default="", show_default=False, value_proc=convert, err=True
+            )
+            return answer
 
         found = guess(record, ask if on_terminal else None, output)
     with out.open("x", encoding="utf-8", newline="\n") as file:

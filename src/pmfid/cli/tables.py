@@ -31,7 +31,9 @@ def print_result(result: Result, out: Path | None) -> None:
     console.print(table)
     if isinstance(result, DriveResult):
         console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
-    lines = [f"status: {', '.join(dict.fromkeys(result.status))}"] if result.status else []
+    small = dict.fromkeys(finding.code for finding in result.findings if is_small_doubt(finding))
+    below = f"; below the tolerance: {', '.join(small)}, which the report and --json describe" if small else ""
+    lines = [f"status: {', '.join(dict.fromkeys(result.status)) or 'none'}{below}"]
     lines += [line for finding in result.findings if not is_small_doubt(finding) for line in finding.lines]
     lines += [f"more: pmfid explain {result.status[0]}"] if result.status else []
     lines += [f"report: {out / 'report.html'}"] if out is not None else []

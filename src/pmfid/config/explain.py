@@ -35,6 +35,10 @@ _UNITS = re.compile(
 _PLAIN: dict[object, str] = {str: "text", float: "number", bool: "true or false", int: "whole number"}
 _LIMITS = {Gt: (">", "gt"), Ge: (">=", "ge"), Lt: ("<", "lt"), Le: ("<=", "le")}
 _KEY = "key of AXIS.toml"
+STATUS = (
+    "The status lists each finding that may move a parameter beyond its error bar and the tolerance; none: no finding "
+    "does. pmfid explain WORD describes one word of it."
+)
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,7 @@ def entries() -> tuple[ReferenceEntry, ...]:
     keys = [key for name, field in sections for key in keys_in(name, field.annotation)]
     bits = {str(bit.name).lower(): ADVICE[bit] for bit in Status}
     words = [ReferenceEntry(name, "status of a sample and of an estimate", meaning) for name, meaning in bits.items()]
+    words = [ReferenceEntry("status", "line of every result", STATUS), *words]
     return (*keys, *words, *(ReferenceEntry(name, "status of an estimate", meaning) for name, meaning in FLAGS.items()))
 
 

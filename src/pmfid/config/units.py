@@ -77,6 +77,8 @@ _ALIASES = {
 }  # fmt: skip
 #: Least letters of a unit after an underscore, stroke, blank or point. A single letter is usually an index.
 _LEAST_LETTERS = 2
+#: A single letter is a unit after the name of its quantity.
+_MEASURED = re.compile(r"((kraft|force)[\s_./]N|(strom|current)[\s_./]A|(spannung|voltage)[\s_./]V)$", re.IGNORECASE)
 
 
 class Quantity(float):
@@ -115,8 +117,10 @@ def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
     if found := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
         return unit_named(found.group(1), table)
     last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", name) or re.search(r"[\s_/.]([A-Za-zµμ°%]+)$", name)
-    long = last is not None and len(last.group(1)) >= _LEAST_LETTERS
-    return unit_named(last.group(1), table) if last is not None and (long or last.group(1) in "°%") else None
+    if last is None:
+        return None
+    clear = len(last.group(1)) >= _LEAST_LETTERS or last.group(1) in "°%" or _MEASURED.search(name)
+    return unit_named(last.group(1), table) if clear else None
 
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")

@@ -115,7 +115,7 @@ class _Sharp:
             return f"{cls.method} contradicts it"
         total = np.hypot(self.fit.theta_std, spread)
         less = np.sum(np.log(total)) < np.sum(np.log(other.theta_std))
-        return f"{cls.method} knows less, whatever the unmodelled effects" if less else ""
+        return f"the error bars of {cls.method} are larger" if less else ""
 
     def make_choice(self, reason: str) -> MethodChoice:
         return MethodChoice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
@@ -161,7 +161,7 @@ def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, c
 
 
 _CANDIDATES: tuple[tuple[type[BatchEstimator], str], ...] = (
-    (IV, "it asks least of the model"),
+    (IV, "it depends least on the model"),
     (OE, "instrumental variables do not settle on this record"),
     (BCLS, "no simulated motion follows this record; the input carries enough to take out the encoder's bias"),
     (LS, "nothing but least squares settles on this record; mind the encoder's bias"),

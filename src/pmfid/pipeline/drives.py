@@ -115,7 +115,8 @@ class Drives(Kind[Record]):
         return record_of(table, axis)
 
     def name_and_samples(self, data: Record) -> tuple[str, int]:
-        return data.name, int(data.u.size)
+        rows = data if data.own is None else data.own  # an estimate uses the record at its own instants
+        return data.name, int(rows.u.size)
 
     def prepare_axis(self, data: Record, axis: Axis) -> Axis:
         axis = match_kind(data, axis)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import cast
 
 from pmfid.config.axis import Axis
-from pmfid.diagnostics.matter import OF_LOG, weigh_findings
+from pmfid.diagnostics.matter import OF_LOG, is_small_doubt, weigh_findings
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.findings import Finding, codes, make_notes, sort_findings
@@ -84,8 +84,9 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
         return sort_findings((*log, Finding("refused", sentence, remedy, "wrong")))
     except UsageError:
         return log
-    doubts = (finding for finding in result.findings if finding.severity != "note")
-    return sort_findings((*weigh_findings(log, result.matter), *doubts))
+    doubts = [finding for finding in result.findings if finding.severity != "note"]
+    small = [finding for finding in result.findings if is_small_doubt(finding)]
+    return sort_findings((*weigh_findings(log, result.matter), *doubts, *small))
 
 
 @dataclass(frozen=True)

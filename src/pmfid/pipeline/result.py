@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -310,7 +311,8 @@ class DriveResult(Result):
 
     @property
     def units(self) -> tuple[str, ...]:
-        return choose_naming(self.estimator, self.known).units
+        own = choose_naming(self.estimator, self.known).units
+        return tuple(map(convert_to_counts, own)) if self.record.in_counts else own
 
     @property
     def beforehand(self) -> dict[str, str]:
@@ -389,6 +391,16 @@ class ProcessResult(Result):
             "fit": self.fit,
             "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
         }
+
+
+#: Masses as forces per acceleration; then lengths and angles, but not the metre of a torque.
+_MASSES = {"kg": "N s2/m", "kg m2": "N m s2/rad"}
+_LENGTH = re.compile(r"(?<=/)(?:m|rad)(?=\d|$)|^(?:m|rad)(?=/s|$)")
+
+
+def convert_to_counts(unit: str) -> str:
+    """The unit of a parameter where lengths and angles are in counts."""
+    return _LENGTH.sub("count", _MASSES.get(unit, unit))
 
 
 def delay_of(estimator: Estimator) -> int:

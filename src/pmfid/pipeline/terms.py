@@ -462,7 +462,9 @@ def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> 
     said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
     # The search itself has fitted, and kept or refused, the terms that such advice proposes for [model].
     own = [
-        replace(one, sentence=UNEXPLAINED) if one.code == UNMODELLED else one for one in said.judged if one.code != LATE
+        replace(one, sentence=UNEXPLAINED, remedy="") if one.code == UNMODELLED else one
+        for one in said.judged
+        if one.code != LATE
     ]
     return weigh_findings(own, said.matter), said.matter.beyond
 

@@ -170,6 +170,8 @@ class PipelineTuning:
     axis_file_shortest: float = 1e-5
     axis_file_longest: float = 0.1
     axis_file_usual: float = 1e-3
+    #: Most characters of a list of columns in a message.
+    axis_file_listed: int = 80
 
     # guess.columns
     #: Most examined values, least part of the steps that are whole multiples, and largest distance from a multiple.

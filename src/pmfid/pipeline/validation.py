@@ -10,6 +10,7 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.free_run import FreeRun, Horizon
+from pmfid.diagnostics.matter import is_small_doubt
 from pmfid.errors import UsageError
 from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.pipeline.identify import check, kind_of
@@ -187,5 +188,6 @@ def validate_parameters(method: str, theta: Floats, data: Sequence[Records], axi
     for record in data:
         kind.check(record, axis)
     runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))
-    findings = sort_findings(finding for record in data for finding in check(record, asked))
+    every = (finding for record in data for finding in check(record, asked))
+    findings = sort_findings(finding for finding in every if not is_small_doubt(finding))
     return Validation(axis.model.kind, method, names, units, theta, kind.unit_of_output(axis), runs, findings)

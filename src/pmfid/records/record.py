@@ -159,6 +159,7 @@ class Record:
     `jitter` is the root mean square deviation of the steps of an uneven clock, relative to the period, before
     resampling. `own` is the record at its own uneven instants, or None for even instants. Such a record has `steps`,
     the times between its samples.
+    `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
     """
 
     u: Floats
@@ -173,6 +174,7 @@ class Record:
     jitter: float = 0.0
     steps: SampleSteps | None = None
     own: Record | None = None
+    in_counts: bool = False
 
     @property
     def times(self) -> Floats:
@@ -302,7 +304,8 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
         counts, resolution = floor_counts(y, quantize, 1e-9), quantize
         count_notes += (f"position quantised again with a step of {quantize:g}",)
-    if config.output_kind == "counts" and resolution == 1:
+    in_counts = config.output_kind == "counts" and resolution == 1
+    if in_counts:
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
     notes = (
         notes_of(table) + topic_notes + units.notes + scale_notes + clock_notes + row_notes + motion_notes + count_notes
@@ -313,12 +316,14 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     if found is not None and found.own is not None:
         before = found.own.before * (rows.dt / found.own.before[0])
         own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, quantize, axis)
-        own = replace(own, notes=notes, name=name, rotary=rotary)
+        own = replace(own, notes=notes, name=name, rotary=rotary, in_counts=in_counts)
     if rows.whole:
-        return Record(u, counts, rows.dt, resolution, notes, name, rotary, jitter=jitter, own=own)
+        return Record(u, counts, rows.dt, resolution, notes, name, rotary, jitter=jitter, own=own, in_counts=in_counts)
     u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
     notes = (*notes, describe_missing(u, there))
-    return Record(u, counts, rows.dt, resolution, notes, name, rotary, there, jitter=jitter, own=own)
+    return Record(
+        u, counts, rows.dt, resolution, notes, name, rotary, there, jitter=jitter, own=own, in_counts=in_counts
+    )
 
 
 def _own_record(

@@ -56,7 +56,7 @@ def held_output(log: CheckedLog) -> Iterator[Finding]:
     if every > 1:
         yield Finding(
             "held_output",
-            f"the output column {log.axis.record.output!r} changes at every {every}th row and no other",
+            f"the output column {log.axis.record.output!r} changes only at every {every}th row",
             f"keep every {every}th row, the first with a new value, or log the output at the record's rate",
             detail="It is read more slowly than the record, and the motion seems late and in jumps.",
         )

@@ -25,8 +25,8 @@ def held_input(log: CheckedLog) -> Iterator[Finding]:
     if every > 1:
         yield Finding(
             "held_input",
-            f"the input column {log.axis.record.input!r} changes at every {every}th row and no other",
-            "log the input at the rate at which the drive gets it, or, if that is this one, use it as it is",
+            f"the input column {log.axis.record.input!r} changes only at every {every}th row",
+            "log the input at the rate of the drive; nothing is wrong if the drive itself holds its input",
             detail="If the drive gets it more often, the log misses what moved the axis.",
         )
 

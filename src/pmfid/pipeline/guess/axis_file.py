@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from pmfid.config.units import INPUTS, OUTPUTS, SI, Unit, column_unit
+from pmfid.config.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.io.reading import read_table
 from pmfid.io.tables import Table
@@ -21,8 +22,11 @@ from pmfid.types import Floats
 
 __all__ = ["AxisGuess", "guess"]
 
-#: Callback that asks for a number that the record does not show. Its arguments are the question and the default value.
-Ask = Callable[[str, str], str]
+#: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
+Reader = Callable[[str], float]
+#: Callback that asks for a number that the record does not show. Its arguments are the question and the reader of the
+#: answer. The callback returns None without an answer.
+Ask = Callable[[str, Reader], float | None]
 
 HEADING = """\
 # {name}: guessed from the record by pmfid init. Each line has its reason; the record does not show values marked TO DO.
@@ -53,8 +57,13 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
     `ask` asks for numbers that the record does not show. `output` is the column of the output, or None for a guess.
     Raises UsageError if the record cannot be read, or if it has fewer than two columns of numbers.
     """
-    table = read_table(path)
+    try:
+        table = read_table(path)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
     columns = numeric(table)
+    if not columns:
+        raise UsageError(f"{path}: no column has numbers that change; export the record with its values")
     found, dt = _time(table, columns, ask)
     if output is not None and output not in columns:
         raise UsageError(f"{path}: {output!r} is no column of numbers that change{did_you_mean(output, columns)}")
@@ -68,8 +77,8 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
     if pair is None:
         listed = ", ".join(name if name in columns else f"{name} (constant)" for name in table) or "none"
         raise UsageError(
-            f"{path}: no two columns can be input and output of an axis, of these: {listed}; "
-            "rename them, for example to t, u and counts, or write [record] input and output into an AXIS.toml yourself"
+            f"{path}: no two columns can be input and output of an axis: {_shorten(listed)}; rename two, for example "
+            "to u and counts"
         )
     goal = next((name for name in columns if is_commanded(name) and role_of(name) == "other"), None)
     if goal is not None and pair.explained == 0:
@@ -113,12 +122,12 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     """Return name, unit and reason of the time column, and the sample period [s]."""
     found = time_of(table, columns)
     if found is None or _may_be_numbers(*found):
-        answer = ask("sample period in s", "0.001") if ask else ""
-        return None, _number(answer, TUNING.axis_file_usual)
+        answer = ask('sample period, in s or as "1 ms"', read_duration) if ask else None
+        return None, TUNING.axis_file_usual if answer is None else answer
     name, values, written = found
     values = values if written else columns.get(name, values)
     mean, grid = even_grid(values)
-    step = mean if grid else float(np.median(np.diff(values)))
+    step = mean if grid else _mean_step(np.diff(values))
     if written or named_unit(name):
         return (name, "", ""), step * (1.0 if written else UNITS[named_unit(name) or "s"])
     fitting = [
@@ -142,13 +151,15 @@ def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
 def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
     wrap = wrap_of(output.astype(np.int64)) if pair.kind == "counts" else None
     if pair.kind == "counts":
-        answer = ask("travel per count, in m or rad (1: results in counts)", "1") if ask else ""
-        reason = "as answered" if answer else f"{TO_DO}travel per count in m or rad; with 1 a length is in counts"
-        result.add("encoder", f"resolution = {_number(answer, 1.0)!r}", reason)
+        question = 'travel per count, in m or rad, or as "0.01 mm" or "2000 counts/rev"'
+        answer = ask(question, read_travel) if ask else None
+        step = 1.0 if answer is None else answer
+        reason = f"{TO_DO}travel per count in m or rad; with 1 a length is in counts"
+        result.add("encoder", f"resolution = {_format_answer(step)}", reason if answer is None else "as answered")
         if wrap is not None and wrap.bits is not None:
             result.add("encoder", f"bits = {wrap.bits}", f"the counter wraps, the first time at row {wrap.row}")
         elif wrap is not None:
-            size = _number(answer, 1.0) * wrap.span
+            size = float(step) * wrap.span
             result.add("encoder", f"range = {size!r}", f"it wraps, the first time at row {wrap.row}")
         return
     step, found = step_of(output)
@@ -189,32 +200,72 @@ def _model(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
         result.add("model", f"input_gain = {written}", f"the input is a {unit.of}{_sign(pair)}")
         return
     per = f"per {SI[unit.of]} of" if unit else "per unit of"
-    answer = ask(f"force or torque {per} the input, in N or N m (1: results per that)", "1") if ask else ""
-    value = _number(answer, 1.0)
-    reason = "as answered" if answer else f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
-    signed = -abs(value) if pair.turned else value
-    written = repr(signed) if unit is None or unit.plain else f'"{signed:.12g} {force}/{SI[unit.of]}"'
-    result.add("model", f"input_gain = {written}", reason + _sign(pair))
+    question = f'force or torque {per} the input, in N or N m, or as "{"0.42 N m/A" if force == "N m" else "55 N/A"}"'
+    answer = ask(question, read_gain) if ask else None
+    reason = f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
+    value = 1.0 if answer is None else answer
+    if not isinstance(value, Quantity) and unit is not None and not unit.plain:
+        value = Quantity(value, Unit(f"{force}/{SI[unit.of]}", "gain", 1.0))
+    written = _format_answer(value, pair.turned)
+    result.add("model", f"input_gain = {written}", (reason if answer is None else "as answered") + _sign(pair))
 
 
 def _sign(pair: Pair) -> str:
     return "; negative, for it drives against the output" if pair.turned else ""
 
 
-def _number(answer: str, usual: float) -> float:
-    """Return the answer as a number, or `usual` for an empty answer.
+def _mean_step(steps: Floats) -> float:
+    """Return the mean of the steps, where a gap counts as the longest tenth of them."""
+    return float(np.mean(np.minimum(steps, np.quantile(steps, 0.9))))
 
-    Raises UsageError for zero, and for a text that is no number.
-    """
-    if not answer.strip():
-        return usual
+
+def _shorten(text: str) -> str:
+    return text if len(text) <= TUNING.axis_file_listed else f"{text[: TUNING.axis_file_listed].rpartition(' ')[0]} ..."
+
+
+def read_duration(text: str) -> float:
+    """Return a positive time [s] from a number, or from a number with a unit of time. Raises ValueError otherwise."""
+    number, _, unit = text.strip().partition(" ")
+    if unit.strip() not in ("", *UNITS):
+        raise ValueError(f"{unit.strip()!r} is no unit of time here; known are {', '.join(UNITS)}")
+    return abs(_number(number)) * UNITS[unit.strip() or "s"]
+
+
+def read_travel(text: str) -> float:
+    """Return a travel from a number in SI, or from a number with a unit. Raises ValueError otherwise."""
+    return _read(text, quantity)
+
+
+def read_gain(text: str) -> float:
+    """Return a gain from a number in SI, or from a number with a unit. Raises ValueError otherwise."""
+    return _read(text, gain)
+
+
+def _read(text: str, read: Callable[[object], object]) -> float:
+    value = _number(text) if re.fullmatch(r"[\d.,eE+\s-]+", text) else read(text.replace(",", "."))
+    if not isinstance(value, float) or value == 0:
+        raise ValueError(f"{text!r} is no number; write one like 0.25, with a unit if it is not in SI")
+    return value
+
+
+def _number(text: str) -> float:
     try:
-        value = float(answer.replace(",", "."))
+        value = float(text.replace(",", "."))
     except ValueError:
         value = 0.0
     if not (np.isfinite(value) and value != 0):
-        raise UsageError(f"{answer!r} is no number other than zero; write one like 0.25")
+        raise ValueError(f"{text!r} is no number other than zero; write one like 0.25")
     return value
+
+
+def _format_answer(value: float, turned: bool = False) -> str:
+    """Return an answer as TOML: a number, or a text with the number and the unit of the answer.
+
+    `turned` makes the number negative.
+    """
+    unit = value.unit if isinstance(value, Quantity) else None
+    number = (-abs(float(value)) if turned else float(value)) / (unit.factor if unit else 1.0)
+    return repr(number) if unit is None else f'"{number:.12g} {unit.name}"'
 
 
 def quote_name(name: str) -> str:
