@@ -172,12 +172,12 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
     y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
     kind = axis_kind(axis, y)
     named = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
-    notes = [f"the file has {' and '.join(named)}"] if named else []
+    said = [f"the file has {' and '.join(named)}"] if named else []
     if axis.model.input_gain == 1.0 and (u is None or u.of not in ("force", "torque")):
-        notes.append(
+        said.append(
             f"input_gain is 1: forces are in the unit of {input_name!r}; if that is no force, give [model] input_gain"
         )
-    return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(notes))
+    return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(said))
 
 
 def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:
