@@ -1,1 +1,1 @@
-"""Commands; no mathematics."""
+"""The commands, without mathematics."""

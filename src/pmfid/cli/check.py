@@ -19,10 +19,12 @@ EXIT_FOUND, EXIT_WRONG = 1, 3
 @JSON
 @click.pass_context
 def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: bool) -> None:
-    """Say what is wrong with RECORD: a sign turned, columns exchanged, a velocity in place of a position, a counter
-    that wraps, ends or sticks, an input that is cut off, held or of another clock, an unsuitable sample rate, too
-    little motion. A correct log is tested for unmodelled effects. Each finding comes with its remedy, in the words of
-    `pmfid identify`.
+    """Report mistakes in RECORD, each with a remedy.
+
+    Possible mistakes are a wrong sign, exchanged columns and a velocity in place of a position. A counter may wrap,
+    stop or repeat counts. An input may be clipped, held or measured with another clock. The sample rate may be
+    unsuitable, or the motion too small. A correct log is tested for unmodelled effects, in the words of `pmfid
+    identify`.
 
     Exit code 0: notes at most; 1: a finding that moves the estimate; 2: wrong usage or unreadable input; 3: nothing can
     be identified from this record as it is read.

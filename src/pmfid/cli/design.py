@@ -1,4 +1,4 @@
-"""The command `pmfid design`: an input, or from the runs so far an estimate and the next input."""
+"""The command `pmfid design`, which returns an input, or an estimate from earlier runs and the next input."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRUTH = click.option(
 ROUNDS = click.option(
     "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="The most to simulate."
 )
-#: Option -> key of SPEC.toml.
+#: Key of SPEC.toml for each option.
 KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
 
 
@@ -76,10 +76,10 @@ def design(
 ) -> None:
     """Find the input that tells most about an axis within its limits.
 
-    With records of designed runs, or --want or --truth: estimate from these runs and design the next one, until the
-    wanted deviation is reached; --certify does not act then.
+    With records of designed runs, or with --want or --truth, the command estimates from these runs and designs the next
+    run until the wanted deviation is reached. In this case, --certify has no effect.
 
-    Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input tells a parameter.
+    Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input identifies a parameter.
     """
     if records or want or truth:
         _commission(spec, records, want, truth, rounds, out, as_json, options)
@@ -123,7 +123,7 @@ def commission(
     as_json: bool,
     **options: object,
 ) -> None:
-    """Estimate from the designed runs so far and design the next one."""
+    """Estimate from the designed runs so far and design the next run."""
     _commission(spec, records, want, truth, rounds, out, as_json, options)
 
 
@@ -164,7 +164,7 @@ def _load(spec: Path, options: dict[str, object]) -> Spec:
 
 
 def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, float]:
-    """NAME=NUMBER of a repeated option."""
+    """Return the pairs NAME=NUMBER of a repeated option as a dict."""
     found = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -177,7 +177,7 @@ def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, float]:
 
 @contextmanager
 def _infeasible_as_json(as_json: bool) -> Iterator[None]:
-    """Prints what to relax as a JSON object, before the error is shown in one line."""
+    """Print the limits that must be relaxed as a JSON object, before the error appears in one line."""
     try:
         yield
     except PmfidError as error:

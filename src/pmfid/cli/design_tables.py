@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def print_appraisal(appraisal: Appraisal, out: Path | None) -> None:
-    """The design compared with the standard inputs, its predicted standard deviations, and its warnings."""
+    """Print a design in comparison with the standard inputs, its predicted standard deviations, and its warnings."""
     from pmfid.report.design import criteria_table, price_words, proof, std_table
 
     unknown = ", ".join(name.replace("_", " ") for name in appraisal.design.problem.unknown)
@@ -27,7 +27,7 @@ def print_appraisal(appraisal: Appraisal, out: Path | None) -> None:
 
 
 def print_commissioning(state: Commissioning, out: Path | None) -> None:
-    """The estimates after each round, and the next step."""
+    """Print the estimates after each round, and the next step."""
     from pmfid.report.design import rounds_table
 
     if state.rounds:

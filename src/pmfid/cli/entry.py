@@ -1,4 +1,4 @@
-"""The entry of the command `pmfid`: Ctrl-C ends the command at once, whatever it is doing."""
+"""The entry point of the command `pmfid`, where Ctrl-C ends any command at once."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from contextlib import suppress
 from pmfid.cli.terminal import CLEAR
 from pmfid.errors import INTERRUPTED
 
-#: Time after Ctrl-C for the command to remove what is half written [s].
+#: Time after Ctrl-C in which the command can remove incomplete files [s].
 GRACE = 0.3
 
 
 def main() -> None:
-    """Runs the command; a call into a library that does not return cannot delay Ctrl-C."""
+    """Run the command, so that a library call without return cannot delay Ctrl-C."""
     try:
         _watch()
         from pmfid.cli.main import main as command
@@ -32,7 +32,7 @@ def main() -> None:
 
 
 def _watch() -> None:
-    """A second thread hears of signals by a socket, because Python's handlers wait for the main thread."""
+    """Start a second thread that receives signals from a socket, because Python's handlers wait for the main thread."""
     hears, speaks = socket.socketpair()
     speaks.setblocking(False)
     signal.set_wakeup_fd(speaks.fileno(), warn_on_full_buffer=False)
@@ -40,16 +40,19 @@ def _watch() -> None:
 
 
 def _leave_late(hears: socket.socket, speaks: socket.socket) -> None:
-    """speaks: kept, because a socket without a reference is closed."""
+    """End the process a short time after Ctrl-C.
+
+    The argument `speaks` keeps a reference, because a socket without a reference is closed.
+    """
     while number := hears.recv(1):
-        # a command with a handler of its own ends by its own rules
+        # A command with its own handler ends by its own rules.
         if number[0] == signal.SIGINT and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             threading.Event().wait(GRACE)
             _leave("pmfid: interrupted\n")
 
 
 def _leave(message: str) -> None:
-    """Leave without the end of the interpreter, which would wait for threads at work."""
+    """End the process without the shutdown of the interpreter, which would wait for threads at work."""
     if "multiprocessing" in sys.modules:
         import multiprocessing
 

@@ -1,4 +1,4 @@
-"""The command `pmfid explain`: what a key of AXIS.toml or PLANT.toml, or a word of a status means."""
+"""The command `pmfid explain`, which explains keys of AXIS.toml or PLANT.toml and words of a status."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 @click.option("--page", "as_page", is_flag=True, help="Print the page of all keys, in Markdown.")
 @JSON
 def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> None:
-    """Say what KEY means: a key of AXIS.toml as record.time_unit, of PLANT.toml as service.window or sources.mqtt.qos,
-    a section of them, or a word of a status as poor_excitation. Without KEY all of AXIS.toml and of a status, a line
-    for each.
+    """Explain KEY, which is a key of a file, a section, or a word of a status.
+
+    Examples of keys are record.time_unit in AXIS.toml, and service.window or sources.mqtt.qos in PLANT.toml. An example
+    of a status is poor_excitation. Without KEY, the command lists all keys of AXIS.toml and all words of a status.
     """
     from pmfid.config.explain import entries, explain_entries, page
     from pmfid.service.plant import plant_entries, plant_page
@@ -38,7 +39,7 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
 
 
 def _find_entries(word: str, plant: bool) -> list[ReferenceEntry]:
-    """The entries of a word; plant: of PLANT.toml alone. Raises UsageError for an unknown word."""
+    """Return the entries of a word, only those of PLANT.toml if `plant`. Raises UsageError for an unknown word."""
     from pmfid.config.explain import entries, find
     from pmfid.service.plant import plant_entries, strip_names
 

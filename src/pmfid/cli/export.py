@@ -52,7 +52,7 @@ def export(
 ) -> None:
     """Write the estimator of AXIS.toml as C99 that computes the same bits on a drive.
 
-    The folder has the kernel, its configuration, a header, an example, a Makefile, a CMake file and a self-test.
+    The folder contains the kernel, its configuration, a header, an example, a Makefile, a CMake file and a self-test.
     """
     changes = {f"estimator.{key}": value for key, value in options.items()}
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())

@@ -1,4 +1,4 @@
-"""`pmfid fleet`."""
+"""The command `pmfid fleet`."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ def stream(
     once: bool,
     master: str | None,
 ) -> None:
-    """Watch the axes whose blocks come into the folder SOURCE, until interrupted: estimates, alarms, gaps.
+    """Watch the axes whose blocks arrive in the folder SOURCE until an interruption.
 
-    SOURCE holds Parquet files with the columns axis, its name, and block, the bytes of docs/wire.md; or files of such
-    blocks in sequence, .pmfb, which may grow. A repeated block is left out, an early block waits, a late block is
-    counted. A second call with the same folders continues from the end of the first one, however it ended.
+    SOURCE holds Parquet files with two columns: axis, the name, and block, the bytes of docs/wire.md. It may also hold
+    growing files of such blocks in sequence (.pmfb). A repeated block is ignored, an early block waits, and a late
+    block is counted. A second call with the same folders continues after any end of the first call.
 
     Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
     """
@@ -67,7 +67,7 @@ def stream(
     from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
     from pmfid.stream.groups import Pace
 
-    kind_of(source)  # before anything takes long
+    kind_of(source)  # fails before the slow part
     prepared = _prepare(config)
     plan = StreamPlan(prepared, Pace(window, every), shards)
     begin = None if state is None else States.from_folder(state, prepared.digest)
@@ -83,14 +83,15 @@ def stream(
 def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, master: str | None) -> None:
     """Write the states of axes in CHECKPOINT, written by `pmfid fleet stream`, as the checkpoint of a service.
 
-    `pmfid serve` with [service] state = FOLDER goes on with them, and so does `pmfid fleet stream --state FOLDER`.
+    `pmfid serve` with [service] state = FOLDER continues from these states, as does `pmfid fleet stream --state
+    FOLDER`.
 
-    Exit code 0: written; 2: no states, of another configuration, or no such axis.
+    Exit code 0: written; 2: no states, states of another configuration, or no such axis.
     """
     from pmfid.fleet.spark.stream import check_states, states_of
     from pmfid.stream.groups import Pace
 
-    check_states(checkpoint)  # before anything takes long
+    check_states(checkpoint)  # fails before the slow part
     prepared = _prepare(config)
     written = states_of(checkpoint, prepared.digest, master).write(out, prepared, Pace(), axes)
     click.echo(f"states of {written} axes: {out}")
@@ -103,13 +104,13 @@ def _prepare(config: Path) -> Prepared:
         return prepare(config, progress=tell)
 
 
-#: Axes that are printed.
+#: Most axes in a printed table.
 SHOWN = 30
 
 
 @click.group(short_help="Many axes: their histories, and streams of their blocks.")
 def fleet() -> None:
-    """What many axes have been through, from data sets of any size, and what they go through now."""
+    """Estimate the histories of many axes, from data sets of any size, and watch their present state."""
 
 
 fleet.add_command(stream)
@@ -157,11 +158,11 @@ def history(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Estimate every axis of SOURCE, period by period: who changed, who drifts, who differs from the rest.
+    """Estimate every axis of SOURCE for each period, and find axes that change, drift or differ from the others.
 
-    SOURCE is a folder of Parquet or Arrow files, partitioned in any way, or a file: a row for each sample of each axis,
-    in any order. A second call with the same folder computes only new and changed parts. The result names data that
-    cannot be used; all other data are used.
+    SOURCE is a folder of Parquet or Arrow files with any partition, or a single file. The data have one row for each
+    sample of each axis, in any order. A second call with the same folder computes only new and changed parts. The
+    result names unusable data, and uses all other data.
 
     Exit code 0: a result; 2: wrong usage or unreadable input; 3: no axis can be identified.
     """

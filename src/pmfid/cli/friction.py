@@ -33,9 +33,10 @@ def friction(
 ) -> None:
     """Find the friction of RECORD over the velocity as a curve, together with the mass.
 
-    The friction of [model] is not used. The curve covers the velocities of the record only.
+    The command ignores the friction of [model]. The curve covers only the velocities of the record.
 
-    Exit code 0: a curve; 2: wrong usage or unreadable input; 3: the record does not show friction apart.
+    Exit code 0: a curve; 2: wrong usage or unreadable input; 3: the record does not separate friction from other
+    forces.
     """
     with progress("friction"):
         from pmfid.config.axis import load_axis

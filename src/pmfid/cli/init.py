@@ -25,12 +25,12 @@ from pmfid.errors import UsageError, printable
 )
 @click.option("--output", metavar="COLUMN", help="The column of the output, as of one joint of several.")
 def init(record: Path, out: Path, output: str | None) -> None:
-    """Guess from RECORD which columns hold time, input and output, their units and the encoder's step, and write an
-    AXIS.toml with the reason of each guess.
+    """Write an AXIS.toml from RECORD, with a reason for each guess.
 
-    What the record does not tell is asked on a terminal; elsewhere it stands there with a neutral value, marked TO DO.
+    The command guesses the columns of time, input and output, their units and the step of the encoder. On a terminal,
+    it asks for values that the record does not show. Elsewhere, the file has a neutral value with the mark TO DO.
 
-    Exit code 0: a file to go on with; 2: wrong usage, unreadable input, or a file that is there already.
+    Exit code 0: a usable file; 2: wrong usage, unreadable input, or an existing file.
     """
     if os.path.lexists(out):
         raise UsageError(f"{out} is there already, and stays as it is; give another place with --out")

@@ -1,4 +1,4 @@
-"""The command `pmfid`. Everything heavy is imported inside the commands: `--help` answers at once."""
+"""The command `pmfid`, where `--help` answers at once because only the commands import slow modules."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
 EXIT_USAGE = 2
-#: The method that stands for each of them.
+#: Name that stands for all methods.
 EVERY = "all"
-#: More threads for products of small matrices only wait for each other: a search took four times as long.
+#: Variables that limit threads. With several threads, products of small matrices wait for each other, and a search took
+#: four times as long.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class CommandGroup(click.Group):
-    """Turns every error that is meant for people into one line and an exit code."""
+    """A group of commands that turns every PmfidError into one line and an exit code."""
 
     def invoke(self, ctx: click.Context) -> object:
         try:
@@ -59,13 +60,15 @@ class CommandGroup(click.Group):
 def main() -> None:
     """Mass and friction of a drive, or a transfer function, from input and a coarse encoder."""
     _open_closed_streams()
-    for variable in THREADS:  # NumPy is loaded by the commands, and reads them then
+    for variable in THREADS:  # NumPy is loaded by the commands, and then reads these variables
         os.environ.setdefault(variable, "1")
 
 
 def _open_closed_streams() -> None:
-    """Opens each closed stream, as by `<&-`, to the null device. Otherwise the next opened file would get its number,
-    and would receive the printed text."""
+    """Open each closed stream, as by `<&-`, on the null device.
+
+    Otherwise the next opened file would get its number, and would receive the printed text.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
@@ -178,7 +181,7 @@ def compare(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Identify the parameters of RECORD by every method, side by side."""
+    """Identify the parameters of RECORD by every method, and compare the results."""
     _compare(records, config, {"estimator.cutoff": cutoff}, quantize, out, as_json)
 
 

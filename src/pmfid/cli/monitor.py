@@ -1,4 +1,4 @@
-"""The command `pmfid monitor`: watches a record or a pipe and reports changes of parameters."""
+"""The command `pmfid monitor`, which watches a record or a pipe and reports changes of parameters."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 def monitor(
     record: Path, config: Path, out: Path | None, report: Path | None, as_json: bool, **options: float | str | None
 ) -> None:
-    """Watch RECORD, or CSV lines on standard input if it is -, and tell when mass or friction changes.
+    """Watch RECORD and report changes of mass or friction. If RECORD is -, watch CSV lines on standard input.
 
-    Events go to standard output, or to standard error where the estimates go there. Ends at the end of the input and,
-    with everything written, at Ctrl-C or SIGTERM.
+    Events go to standard output, or to standard error if the estimates go to standard output. The command ends at the
+    end of the input, or at Ctrl-C or SIGTERM after all results are written.
     """
     piped = str(record) == "-"
     tell = _Teller(as_json, to_stderr=str(out) == "-")
@@ -69,7 +69,7 @@ def monitor(
 
 
 def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> None:
-    """Before the calibration rather than after it."""
+    """Check the paths before the slow calibration."""
     from pmfid.errors import UsageError
 
     for path in (out, report):
@@ -81,7 +81,7 @@ def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> 
 
 
 def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory, tell: _Teller) -> None:
-    """Data of a pipe exist nowhere else, so the page of a pipe replaces no other page."""
+    """Write the report. The report of a pipe replaces no other report, because its data exist nowhere else."""
     from pmfid.io.row_file import fresh, is_stream
     from pmfid.report.monitored import write_monitored
 
@@ -93,7 +93,7 @@ def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, histor
 def _run(
     setup: Setup, axis: Axis, data: Record | None, out: Path | None, stop: Stop, tell: _Teller, keep: bool
 ) -> tuple[MonitoredRun, RunHistory | None, RowSink]:
-    """The run, its history, and where the estimates went."""
+    """Return the run, its history, and the sink of the estimates."""
     from pmfid.pipeline.monitored.rows import open_sink
     from pmfid.pipeline.monitored.run import RunHistory, header, watch
     from pmfid.pipeline.monitored.stream import line_samples, record_samples
@@ -111,7 +111,7 @@ def _run(
 
 
 def _complain(run: MonitoredRun, sink: RowSink) -> None:
-    """Raises UsageError for what ended the run before its time, or is missing in its file."""
+    """Raise UsageError for a problem that ended the run early, or for rows that are missing in its file."""
     from pmfid.errors import UsageError
 
     if run.problem:
@@ -121,7 +121,7 @@ def _complain(run: MonitoredRun, sink: RowSink) -> None:
 
 
 class _Teller:
-    """Prints events, as JSON or for people."""
+    """A printer of events, as JSON or as text for people."""
 
     def __init__(self, as_json: bool, to_stderr: bool) -> None:
         self._json, self._stderr, self._failed = as_json, to_stderr, False
@@ -137,7 +137,7 @@ class _Teller:
             self.line(sentence(event))
 
     def line(self, text: str, machine: bool = False) -> None:
-        """Prints a line at once; with --json only machine readable ones. A full disk does not end the watch."""
+        """Print a line at once, with --json only if the line is machine readable. A full disk does not end the run."""
         if not text or (self._json and not machine):
             return
         try:
@@ -149,13 +149,13 @@ class _Teller:
             self._failed = self._failed or _report_failure(error)
 
     def start(self, setup: Setup, out: Path | None) -> None:
-        """Prints what is watched and how, and where estimates are written."""
+        """Print the settings of the run, and the file of the estimates."""
         from pmfid.pipeline.monitored.setup import start_object
 
         self({**start_object(setup), "out": None if out is None else str(out)})
 
     def end(self, run: MonitoredRun, sink: RowSink) -> None:
-        """The totals; what was skipped also on standard error, where it is seen."""
+        """Print the totals, and on standard error the skipped lines, where a user sees them."""
         from pmfid.cli.monitor_lines import list_skipped
 
         totals = run.totals()
@@ -165,7 +165,7 @@ class _Teller:
 
 
 def _report_failure(error: OSError) -> bool:
-    """Says once, where it can be said, that events cannot be written."""
+    """Report once on standard error that events cannot be written, and return True."""
     from contextlib import suppress
 
     with suppress(OSError):

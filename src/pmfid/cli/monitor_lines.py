@@ -6,7 +6,7 @@ from pmfid.pipeline.monitored.run import Notice
 
 
 def sentence(event: Notice) -> str:
-    """The text of an event: one line, or more for the first event."""
+    """Return the text of an event, which is one line, or several lines for the first event."""
     return _SENTENCES[event["event"]](event)
 
 
@@ -78,7 +78,7 @@ def _end(event: Notice) -> str:
 
 
 def list_skipped(event: Notice) -> list[str]:
-    """The lines that were no samples, from the totals."""
+    """Return texts on the lines that were no samples, from the totals."""
     parts = [
         f"{event[name]} {word}{'s' * (event[name] != 1)}"
         for name, word in (("bad_lines", "bad line"), ("repeated_lines", "repeated line"), ("comments", "comment"))

@@ -1,4 +1,4 @@
-"""The command `pmfid serve`: many axes watched at once, as a service."""
+"""The command `pmfid serve`, which watches many axes as a service."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def serve(
     until_end: bool,
     as_json: bool,
 ) -> None:
-    """Watch all axes of PLANT.toml, given as CONFIG, or with --from the one of AXIS.toml, until a signal.
+    """Watch all axes of PLANT.toml, given as CONFIG, until a signal. With --from, watch the axis of AXIS.toml.
 
-    SIGTERM and Ctrl-C end the service with everything written; SIGHUP reads PLANT.toml again.
+    SIGTERM and Ctrl-C end the service after all results are written. SIGHUP reads PLANT.toml again.
     """
     from pmfid.config.axis import load_axis
     from pmfid.records.record import read_record

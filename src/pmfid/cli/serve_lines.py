@@ -13,7 +13,7 @@ Fields = dict[str, Any]
 
 
 def line(notice: Notice) -> str:
-    """The text of a notice, with the axis in front: one line, or more for the first notice."""
+    """Return the text of a notice after the name of the axis. The first notice has several lines."""
     what = notice.what
     own = _SENTENCES.get(str(what["event"]))
     text = own(what) if own is not None else _describe_other(what)
@@ -23,7 +23,7 @@ def line(notice: Notice) -> str:
 def _describe_other(what: Fields) -> str:
     try:
         return sentence(what)
-    except KeyError:  # an event of a source or a sink that has no sentence of its own
+    except KeyError:  # an event of a source or a sink without its own sentence
         rest = ", ".join(f"{key} {value}" for key, value in what.items() if key != "event")
         return f"{what['event']}: {rest}"
 

@@ -1,4 +1,4 @@
-"""The command `pmfid simulate`: a run of the simulated cart as a record."""
+"""The command `pmfid simulate`, which writes a run of the simulated cart as a record."""
 
 from __future__ import annotations
 

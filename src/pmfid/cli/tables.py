@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 
 
 def print_result(result: Result, out: Path | None) -> None:
-    """The parameters with their standard deviations, the fit, of a transfer function also poles, zeros and gain, and
-    what to mind."""
+    """Print the parameters with their standard deviations, the fit, and the findings.
+
+    A transfer function also has poles, zeros and a gain.
+    """
     from rich.console import Console
 
     from pmfid.diagnostics.matter import is_small_doubt
@@ -48,7 +50,7 @@ def _parameters(result: Result) -> Table:
 
     table = Table(title=_safe(f"{result.name}: {result.estimator.method}, {result.samples} samples"))
     for heading in parameter_header(result):
-        folds = heading in FOLDED  # the others stay whole in a narrow terminal
+        folds = heading in FOLDED  # the other columns stay whole in a narrow terminal
         side: Literal["left", "right"] = "left" if heading in ("parameter", "unit") else "right"
         table.add_column(heading.replace("model ", "model\n"), justify=side, no_wrap=not folds)
     for row in parameter_rows(result):
@@ -64,7 +66,10 @@ def _add_dynamics(table: Table, result: ProcessResult) -> None:
 
 
 def print_comparison(comparison: Comparison, out: Path | None) -> None:
-    """One row for each method, and why a method has no answer; in a narrow terminal in blocks of parameters."""
+    """Print one row for each method, and the reason for each method without a result.
+
+    In a narrow terminal, the table is split into blocks of parameters.
+    """
     from rich.console import Console
 
     from pmfid.report.comparison import comparison_rows
@@ -74,7 +79,7 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
     title = f"{comparison.name}: all methods"
     for columns in _blocks(header[:-1], rows, console.width):
         table = _comparison_table(title, header, rows, columns)
-        # a number is never cut: what does not fit then runs over the edge
+        # A number is never cut. A wide table exceeds the edge of the terminal.
         Console(width=max(console.width, _width(table))).print(table)
         title = ""
     for row in rows:  # remarks do not fit into the table on a narrow terminal
@@ -87,7 +92,7 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
 
 
 def _blocks(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[list[int]]:
-    """Groups of columns that fit into `width` characters, each with the method as its first column."""
+    """Return groups of columns that fit into `width` characters, each with the method as its first column."""
     blocks = [[0]]
     for column in range(1, len(header)):
         longer = [*blocks[-1], column]
@@ -111,14 +116,14 @@ def _comparison_table(title: str, header: Sequence[str], rows: Sequence[Sequence
 
 
 def _width(table: Table) -> int:
-    """Characters that a table takes where there is room for all of it."""
+    """Return the number of characters of a table without a limit of its width."""
     from rich.console import Console
 
     return Console(width=10_000).measure(table).maximum
 
 
 def print_search(search: Search, name: str, out: Path | None) -> None:
-    """The best structures."""
+    """Print the best structures."""
     from rich.console import Console
     from rich.table import Table
 
@@ -141,7 +146,7 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
 
 
 def _safe(text: str) -> str:
-    """A text from outside for a cell or a title: neither control characters nor rich's markup act."""
+    """Return an external text for a cell or a title, without control characters or active markup of rich."""
     from rich.markup import escape
 
     return escape(printable(text))

@@ -1,4 +1,4 @@
-"""Options, output and progress that commands share."""
+"""Options, output and progress reports that commands share."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obje
 
 
 def step(text: str) -> float | str:
-    """A number in SI, or a text with a unit, which the configuration reads as in AXIS.toml."""
+    """Return a number in SI, or a text with a unit, which the configuration reads as in AXIS.toml."""
     try:
         return float(text)
     except ValueError:
@@ -34,32 +34,32 @@ def step(text: str) -> float | str:
 
 
 def config_option(text: str = "What the record holds, the encoder, the model, the estimator.") -> Callable[[F], F]:
-    """--config AXIS.toml."""
+    """Return the option --config AXIS.toml."""
     return click.option("--config", required=True, type=click.Path(path_type=Path), metavar="AXIS.toml", help=text)
 
 
 def folder_option(text: str) -> Callable[[F], F]:
-    """--out DIR."""
+    """Return the option --out DIR."""
     return click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)
 
 
 def print_json(content: Mapping[str, object]) -> None:
-    """One object as one line of JSON, with numbers alone: NaN would be no JSON."""
+    """Print one object as one line of JSON. NaN raises ValueError, because JSON has no NaN."""
     click.echo(json.dumps(content, allow_nan=False))
 
 
-#: On a terminal: time before the line appears [s], because shorter work needs none, and between two updates.
+#: On a terminal, time before the line appears, as shorter work needs no line, and time between two updates [s].
 PATIENCE, REFRESH = 1.5, 0.25
-#: Elsewhere: time before the first line and between two lines [s].
+#: In other outputs, time before the first line and between two lines [s].
 EVERY = 9.0
-#: Goes to the start of the line and clears the line.
+#: Characters that go to the start of the line and clear the line.
 CLEAR = "\r\x1b[K"
 
 
 class ProgressReport:
-    """Reports the progress of long work from a thread, because the work itself may be inside a library.
+    """A thread that reports the progress of long work, because the work itself may be inside a library.
 
-    rich would take longer to load than the first report may wait.
+    The first report appears before rich would be loaded.
     """
 
     def __init__(self, what: str) -> None:
@@ -72,7 +72,7 @@ class ProgressReport:
         self._thread.start()
 
     def __call__(self, done: float) -> None:
-        """done: part of the work, 0 to 1; after 1 the rest of the work has an unknown length."""
+        """Set the completed part of the work, from 0 to 1. After 1, the remaining time is unknown."""
         self.done = done
 
     @property
@@ -91,9 +91,9 @@ class ProgressReport:
 
 @contextmanager
 def progress(what: str) -> Iterator[ProgressReport]:
-    """Yields a report to call with the part of the work that is done; the report lasts until the work ends.
+    """Yield a report that is called with the completed part of the work, and end the report after the work.
 
-    Nothing may be printed before the end: the line stands on the terminal.
+    Nothing may be printed before the end, because the progress line is on the terminal.
     """
     work = ProgressReport(what)
     try:

@@ -44,13 +44,15 @@ def terms(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Search what RECORD asks for beyond the model of AXIS.toml: Stribeck, quadratic or directional friction, a load, a
-    spring, a dead time, and forces along the travel. Of a transfer function: 1 to 5 poles, fewer zeros, dead times of 0
-    to 5 samples.
+    """Search the terms that RECORD asks for and the model of AXIS.toml does not have.
 
-    One term is added at a time, and kept if it is beyond chance and explains data that it was not fitted to.
+    Terms of a drive are Stribeck, quadratic or directional friction, a load, a spring, a dead time, and forces along
+    the travel. For a transfer function, the command searches 1 to 5 poles, fewer zeros, and dead times of 0 to 5
+    samples.
 
-    Exit code 0: a search, whatever it finds; 2: wrong usage or unreadable input; 3: the record cannot tell.
+    The search adds one term at a time, and keeps a term if it is beyond chance and explains data outside the fit.
+
+    Exit code 0: a search with any result; 2: wrong usage or unreadable input; 3: the record shows too little.
     """
     if _is_process(config):
         _search_order(records, config, cutoff, out, as_json)
@@ -78,7 +80,7 @@ def terms(
 
 
 def _is_process(config: Path) -> bool:
-    """Whether a configuration has a transfer function; what is wrong with the file, its reader says."""
+    """Return whether a configuration has a transfer function. Errors in the file are left to its reader."""
     from tomllib import TOMLDecodeError, loads
 
     try:
@@ -102,7 +104,7 @@ def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Pa
 def _search_order(
     records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool
 ) -> None:
-    """n, m and delay of the configuration are not used."""
+    """Search the structure of a transfer function, without n, m and delay of the configuration."""
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     with progress("structures") as tell:
@@ -140,7 +142,7 @@ def _print(found: TermSearch, out: Path | None) -> None:
             table.add_column(escape(name.replace(" [", "\n[")), justify="right" if number else "left")
         for row in cells:
             table.add_row(*(escape(printable(cell)) for cell in row))
-        # a number is never cut: what does not fit then runs over the edge
+        # A number is never cut. A wide table exceeds the edge of the terminal.
         Console(width=max(console.width, Console(width=10_000).measure(table).maximum)).print(table)
     lines = [found.sentence, "", *found.lines, ""]
     lines += [f"status: {', '.join(found.status)}"] if found.status else []

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | None, as_json: bool) -> None:
     """Simulate each RECORD from its input alone, with the parameters of RESULT.json, and compare with its output.
 
-    Its start is fitted to the first samples, over 5 time constants of the filters; nothing else of the output is used.
+    The first samples, over 5 time constants of the filters, determine the start of the simulation. The simulation uses
+    no other samples of the output.
 
     Exit code 0: a prediction, good or bad; 2: wrong usage, unreadable input, parameters of another model.
     """
@@ -71,7 +72,7 @@ def _print(found: Validation, out: Path | None) -> None:
             text = f"{names[column]}, restarted every {every} s"
             table.add_row(escape(text), *(cells.get(row[0], "–") for row in runs))
     console = Console()
-    # a number is never cut: what does not fit then runs over the edge
+    # A number is never cut. A wide table exceeds the edge of the terminal.
     Console(width=max(console.width, Console(width=10_000).measure(table).maximum)).print(table)
     status = [f"status: {', '.join(found.status)}"] if found.status else []
     for line in (

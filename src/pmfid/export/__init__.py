@@ -1,1 +1,1 @@
-"""The estimator as C for a drive: the kernel's sources as they are, and what this configuration adds to them."""
+"""The estimator as C for a drive, with the unchanged sources of the kernel and the code of one configuration."""

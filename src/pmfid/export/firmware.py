@@ -1,4 +1,4 @@
-"""Firmware: the kernel copied, its configuration written."""
+"""Firmware, with a copy of the kernel and a generated configuration."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ INDENT = "    "
 
 
 def literal(number: SupportsInt) -> str:
-    """A number as a C constant: hexadecimal where it is a float, so that nothing is rounded.
+    """Return a number as a C constant. A float is hexadecimal, so that nothing is rounded.
 
-    Raises ValueError for a float that is not finite: C99 has no constant for it.
+    Raises ValueError for a float that is not finite, because C99 has no constant for it.
     """
     if isinstance(number, np.floating):
         if not np.isfinite(number):
@@ -47,9 +47,9 @@ def literal(number: SupportsInt) -> str:
 
 
 def initializer(structure: Structured, level: int = 0) -> str:
-    """A structure, or an array of structures, as a braced initialiser; a comment names each field.
+    """Return a structure, or an array of structures, as a braced initialiser with a comment for each field.
 
-    Fields are set by position and not by designators, so that C++17 reads the initialiser as well.
+    Fields are set by position and not by designators, so that C++17 also reads the initialiser.
     """
     inner = INDENT * (level + 1)
     lines = [
@@ -80,14 +80,14 @@ def _rows(rows: list[str], level: int) -> str:
 
 
 def _flat(row: Structured) -> str:
-    """One line: the numbers of an array, or the fields of a small structure."""
+    """Return the numbers of an array, or the fields of a small structure, in one line."""
     values = [row[name] for name in row.dtype.names] if row.dtype.names else list(row)
     return "{" + ", ".join(literal(value[()]) for value in values) + "}"
 
 
 #: Ends of the names that an export makes of its prefix for types.
 TYPES = ("_t", "_saved_t", "_alarm_t")
-#: Types of C99's library whose names end in one of these.
+#: Types of C99's library whose names have one of these ends.
 _PLAIN_TYPES = """
 size ptrdiff wchar wint wctrans wctype mbstate time clock div ldiv lldiv fpos float double fenv fexcept imaxdiv
 sig_atomic va_list intptr uintptr intmax uintmax ssize off
@@ -96,14 +96,14 @@ _WIDTHS = [
     f"{sign}int{kind}{bits}" for sign in ("", "u") for kind in ("", "_least", "_fast") for bits in (8, 16, 32, 64)
 ]
 C_TYPES = {f"{name}_t" for name in (*_PLAIN_TYPES.split(), *_WIDTHS)}
-#: What else an export makes of its prefix in capitals.
+#: Other names that an export makes of its prefix in capitals.
 TAKEN = {"H", "PARAMETERS", "ALARMS"}
-#: Signs of units -> what ASCII has for them.
+#: ASCII for the signs of units.
 PLAIN = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "⋅": " "})
 
 
 def check_names(prefix: str, parameters: Sequence[str]) -> None:
-    """Raises UsageError if a prefix or the names of the parameters would not compile."""
+    """Raise UsageError if a prefix or the names of the parameters would not compile."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix) or prefix.startswith("pmf"):
         raise UsageError(
             "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "
@@ -126,7 +126,7 @@ def check_names(prefix: str, parameters: Sequence[str]) -> None:
 
 
 def remark(text: str) -> str:
-    """A text for a comment in C: one line of ASCII that cannot end the comment."""
+    """Return a text for a comment in C, one line of ASCII that cannot end the comment."""
     plain = re.sub(r"[^ -~]|[\\?]", ".", text.translate(PLAIN))  # ? begins trigraphs
     return re.sub(r"\*(?=/)|/(?=\*)", ".", plain)
 
@@ -138,8 +138,12 @@ CLOCK, REST = 23, 150
 
 @dataclass(frozen=True)
 class Samples:
-    """u: (n,) input; counts: (n,) as the counter shows them; expected: (n,) CRC-32 of the state after each; theta: (p,)
-    after the last; steps: (n,) since the one before [s], None: of an even clock."""
+    """Samples of the self-test.
+
+    `u` (n,) is the input, and `counts` (n,) are the values of the counter. `expected` (n,) is the CRC-32 of the state
+    after each sample. `theta` (p,) are the parameters after the last sample. `steps` (n,) are the times since the
+    previous sample [s], or None for an even clock.
+    """
 
     u: NDArray[np.floating]
     counts: NDArray[np.uint32]
@@ -149,13 +153,13 @@ class Samples:
 
 
 def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Input and counts (n,) of a plant that suits the axis; a body reverses, rests, and its counter wraps."""
+    """Return input and counts (n,) of a plant that suits the axis. A body reverses and rests, and its counter wraps."""
     u, axis = _input(SAMPLES), estimator
     return u, axis.plant.made_up_counts(axis.equation, u, axis.dt, axis.cutoff, axis.encoder.resolution)
 
 
 def _input(samples: int) -> NDArray[np.float64]:
-    """Levels between -1 and 1 by a shift register of five bits, and zero for a while."""
+    """Return levels between -1 and 1 from a shift register of five bits, with a stretch of zeros."""
     register, levels = 0b10101, []
     for _ in range(samples // CLOCK + 1):
         register = register >> 1 | ((register ^ register >> 2) & 1) << 4
@@ -166,7 +170,7 @@ def _input(samples: int) -> NDArray[np.float64]:
 
 
 def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> Samples:
-    """Runs the estimator from its start over u, counts: (n,); the estimator's own state stays as it is.
+    """Run the estimator from its start over u (n,) and counts (n,), without a change of the estimator's state.
 
     Raises UsageError for a record that is empty or not finite.
     """
@@ -187,29 +191,30 @@ def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -
 
 
 def _made_up_steps(dt: float, samples: int) -> NDArray[np.float64]:
-    """(n,) between a half and one and a half sample periods."""
+    """Return steps (n,) between a half and one and a half sample periods."""
     return np.asarray(dt * (0.5 + (7 * np.arange(samples) % 16) / 15))
 
 
 def moving_part(counts: NDArray[np.int64]) -> slice:
-    """The first samples of a record from shortly before it moves."""
+    """Return the first SAMPLES samples of a record, from shortly before its first motion."""
     moves = np.flatnonzero(np.diff(counts))
     start = max(0, int(moves[0]) - 10) if moves.size else 0
     return slice(start, start + SAMPLES)
 
 
-#: Logarithm of the likelihood ratio that raises an alarm: by chance about once in exp(10) = 22000 intervals.
+#: Logarithm of the likelihood ratio that raises an alarm. By chance, it occurs about once in exp(10) = 22000 intervals.
 THRESHOLD = 10.0
-#: Samples between estimates that count, in memories: then their errors are nearly independent.
+#: Distance between used estimates, in memories, at which their errors are nearly independent.
 MEMORIES = 2.0
 
 
 @dataclass(frozen=True)
 class ParameterAlarm:
-    """Watches a parameter by a two-sided cumulative sum of log-likelihood ratios (Page 1954).
+    """An alarm on a parameter by a two-sided cumulative sum of log-likelihood ratios (Page 1954).
 
-    parameter: its name; nominal: its value in normal work; shift: the change to be noticed [unit of the parameter],
-    > 0; threshold: of the sum, > 0. Raises UsageError for a value outside these bounds.
+    `parameter` is the name of the parameter, and `nominal` is its value in normal work. `shift` is the change that
+    raises an alarm [unit of the parameter], > 0. `threshold` is the limit of the sum, > 0. Raises UsageError for a
+    value outside these bounds.
     """
 
     parameter: str
@@ -225,13 +230,15 @@ class ParameterAlarm:
             raise UsageError(f"nominal of an alarm must be finite, got {self.nominal}")
 
     def interval(self, estimator: RecursiveEstimator) -> int:
-        """Samples between the estimates that count. Raises UsageError for an estimator that never forgets."""
+        """Return the number of samples between used estimates. Raises UsageError for an estimator that never
+        forgets.
+        """
         if estimator.forgetting == 1:
             raise UsageError("an alarm needs forgetting below 1: an estimate that remembers everything follows nothing")
         return math.ceil(MEMORIES / (1 - estimator.forgetting))
 
     def structure(self, estimator: RecursiveEstimator) -> Structured:
-        """The `pmf_alarm_config_t`. Raises UsageError for a parameter that the estimator has not."""
+        """Return the `pmf_alarm_config_t`. Raises UsageError for a parameter that the estimator does not have."""
         if self.parameter not in estimator.names:
             raise UsageError(f"an alarm's parameter must be one of {list(estimator.names)}, got {self.parameter!r}")
         config = np.zeros((), structures(None, estimator.precision)["pmf_alarm_config_t"])
@@ -242,7 +249,7 @@ class ParameterAlarm:
         return config
 
 
-#: Template -> file in the folder; NAME is the prefix.
+#: File in the folder for each template, where NAME is the prefix.
 FILES = {
     "axis.h.j2": "NAME.h",
     "config.c.j2": "NAME_config.c",
@@ -254,7 +261,7 @@ FILES = {
     "CMakeLists.txt.j2": "CMakeLists.txt",
 }
 COPIED = ("*.c", "*.h", "LICENSE")
-#: What sends samples to `pmfid serve`.
+#: Sources that send samples to `pmfid serve`.
 BLOCKS = ("wire/pmf_block.c", "wire/pmf_block.h")
 
 
@@ -276,7 +283,7 @@ def export_firmware(
     estimator : recursive estimator
     folder : path
     prefix : str
-        Of all names, an identifier of C.
+        Prefix of all names, an identifier of C.
     record : pair of array_like (n,), optional
         Input and counts of the axis for the self-test. By default the self-test has a made-up motion.
     alarms : sequence of ParameterAlarm
@@ -292,8 +299,8 @@ def export_firmware(
     Raises
     ------
     UsageError
-        An off-line method, a prefix or names of parameters that would not compile, a folder with other things in it, an
-        alarm that cannot be, or a record that is empty or not finite.
+        The method is off-line, the prefix or the names of parameters would not compile, or the folder holds other
+        files. Further causes are an impossible alarm, and a record that is empty or not finite.
     OSError
         The folder cannot be written.
 
@@ -331,7 +338,7 @@ def export_firmware(
 
 
 def source_files(pattern: str) -> list[Path]:
-    """Files of the kernel, or the licence, which a checkout has one floor up."""
+    """Return files of the kernel, or the licence, which a checkout has one folder above."""
     found = list(source_folder().glob(pattern))
     return found or list(source_folder().parent.glob(pattern))
 
@@ -390,6 +397,6 @@ def _context(
 
 
 def fixed_recursion(config: Structured) -> tuple[int, int, int] | None:
-    """Number of parameters, whether there are instruments, and scheme of forgetting, if all recursions agree."""
+    """Return number of parameters, use of instruments, and scheme of forgetting, if all recursions agree."""
     kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions_of(config)}
     return kinds.pop() if len(kinds) == 1 else None
