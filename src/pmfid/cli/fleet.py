@@ -57,8 +57,8 @@ def stream(
 ) -> None:
     """Watch the axes whose blocks arrive in the folder SOURCE until an interruption.
 
-    SOURCE holds Parquet files with two columns: axis, the name, and block, the bytes of docs/wire.md. It may also hold
-    growing files of such blocks in sequence (.pmfb). A repeated block is ignored, an early block waits, and a late
+    SOURCE holds Parquet files with two columns: axis, the name, and block, the bytes of docs/wire.md. SOURCE may also
+    hold growing files of such blocks in sequence (.pmfb). A repeated block is ignored, an early block waits, and a late
     block is counted. A second call with the same folders continues after any end of the first call.
 
     Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
@@ -67,7 +67,7 @@ def stream(
     from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
     from pmfid.stream.groups import Pace
 
-    kind_of(source)  # fails before the slow part
+    kind_of(source)  # a wrong argument fails before the slow part
     prepared = _prepare(config)
     plan = StreamPlan(prepared, Pace(window, every), shards)
     begin = None if state is None else States.from_folder(state, prepared.digest)
@@ -91,7 +91,7 @@ def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, mast
     from pmfid.fleet.spark.stream import check_states, states_of
     from pmfid.stream.groups import Pace
 
-    check_states(checkpoint)  # fails before the slow part
+    check_states(checkpoint)  # a wrong argument fails before the slow part
     prepared = _prepare(config)
     written = states_of(checkpoint, prepared.digest, master).write(out, prepared, Pace(), axes)
     click.echo(f"states of {written} axes: {out}")
@@ -104,7 +104,7 @@ def _prepare(config: Path) -> Prepared:
         return prepare(config, progress=tell)
 
 
-#: Most axes in a printed table.
+#: Largest number of axes in a printed table.
 SHOWN = 30
 
 

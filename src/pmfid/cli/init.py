@@ -28,7 +28,8 @@ def init(record: Path, out: Path, output: str | None) -> None:
     """Write an AXIS.toml from RECORD, with a reason for each guess.
 
     The command guesses the columns of time, input and output, their units and the step of the encoder. On a terminal,
-    it asks for values that the record does not show. Elsewhere, the file has a neutral value with the mark TO DO.
+    the command asks for values that the record does not show. Elsewhere, the file has a neutral value with the mark TO
+    DO.
 
     Exit code 0: a usable file; 2: wrong usage, unreadable input, or an existing file.
     """

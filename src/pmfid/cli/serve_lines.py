@@ -23,7 +23,7 @@ def line(notice: Notice) -> str:
 def _describe_other(what: Fields) -> str:
     try:
         return sentence(what)
-    except KeyError:  # an event of a source or a sink without its own sentence
+    except KeyError:  # the event of a source or sink has no own sentence
         rest = ", ".join(f"{key} {value}" for key, value in what.items() if key != "event")
         return f"{what['event']}: {rest}"
 
@@ -39,7 +39,7 @@ def _serving(what: Fields) -> str:
 def _configuration(what: Fields) -> str:
     if "problem" in what:
         return f"{what['config']}: {what['problem']}"
-    if "digest" in what:  # for sinks that keep a history
+    if "digest" in what:  # only sinks with a history use the digest
         return ""
     ready = "calibration from the cache" if what["cached"] else "calibrated"
     return "\n".join([f"{what['config']}: {ready}", *(f"note: {note}" for note in what["notes"])])

@@ -62,7 +62,7 @@ class EstimatorConfig(FileSection):
     discretization: Literal["matched", "paper", "exact"] = Field(
         "matched", description="the discretisation of the filters"
     )
-    # not strict, because TOML has lists where a frozen object needs a tuple
+    # This type is not strict, because TOML has lists where a frozen object needs a tuple.
     prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
     )

@@ -40,7 +40,7 @@ Name = Annotated[str, Field(min_length=1)]
 
 def _usable_gain(value: float | Literal["estimate"]) -> float | Literal["estimate"]:
     try:
-        return Drive(value).input_gain  # one rule for Python and TOML
+        return Drive(value).input_gain  # Python and TOML have the same rule
     except UsageError as error:
         raise ValueError(str(error).partition(";")[0]) from None
 

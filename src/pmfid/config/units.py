@@ -75,7 +75,8 @@ _ALIASES = {
     "pct": "%", "percent": "%", "‰": "permille", "arms": "A", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
     "newton": "N", "metre": "m", "meter": "m", "millimeter": "mm", "radian": "rad", "radians": "rad",
 }  # fmt: skip
-#: Least letters of a unit after an underscore, stroke, blank or point. A single letter is usually an index.
+#: Smallest number of letters of a unit after an underscore, stroke, blank or point. A single letter is usually an
+#: index.
 _LEAST_LETTERS = 2
 #: A single letter is a unit after the name of its quantity.
 _MEASURED = re.compile(r"((kraft|force)[\s_./]N|(strom|current)[\s_./]A|(spannung|voltage)[\s_./]V)$", re.IGNORECASE)
@@ -92,7 +93,7 @@ class Quantity(float):
         return made
 
     def __reduce__(self) -> tuple[Callable[[float, Unit], Quantity], tuple[float, Unit]]:
-        """Return the arguments for copies and pickles, which have the same bits because they convert nothing twice."""
+        """Return the arguments for copies and pickles. A copy has the same bits, because no unit is converted twice."""
         return _make_quantity, (float(self), self.unit)
 
 

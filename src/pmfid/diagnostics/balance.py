@@ -175,8 +175,8 @@ class Balance:
 
     @cached_property
     def beside_velocity(self) -> Floats:
-        """The residual minus its mean at the same velocity [N]. This removes the effect of places that are visited
-        at different velocities.
+        """The residual minus its mean at the same velocity [N]. The difference removes the effect of places that
+        the axis visits at different velocities.
         """
         return np.asarray(self.residual - np.interp(self.velocity, self.by_velocity.x, self.by_velocity.mean))
 
@@ -191,7 +191,7 @@ class Balance:
 
 
 def one_way_friction(balance: Balance) -> Friction | None:
-    """Return the friction of the samples with one direction of motion, or None if too few samples have one."""
+    """Return the friction of the samples with a single direction of motion, or None if such samples are too few."""
     # After a reversal, the filtered velocity may still have the old sign.
     one_way = np.sign(balance.velocity) * balance.direction >= TUNING.one_way
     if np.count_nonzero(one_way) < 2 * TUNING.fewest_bins:

@@ -6,8 +6,8 @@ through the input, as under control (Sims 1972). Both tests whiten the noise fir
 Therefore a predictable input, such as a sweep, a sum of sines or a periodic signal, causes no false alarm.
 
 A controller responds to noise of any size, but the jumps of its reference hide a small response. Therefore a robust
-linear prediction removes the predictable part and the jumps from the future inputs. For a given input, this remainder
-is as valid as any other function of the input.
+linear prediction removes the predictable part and the jumps from the future inputs. The test may use any function of a
+given input, and therefore also this remainder.
 """
 
 from __future__ import annotations
@@ -193,8 +193,8 @@ def _ahead(part: ResidualStretch) -> Floats:
 def calm(u: Floats) -> Floats:
     """Return the part (M,) of an input u (M,) that a robust linear prediction from its own past leaves, without jumps.
 
-    If most of u is exactly predictable, the function keeps the whole remainder. It works block by block, because a
-    sweep needs a separate prediction for each frequency.
+    If most of u is exactly predictable, the function keeps the whole remainder. The function works block by block,
+    because a sweep needs a separate prediction for each frequency.
     """
     past = min(TUNING.own_past, u.size // 10)
     if past < 1 or not np.std(u) > 0:

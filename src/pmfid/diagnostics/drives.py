@@ -100,7 +100,7 @@ def lateness(found: Adequacy) -> list[Lateness]:
         if way is not None and way.gain > ALIKE:
             ways.append(way)
         elif found.difference.equation.at_once == found.difference.equation:
-            return []  # to first order the two are alike
+            return []  # to first order, a dead time and a lag are alike
     clear = sorted(ways, key=lambda way: -way.gain)
     simple = [way for way in clear if len(way.times) == 1]
     if simple and clear[0].gain - simple[0].gain < ALIKE:

@@ -86,8 +86,8 @@ class FreeRun:
 
     @property
     def relative(self) -> float | None:
-        """The relative error of robot identification, 100 |y - simulated| / |y| [%]. It depends on the zero of the
-        output.
+        """The relative error of robot identification, 100 |y - simulated| / |y| [%]. The error depends on the zero
+        of the output.
         """
         size = rms(self.measured)
         return 100 * self.rmse / size if size > 0 else None
@@ -152,8 +152,8 @@ def measure_horizons(
 ) -> tuple[Horizon, ...]:
     """Return the errors of runs for each horizon.
 
-    A horizon must fit into the `duration` of the record [s]. It must also be several times longer than `read`, the
-    stretch [s] that determines the start. `runs` returns the measured and simulated outputs of all runs of a given
+    A horizon must fit into the `duration` of the record [s]. A horizon must also be several times longer than `read`,
+    the stretch [s] that determines the start. `runs` returns the measured and simulated outputs of all runs of a given
     length [s].
     """
     found = []

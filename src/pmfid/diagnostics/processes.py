@@ -56,8 +56,8 @@ def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | No
     """Return whether the input has the other hold, and whether the hold matters.
 
     `point` is the estimate. `noise` is the colour of the residual without the input. The function reports nothing if
-    the spacing of the samples lets no filter whiten the noise. It also reports nothing if a reference makes the sum of
-    squares meaningless.
+    the spacing of the samples lets no filter whiten the noise. The function also reports nothing if a reference makes
+    the sum of squares meaningless.
     """
     if noise is None or problem.referenced:
         return Hold()
@@ -137,7 +137,7 @@ def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
     structure = problem.structure
     smaller = Structure(max(structure.n - 1, 1), max(structure.m - 1, 0), structure.offset)
     plain = Structure(structure.n, structure.m, structure.offset)
-    if problem.referenced or structure != plain:  # known poles or a known dead time do not depend on the noise
+    if problem.referenced or structure != plain:  # known values do not depend on the noise
         return Second(False, False)
     with np.errstate(all="ignore"):
         try:
@@ -194,11 +194,11 @@ class Assessment:
     hold one array for each stretch, at its measured samples. `samples` are the numbers of these samples in the record,
     and `records` are the numbers of the records. `autocorrelation` (residuals_lags + 1,) belongs to the residual, from
     lag 0. `cross` (2 residuals_lags + 1,) correlates the residual with the input, or with the reference if one exists.
-    Both have bounds that hold 99 % of the correlations of an independent residual.
-    `unmodelled` says whether the present and past input explains the residual. `feedback` says whether future inputs
-    explain it, because a controller feeds the noise back (`causality.py`). `depends` says whether the output depends on
-    the input by more than chance. `second` is the second examination, and `hold` is the test of the other hold.
-    `repeats` says whether a part of the residual repeats in every period of the input.
+    The bounds of `autocorrelation` and `cross` hold 99 % of the correlations of an independent residual. `unmodelled`
+    says whether the present and past input explains the residual. `feedback` says whether future inputs explain it,
+    because a controller feeds the noise back (`causality.py`). `depends` says whether the output depends on the input
+    by more than chance. `second` is the second examination, and `hold` is the test of the other hold. `repeats` says
+    whether a part of the residual repeats in every period of the input.
     """
 
     fit: float
@@ -298,7 +298,7 @@ def _doubts(
 def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]:
     """Return the least and the greatest part of the present input that a wrong hold leaves in the residual."""
     a, b, _ = problem.structure.split(point.theta)
-    if a.size == 0:  # all poles are integrators
+    if a.size == 0:  # if all poles are integrators
         return (0.0, 0.0)
     stretch = problem.stretches[0]
     grid = Grid(float(np.median(stretch.grid.steps)), 2)

@@ -262,7 +262,7 @@ class Bench:
 def _lates(model: Drive, trial: Trial) -> list[tuple[float, float]]:
     """Return start values for dead time and lag [s].
 
-    The list is empty if the model and the previous trial estimate the same ones of the two.
+    The list is empty if the model and the previous trial estimate the same delays.
     """
     own, before = ([one.dead_time == ESTIMATE, one.lag == ESTIMATE] for one in (model, trial.model))
     if own == before or not any(own) or (own == [True, False] and not any(before)):

@@ -1,9 +1,10 @@
 """Search for the terms of a drive, one term at a time.
 
-In each step, the score tests of the counts at the best fit propose candidates (`estimators/adequacy.py`). These tests
-cost nothing. Then the search fits the candidates. The search keeps a term if its likelihood ratio is beyond chance and
-if it explains parts of the record outside the fit. The limit of chance depends on the number of tried terms and on the
-scatter of the scores (Rao 1948; Bonferroni). Finally, the search removes a term if the other terms make it superfluous.
+In each step, the score tests of the counts at the best fit propose candidates (`estimators/adequacy.py`). The score
+tests cost nothing. Then the search fits the candidates. The search keeps a term if its likelihood ratio is beyond
+chance and if it explains parts of the record outside the fit. The limit of chance depends on the number of tried terms
+and on the scatter of the scores (Rao 1948; Bonferroni). Finally, the search removes a term if the other terms make it
+superfluous.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ class Candidate:
     """A change of the model with its description and origin.
 
     `z` is the score in standard deviations. `inflation` is the scatter of the score relative to independent errors.
-    Before the fit it is computed without the term, and afterwards with the term. `explains` is the doubled gain of the
-    log-likelihood that the score predicts. `elsewhere` is the predicted gain over parts of the record that do not
-    determine the coefficient. `scanned` says whether the pitch comes from a scan.
+    Before the fit, `inflation` belongs to the model without the term, and afterwards to the model with the term.
+    `explains` is the doubled gain of the log-likelihood that the score predicts. `elsewhere` is the predicted gain over
+    parts of the record that do not determine the coefficient. `scanned` says whether the pitch comes from a scan.
     """
 
     change: Change
@@ -77,7 +78,7 @@ class FittedCandidate:
 
     @property
     def explains_all(self) -> bool:
-        """Whether the model with this candidate explains every count. Then scores of the model without the
+        """Whether the model with this candidate explains every count. If so, scores of the model without the
         candidate mean nothing.
         """
         return self.trial is not None and self.trial.best.clean
@@ -106,7 +107,7 @@ class Terms:
 
     `trials` lead from the first model to the chosen model. `errors` are their errors of free runs over other parts of
     the record [unit of y]. `steps` holds all candidates that each step has fitted. `without` holds the chosen model
-    without each of the added terms. `adequacy` belongs to the chosen model.
+    without each of the added terms. `adequacy` is that of the chosen model.
     """
 
     trials: tuple[Trial, ...]
@@ -207,7 +208,7 @@ class _Search:
     def _resolve_alternatives(self, found: Terms) -> Terms:
         """Reject alternatives that explain less than the kept term in the final model.
 
-        Such an alternative explained equally much while other terms were missing.
+        While other terms were missing, the alternative explained as much as the kept term.
         """
         less = [other for kept, other in found.either if self._is_less(found.chosen, kept.candidate, other.candidate)]
         steps = (
@@ -249,7 +250,7 @@ class _Search:
     def _fit_candidates(
         self, trial: Trial, candidates: Sequence[Candidate], again: Sequence[Candidate], number: int
     ) -> list[FittedCandidate]:
-        """Fit the candidates, best first, and then the candidates in `again`, whose scores say nothing.
+        """Fit the candidates, best first, and then the candidates in `again`, whose scores are meaningless.
 
         Weak candidates are fitted only if no candidate explains every count.
         """
@@ -271,7 +272,7 @@ class _Search:
 
         The first pair consists of the two best single terms. Further pairs combine the best term with a force along the
         travel. A quick fit of that force may diverge while the best term is missing. In later steps, the search fits
-        the force along the travel alone. It may replace a term that was kept before.
+        the force along the travel alone. That force may replace a term that an earlier step kept.
         """
         best = [step.candidate for step in tried if step.trial is not None][:2]
         looking = self.looking and trial.model.cogging is None
@@ -384,7 +385,7 @@ def _measure_deficit(step: FittedCandidate, best: FittedCandidate) -> float:
 def _simplest_first(found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
     """Return the terms in the order of their size.
 
-    The first place goes to a special case of the best term if it explains equally much within chance.
+    A special case of the best term comes first if both terms explain equally much within chance.
     """
     ordered = sorted(found, key=lambda step: step.size, reverse=True)
     for step in ordered[1:]:
@@ -434,7 +435,7 @@ def _has(model: Drive, change: Change) -> bool:
 def propose_candidates(trial: Trial, found: Adequacy) -> list[Candidate]:
     """Return the candidates that the counts ask for, ordered by predicted gain.
 
-    Of several forces that lead to one change, the best is returned.
+    If several forces lead to the same change, the function returns the best force.
     """
     by_change: dict[str, Candidate] = {}
     for k in np.argsort(-found.gain).tolist():
@@ -479,7 +480,7 @@ def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int
         if candidate.scanned:
             found = bench.tune_pitch(found)
             candidate = replace(candidate, change={**candidate.change, "cogging": found.model.cogging})
-    except (NotIdentifiableError, UsageError):  # the second case is a model without room for both terms
+    except (NotIdentifiableError, UsageError):  # UsageError: the model has no room for both terms
         return FittedCandidate(candidate, None, 0.0, math.inf, math.inf, "no fit")
     candidate = replace(candidate, inflation=inflation(trial, found))
     return FittedCandidate(

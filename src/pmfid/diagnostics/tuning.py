@@ -13,7 +13,8 @@ class DiagnosticTuning:
     #: Encoder noise of the velocity, relative to the standard deviation of the velocity. Less noise moves hardly any
     #: sample to another bin.
     quiet_encoder: float = 0.003
-    #: Least part of the filter's memory with one direction of motion. Above it, friction belongs to one velocity.
+    #: Smallest part of the filter's memory with one direction of motion. In a larger part, friction belongs to a single
+    #: velocity.
     one_way: float = 0.95
     most_bins: int = 24
     fewest_bins: int = 6
@@ -40,9 +41,10 @@ class DiagnosticTuning:
     causality_most: int = 40
     samples_per_lag: int = 15
     causality_ahead: int = 10
-    #: Prediction of the input from its past: number of past samples finally and at first, number of trial subsets for
-    #: the first prediction, number of passes, samples for each prediction, and the size of a jump in robust standard
-    #: deviations.
+    #: Prediction of the input from its past. `own_past` and `short_past` are the numbers of past samples in the final
+    #: and the first prediction. `causality_trials` is the number of subsets for the first prediction, and
+    #: `robust_passes` is the number of passes. Each prediction holds for `causality_block` samples. `causality_jump` is
+    #: the size of a jump in robust standard deviations.
     own_past: int = 20
     short_past: int = 5
     causality_trials: int = 60
@@ -57,12 +59,12 @@ class DiagnosticTuning:
     # drives
     #: Factor by which a change of the counts exceeds the usual changes if no motion explains it.
     drives_jump: int = 30
-    #: Least delay [samples] in a report if no score supports the delay. A smaller delay resembles other effects, such
-    #: as friction within a sample.
+    #: Smallest delay [samples] in a report if no score supports the delay. A smaller delay resembles other effects,
+    #: such as friction within a sample.
     drives_least: float = 0.05
     #: Counts per sample below which the encoder's error is not white noise.
     drives_coarse: float = 1.0
-    #: Least number of samples for a judgement of a model. At least one sample must also move.
+    #: Smallest number of samples for a judgement of a model. A judgement also needs at least one moving sample.
     drives_fewest: int = 50
     #: Length of the judged last part of the record in memories, if the estimator forgets.
     drives_memories: float = 3.0
@@ -74,11 +76,11 @@ class DiagnosticTuning:
     #: longer records use the same lengths, scaled by powers of ten.
     free_run_horizons: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)
     free_run_worth: float = 4.0
-    #: Most runs for each horizon.
+    #: Largest number of runs for each horizon.
     most_runs: int = 200
     #: Greatest number whose square is still a finite float.
     beyond: float = 1e120
-    #: Least number of samples, for each unknown, that determine the start of a stretch.
+    #: Smallest number of samples for each unknown in the start of a stretch.
     free_run_samples: int = 4
 
     # matter
@@ -115,8 +117,8 @@ class DiagnosticTuning:
     processes_few: float = 0.01
 
     # term_fits
-    #: Most parts of a sample in which a search simulates motions. For a cart under a random binary input, 2 parts give
-    #: the likelihoods of 16 parts within 0.1. One part gives them within 4.
+    #: Largest number of parts of a sample in the simulations of a search. For a cart under a random binary input, 2
+    #: parts give the likelihoods of 16 parts within 0.1. One part gives them within 4.
     most_parts: int = 2
     #: Relative tolerance of intermediate least-squares fits.
     term_fits_roughly: float = 1e-4
@@ -127,7 +129,8 @@ class DiagnosticTuning:
     #: Relative tolerance of fits that only compare pitches, and the noise [counts] at which the edges distinguish them.
     term_fits_coarsely: float = 1e-3
     term_fits_loose: float = 0.1
-    #: Most pitches from which the search goes on, as the likelihood distinguishes pitches with similar motions.
+    #: Largest number of pitches that the search follows, because the likelihood distinguishes pitches with similar
+    #: motions.
     most_pitches: int = 2
     #: Start values of a lag [samples].
     term_fits_lags: tuple[float, float] = (0.5, 2.0)
@@ -139,11 +142,11 @@ class DiagnosticTuning:
     # term_trials
     #: Relative step of the parameters for a numerical derivative.
     term_trials_small: float = 1e-4
-    #: Least and greatest number of pitches in the travel. Fewer pitches resemble other forces, and the search ignores
-    #: more.
+    #: Smallest and greatest number of pitches in the travel. A force with fewer pitches resembles other forces. The
+    #: search ignores forces with more pitches.
     term_trials_fewest: float = 4.0
     term_trials_most: float = 150.0
-    #: Least length of a pitch, in counts and in samples at the usual speed.
+    #: Smallest length of a pitch, in counts and in samples at the usual speed.
     term_trials_counts: float = 8.0
     term_trials_samples: float = 4.0
     #: Distance between the tried numbers of pitches, and how many of them are tried together.
@@ -159,20 +162,20 @@ class DiagnosticTuning:
     term_trials_hundred: float = 100.0
 
     # terms
-    #: Least score that deserves a trial if the model does not explain every count. In that case, unmodelled effects
-    #: scatter the scores.
+    #: Smallest score that deserves a trial if the model does not explain every count. Unmodelled effects then scatter
+    #: the scores.
     terms_weak: float = 1.0
-    #: Most terms that a step fits if no term explains every count, and most steps.
+    #: Largest number of terms that a step fits if no term explains every count, and largest number of steps.
     most_tried: int = 4
     most_steps: int = 8
-    #: Most pitches that the search tries together with another term if no single term suffices.
+    #: Largest number of pitches that the search tries together with another term if no single term suffices.
     most_paired: int = 2
     #: Approximate number of candidates in each step, without periodic forces and pitches.
     terms_usual: int = 8
     #: Gain that each further parameter of a term has to bring.
     per_parameter: float = 4.0
-    #: Difference between the gains of two terms below which the terms explain equally much. It corresponds to three
-    #: standard deviations.
+    #: Difference between the gains of two terms below which the terms explain equally much. The difference corresponds
+    #: to three standard deviations.
     terms_alike: float = 9.0
     #: Relative gain of the second-best pitch above which the pitch remains ambiguous.
     terms_hardly: float = 0.5

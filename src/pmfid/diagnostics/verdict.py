@@ -40,7 +40,7 @@ def model_spread(
     twin = like(IV, estimator, prefilter_zeros=None)
     best = found.q[equation] * found.difference.scale[equation]
     columns = twin.columns_at(best, u, counts)
-    with np.errstate(all="ignore"):  # Effects whose shift is not finite do not count.
+    with np.errstate(all="ignore"):  # effects without a finite shift do not count
         largest = _largest(list(_views(estimator, twin, columns, theta[equation], std[equation], best, found)))
         spread[equation] = np.sqrt(largest + found.unseen[: largest.size] ** 2)
     return spread
@@ -90,7 +90,8 @@ def _views(
 def _kinds_of_force(found: Adequacy) -> Iterator[list[int]]:
     """Yield the indices of the candidates of each kind.
 
-    A kind is one force that is tested at several speeds or sizes. A machine has only one force of each kind.
+    All candidates of a kind are the same force, tested at several speeds or sizes. A machine has only one force of each
+    kind.
     """
     names = [candidate.name for candidate in found.forces]
     for name in dict.fromkeys(names):
@@ -229,9 +230,9 @@ def verdict(
 def _estimate_shown_bias(found: Adequacy, theta: Floats, std: Floats, spread: Floats) -> Floats:
     """Return the shift (p,) that the visible effects in the record may cause in an estimate.
 
-    If the counts contradict the model, the shift excludes effects that no record of this input shows. These effects are
-    reported once. If the model is adequate, the shift contains forces that are nearly visible and the distance to the
-    best motion. The interval covers invisible effects.
+    If the counts contradict the model, the shift excludes effects that no record of this input shows. A separate
+    finding reports these effects once. If the model is adequate, the shift contains forces that are nearly visible and
+    the distance to the best motion. The interval covers invisible effects.
     """
     p = theta.size
     if not found.adequate:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 #: Number of examined lines.
 LOOKED_AT = 400
-#: Least percentage of fields in a line of data that are numbers, times or empty.
+#: Smallest percentage of fields in a line of data that are numbers, times or empty.
 NUMBERS = 50
 #: Beginnings of lines without data.
 COMMENTS = ("#", "%", "//")
@@ -67,7 +67,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Stated:
-    """The configured part of a layout. The text itself determines an entry of None."""
+    """The configured part of a layout. If an entry is None, the text itself determines the layout."""
 
     separator: str | None = None
     decimal: str | None = None
@@ -231,7 +231,7 @@ _PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
 _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
-#: Least percentage of zeros at every second byte of a UTF-16 text, and number of examined first bytes.
+#: Smallest percentage of zeros at every second byte of a UTF-16 text, and number of examined first bytes.
 _WIDE, _FIRST = 30, 2000
 
 
@@ -314,7 +314,7 @@ def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
             body,
             separator=layout.separator,
             has_header=False,
-            schema=kinds,  # unique names, as those of polars begin with column_0 or column_1
+            schema=kinds,  # polars' own names begin with column_0 or column_1
             null_values=_MISSING,
             decimal_comma=layout.decimal == "," and bool(numbers),
         )

@@ -37,7 +37,7 @@ def _fields(path: str, array: NDArray[np.generic], depth: int) -> Iterator[tuple
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 #: Position of the signature in a MATLAB v7.3 file.
 MATLAB_HEADER = 512
-#: Most datasets of a record.
+#: Largest number of datasets in a record.
 MOST = 10_000
 
 
@@ -102,7 +102,7 @@ def parse_mat(data: bytes) -> Table:
     with warnings.catch_warnings(action="error", category=scipy.io.matlab.MatReadWarning):
         variables = scipy.io.loadmat(io.BytesIO(data))
     named = {name: value for name, value in variables.items() if not name.startswith("__")}
-    # A sparse matrix or another class is no column. An access to it raises an error.
+    # A sparse matrix or another class is no column. An access to such a variable raises an error.
     arrays = {name: value if isinstance(value, np.ndarray) else np.empty(0, object) for name, value in named.items()}
     return flatten_fields(arrays)
 
@@ -159,7 +159,7 @@ def _elements(data: memoryview, order: str, padding: int = 8) -> Iterator[tuple[
 
 def _check_matrix(body: memoryview, order: str) -> None:
     parts = list(_elements(body, order))
-    if not parts:  # an empty cell
+    if not parts:  # the cell is empty
         return
     kinds, sizes = [kind for kind, _ in parts], [len(part) for _, part in parts]
     if not (kinds[0] == _UINT32 and sizes[0] == 8):

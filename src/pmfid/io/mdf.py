@@ -30,7 +30,7 @@ def parse_mdf(data: bytes) -> ClockedSignals:
             for j, channel in enumerate(group.channels):
                 signal = file.get(group=k, index=j, ignore_invalidation_bits=True)
                 if channel.channel_type in (2, 3) or signal.samples.dtype.kind not in "biuf" or signal.samples.ndim > 1:
-                    continue  # the clock itself, or a text
+                    continue  # the channel is the clock or a text
                 name = f"{signal.name} [{signal.unit}]" if signal.unit else signal.name
                 name = f"{k}.{name}" if name in found else name
                 found[name] = Signal(np.asarray(signal.timestamps, np.float64), signal.samples)

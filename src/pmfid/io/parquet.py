@@ -84,7 +84,7 @@ class _Compact:
         return (found >> 1) ^ -(found & 1)
 
     def _value(self, kind: int) -> Any:
-        if kind in (TRUE, FALSE, BYTE):  # one byte for each value of a list
+        if kind in (TRUE, FALSE, BYTE):  # a list has one byte for each such value
             return self._byte()
         if kind in INTEGERS:
             return self._integer()

@@ -89,7 +89,7 @@ def read_table(path: Path, stated: Stated = NOTHING) -> Table:
         raise UsageError("the file is empty; export the record again")
     with readable(suffix if kind == named else kind), silent():
         table = parse_csv(data, stated) if kind == ".csv" else READERS[kind](data)
-    del data  # as large as the columns, which are copied next
+    del data  # the bytes are as large as the columns, which are copied next
     return _rechunk_table(table)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mcap.records import Schema
     from rosbags.rosbag2 import Reader
 
-#: Most elements of an array that become columns. A longer array is an image or a point cloud.
+#: Largest number of elements of an array that become columns. A longer array is an image or a point cloud.
 LONGEST = 64
 DEEPEST = 8
 NANOSECOND = 1e-9
@@ -187,7 +187,8 @@ def file_of(folder: Path) -> Path:
     Raises UsageError if the folder has no record or several records.
     """
     found = sorted(path for suffix in ("mcap", "db3", "parquet") for path in folder.rglob(f"*.{suffix}"))
-    found = [path for path in found if "meta" not in path.relative_to(folder).parts[:-1]]  # metadata of LeRobot
+    # A folder of LeRobot also has metadata.
+    found = [path for path in found if "meta" not in path.relative_to(folder).parts[:-1]]
     if len(found) == 1:
         return found[0]
     listed = ", ".join(str(path.relative_to(folder)) for path in found[:5]) or "none"

@@ -31,9 +31,9 @@ class Signal:
 
 
 class ClockedSignals(Mapping[str, object]):
-    """Signals by name, on the clock of one of them, whose stamps are in `TIME`.
+    """Signals by name, on the clock of a base signal. The column `TIME` has the stamps of that clock.
 
-    If another signal has one value in each cycle of this clock, the values are taken cycle by cycle. Any other signal
+    If a signal has exactly one value in each cycle of the clock, its values are taken cycle by cycle. Any other signal
     holds its last value.
     """
 
@@ -102,7 +102,7 @@ _UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")
 
 
 class NotedTable(dict[str, object]):
-    """A table with notes for people on the way in which it was read."""
+    """A table with notes for people on the reading of the file."""
 
     def __init__(self, columns: Mapping[str, object], notes: tuple[str, ...]) -> None:
         super().__init__(columns)
@@ -131,7 +131,7 @@ def whole_name(table: Table, name: str) -> str:
     return name
 
 
-#: Most bytes of a cell of text. A number or a time needs a tenth of it.
+#: Largest number of bytes in a cell of text. A number or a time needs a tenth of this limit.
 LONGEST_CELL = 1000
 #: Suffix that polars gives to the repeated name of a column.
 TWICE = "_duplicated_0"
@@ -257,7 +257,7 @@ def table_of(frame: object) -> Table:
         return {str(name): np.asarray(values) for name, values in frame.items()}
     import polars as pl
 
-    if hasattr(frame, "iloc"):  # pandas and similar libraries
+    if hasattr(frame, "iloc"):  # the frame comes from pandas or a similar library
         pandas = cast("Any", frame)
         return {str(name): _from_pandas(str(name), pandas[name]) for name in pandas.columns}
     if not hasattr(frame, "__arrow_c_stream__"):

@@ -245,7 +245,7 @@ class Experiment(Presentable):
         reference = self.reference * _shrinking(self.reference)  # the impulse response grows by the same factor
         length = max(1, min(TUNING.experiment_response, self.u.size // TUNING.samples_per_coefficient))
         lagged = np.lib.stride_tricks.sliding_window_view(np.r_[np.zeros(length - 1), reference], length)
-        columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest first
+        columns = np.column_stack([np.ones(self.u.size), lagged[:, ::-1]])  # the latest input comes first
         kept = _count_columns(columns[known], self.u[known])
         response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
         return np.asarray(columns[:, :kept] @ response)

@@ -77,11 +77,11 @@ def search_structure(
     """Fit all structures with n in orders, m < n and the delays to the same samples by refined instrumental variables.
 
     Any criterion would take noise that is not white for dynamics. Therefore the search first estimates the colour from
-    the residuals of the largest and a middle order. Then it compares all structures after the whitening filter
+    the residuals of the largest and a middle order. Then the search compares all structures after the whitening filter
     (`residuals.py`). `cutoff` is the pole of the first filters [rad/s]. The search skips a structure if a model that
-    contains it has too large a residual. That model has the same delay and one zero less than poles. `done` is called
-    with the completed part. Raises UsageError without orders, delays or a usable record, and NotIdentifiableError if no
-    structure follows the record.
+    contains it has too large a residual. The containing model has the same delay, and one zero less than poles. `done`
+    is called with the completed part. Raises UsageError without orders, delays or a usable record, and
+    NotIdentifiableError if no structure follows the record.
     """
     if not orders or not delays or min(orders) < 1 or min(delays) < 0:
         raise UsageError("give orders from 1 on and delays from 0 on")

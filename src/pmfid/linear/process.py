@@ -333,8 +333,8 @@ class Process(Presentable):
         """Return the standard deviations (r, 2) of the roots.
 
         The coefficients move by two standard deviations in the direction that moves a root most. Half of the motion of
-        the root is its standard deviation. For distant poles this equals the delta method. For neighbouring poles, the
-        delta method would give nothing or far too little.
+        the root is its standard deviation. For distant poles, the result equals that of the delta method. For
+        neighbouring poles, the delta method would give nothing or far too little.
         """
         cov = self.cov[part, part]
         found = np.full((roots.size, 2), np.inf)

@@ -58,14 +58,14 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
     """Return the noise model of a residual (N,) at rising places (N,).
 
     Akaike's criterion with the correction of Hurvich and Tsai (1989) selects the order. `taken` holds orthonormal
-    columns (N, q), not necessarily all, that a fit removed from the noise. Their expected part of each autocovariance
-    is restored.
+    columns (N, q), not necessarily all, that a fit removed from the noise. The function restores the expected part of
+    these columns in each autocovariance.
     """
     most = min(TUNING.residuals_most, max(1, error.size // TUNING.residuals_part))
     laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))
     pairs = np.maximum(_autocovariance(there, most), 1e-9)
-    # Divided by one number and not by the count of pairs. Otherwise it may be no valid covariance, and spectral lines
-    # appear.
+    # The sums are divided by one number and not by the count of pairs. Otherwise the result may be no valid covariance,
+    # and spectral lines appear.
     raw = _autocovariance(laid, most) / pairs[0]
     if pairs[0] - pairs[1] > TUNING.residuals_gaps * error.size and np.any(
         np.abs(raw[1 : TUNING.residuals_soon]) > 4 * raw[0] / np.sqrt(error.size)
@@ -252,9 +252,9 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], ph
     frequency causes errors of the parameters at other frequencies.
 
     The periodic part lies on the harmonics of the period, and noise lies on all lines. The test compares each harmonic
-    with its neighbouring lines after a whitening filter, which comes from the part that differs between periods. Then
-    it combines the probabilities of all harmonics (Fisher 1932). Therefore the test tolerates a narrow resonance of the
-    noise that is not quite whitened.
+    with its neighbouring lines after a whitening filter, which comes from the part that differs between periods.
+    Finally, the test combines the probabilities of all harmonics (Fisher 1932). Therefore the test tolerates a narrow
+    resonance of the noise that is not quite whitened.
     """
     noise: Noise = fit_noise(split(error, phases)[1], place)
     columns = whiten_columns(noise, np.column_stack([error, known]), place)
@@ -368,7 +368,7 @@ def residual_repeats(problem: ProcessProblem, point: ProcessPoint) -> bool:
 def _spread(zeta: Floats, error: Floats, problem: ProcessProblem) -> Floats:
     """Return the covariance (p, p) of the scores.
 
-    A part of the residual that repeats enters separately from the rest.
+    The periodic part of the residual contributes a separate covariance.
     """
     place, unknowns = places(problem), zeta.shape[1]
     phases = phases_of(problem.stretches, unknowns)

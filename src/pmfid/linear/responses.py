@@ -18,7 +18,8 @@ from pmfid.types import Floats
 def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held: bool) -> Floats:
     """Return the states as `respond` does, but simulate fast unstable modes in reversed time.
 
-    These modes grow by more than the factor e over the grid. Their part of `start` belongs to the last instant.
+    Fast unstable modes grow by more than the factor e over the grid. The part of `start` for such modes belongs to the
+    last instant.
     """
     n, limit = F.shape[0], 1 / max(grid.duration, 1e-300)
     T, Q, kept = schur(F - limit * np.eye(n), sort="lhp")
@@ -48,7 +49,7 @@ def _reverse_time(w: Floats, held: bool) -> Floats:
 class Late:
     """Late states (n, channels, N), late inputs (channels, N) and the slopes of the inputs.
 
-    They are the values one dead time before each instant, and zero before the first instant.
+    All values are those one dead time before each instant. Values before the first instant are zero.
     """
 
     states: Floats
@@ -59,8 +60,8 @@ class Late:
 def delay_states(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, dead_time: float, *, held: bool) -> Late:
     """Return late states and inputs, from states (n, channels, N) of x' = F x + g w and w (channels, N) on the grid.
 
-    The input w is held or linear. Each reading starts at the last instant before it, so that a switch of the input
-    within a sample has its exact effect.
+    The input w is held or linear. Each reading starts at the preceding instant, so that a switch of the input within a
+    sample has its exact effect.
     """
     t = grid.instants
     steps = np.broadcast_to(np.asarray(grid.steps, float), (grid.size - 1,))
@@ -241,7 +242,7 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Rec
     simulated = b @ single[: b.size, 0] + initial @ single[:n, -1]
     if structure.offset:
         simulated = simulated + offset * single[0, -2]
-    source = stretch.inputs.shape[0] - 1  # the reference, if one exists
+    source = stretch.inputs.shape[0] - 1  # the last input is the reference, if one exists
     zeta = [b @ double[i : i + b.size, source] + initial @ double[i : i + n, -1] for i in range(free)]
     if structure.offset:
         zeta = [slope + offset * double[i, -2] for i, slope in enumerate(zeta)]

@@ -63,7 +63,7 @@ class Solution:
     passes: int
 
 
-@np.errstate(over="ignore", invalid="ignore")  # the loss of a very poor process is not finite, and thus no better
+@np.errstate(over="ignore", invalid="ignore")  # a very poor process has no finite loss
 def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoint:
     """Linearise at theta (p,), where the initial conditions (stretches, n) move to their best fit."""
     errors, phis, zetas, found = [], [], [], []
@@ -243,8 +243,8 @@ def solve(problem: ProcessProblem) -> Solution:
         if solution.settled and not every:
             break
     if problem.referenced and (best is None or not best.settled):
-        # The start comes from the measured input. That input contains noise from the feedback, but the solution is
-        # near.
+        # The start comes from the measured input. The measured input contains noise from the feedback, but the start is
+        # near the solution.
         near = descend(problem.without_reference, first_guess(problem.without_reference, 1.0)).point
         best = refine(problem, _visit_possible(problem, near.theta, near.initial))
     if best is None or not best.settled:

@@ -46,16 +46,17 @@ class LinearTuning:
     #: Largest tried order, and least number of samples for each order.
     residuals_most: int = 40
     residuals_part: int = 8
-    #: Passes that restore the part of the noise that the fit removed. The second value is the largest ratio of the
+    #: Passes that restore the part of the noise that the fit removed. `residuals_largest` is the largest ratio of the
     #: restored power to the power of the residual.
     residuals_passes: int = 3
     residuals_largest: float = 3.0
-    #: Greatest part of the samples without a successor, and number of lags that show whether the noise is white.
+    #: Greatest part of the samples without a successor. `residuals_soon` limits the lags that show whether the noise is
+    #: white.
     residuals_gaps: float = 0.02
     residuals_soon: int = 11
     #: Number of frequencies in the mean of a spectrum.
     residuals_effective: int = 4096
-    #: Least number of steps between the end of a line and its beginning in a circular transform.
+    #: Smallest number of steps between the end of a line and its beginning in a circular transform.
     residuals_round: int = 256
     residuals_lags: int = 25
     #: Normal deviate of the bounds, which contain 99 % of independent residuals.
@@ -64,20 +65,21 @@ class LinearTuning:
     residuals_same: float = 1e-6
     #: Number of samples near the first change of the input that must repeat before all samples are compared.
     residuals_look: int = 4
-    #: Least number of samples of a period in excess of the parameters. With fewer samples, the residual says nothing.
+    #: Smallest number of samples of a period in excess of the parameters. With fewer samples, the residual says
+    #: nothing.
     residuals_least: int = 8
-    #: Least number of lines on either side of a harmonic for comparison, including other harmonics.
+    #: Smallest number of lines on either side of a harmonic for comparison, including other harmonics.
     residuals_around: int = 6
     #: Relative size below which the effect of a parameter is a combination of others.
     residuals_rcond: float = 1e-7
-    #: Probability below which a residual repeats, that is, the part of the right models that seem to repeat.
+    #: Probability of chance below which a residual repeats. This part of the right models is rejected by mistake.
     residuals_chance: float = 1e-4
-    #: Least part of the samples with a whole past for the filter. With fewer samples, the filter is not used.
+    #: Smallest part of the samples with a whole past for the filter. With fewer samples, the filter is not used.
     residuals_kept: float = 0.6
     #: Steps between the stretches on the line of all samples. Usual noise has a shorter memory.
     residuals_apart: int = 100
-    #: Least degrees of freedom. The effective number of samples limits the accuracy of the noise power, and Student's t
-    #: has a larger variance than a normal deviate.
+    #: Smallest number of degrees of freedom. The effective number of samples limits the accuracy of the noise power,
+    #: and Student's t has a larger variance than a normal deviate.
     least_free: float = 4.0
 
     # responses

@@ -60,7 +60,7 @@ def identify(
     model : Drive, EquationModel or TransferFunction
         The plant. Not allowed with `axis`.
     axis : Axis, path or str
-        The configuration in AXIS.toml. It replaces all other arguments except `u`.
+        The configuration in AXIS.toml. The configuration replaces all other arguments except `u`.
     dt : float
         Sample period [s].
     cutoff : float, optional
@@ -200,7 +200,7 @@ def validate(
     u, y : array_like (n,)
         The other record, as in `identify`.
     dt : float, optional
-        Sample period [s]. By default, it is the sample period of the result.
+        Sample period [s], by default that of the result.
     encoder : Encoder, optional
         By default, the encoder of the result.
 
@@ -370,7 +370,7 @@ def _model(model: Model) -> dict[str, object]:
     late, lag = equation.dead_time, equation.lag
     if equation != Equation(equation.unknown, equation.known, dead_time=late, lag=lag):
         raise UsageError("an equation with delay, only_simulated or further is that of a TransferFunction: give one")
-    free = equation.at_once.unknown  # without the term of the dead time
+    free = equation.at_once.unknown  # the unknown terms without the dead time
     unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))
     for term in known:  # the coefficient of a known term is a number, without name, unit or form
         del term["name"], term["unit"], term["shape"]

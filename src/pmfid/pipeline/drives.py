@@ -306,7 +306,7 @@ def _estimate(
         _check_sizes(estimator, fit.theta, fit.theta_std)
     asked = all_known(estimator, record, fit.theta, fit.theta_std)
     judgement = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
-    further = fit.theta.size - judgement.spread.size  # number of parameters that are not linear
+    further = fit.theta.size - judgement.spread.size  # number of nonlinear parameters
     spread = np.r_[judgement.spread, np.full(further, np.nan)]
     unused = []
     if axis.estimator.window is not None and not isinstance(estimator, OE):
@@ -425,7 +425,7 @@ def _recursive(
     if _needs_simulation(estimator):
         simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
         columns = simulating.columns_at(theta, record.u, record.counts)
-    elif late is not None:  # the equation at the estimated dead time, which is then known
+    elif late is not None:  # the dead time is then known
         at = estimator.model.replace_dead_time(max(0.0, float(theta[late])))
         columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
         free = np.delete(free, late, axis=1)

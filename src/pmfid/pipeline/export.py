@@ -26,10 +26,10 @@ def drive_estimator(
 ) -> RecursiveEstimator:
     """Return the recursive estimator of a configuration for the raw counts of a counter.
 
-    The record determines the sample period. It also determines the pre-filter zeros if the configuration has none.
-    Without a record, dt [s] or [record] dt is the sample period, and the zeros are the method's default. If `steps`,
-    each sample comes with the time since the previous sample. Raises UsageError for an off-line method or a missing
-    sample period.
+    The record determines the sample period. If the configuration has no pre-filter zeros, the record determines the
+    zeros. Without a record, dt [s] or [record] dt is the sample period, and the zeros are the method's default. If
+    `steps`, each sample comes with the time since the previous sample. Raises UsageError for an off-line method or a
+    missing sample period.
     """
     if record is not None:
         axis = kind_of(axis).prepare_axis(record, axis)

@@ -37,7 +37,7 @@ class Kind(ABC, Generic[Data]):
     `Data` is the type of its records: one record of a machine, or the experiments of one transfer function.
     """
 
-    #: method for "auto" on a drive, sample by sample
+    #: Recursive method that replaces "auto" in firmware.
     on_line: ClassVar[str]
 
     @abstractmethod

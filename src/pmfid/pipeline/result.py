@@ -114,7 +114,7 @@ class Result(Presentable):
     theta_std : ndarray (p,)
         Standard deviations of errors that vary from record to record.
     findings : tuple of Finding
-        Findings on the parameters and the record, most important first. Their codes are in `status`.
+        Findings on the parameters and the record, most important first. The codes of the findings are in `status`.
     model_spread : ndarray (p,), optional
         For machines, the root mean square change of the parameters by unmodelled effects. NaN stands for an unknown
         change, for example if the equation cannot be simulated.

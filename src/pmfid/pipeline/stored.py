@@ -51,7 +51,7 @@ class Stored:
     """Parameters and units in a file.
 
     `kind` is the kind of the model, and `method` is the method of the estimate. The values of input_gain, dead_time [s]
-    and equation were known before the estimate. They are None if the file does not have them. `source` is the name of
+    and equation were known before the estimate. A value is None if the file does not have it. `source` is the name of
     the file.
     """
 

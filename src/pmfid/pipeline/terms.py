@@ -125,8 +125,8 @@ class WeighedTerm:
 
     `setting` holds its lines of [model]. `values` holds the name, value, standard error (NaN if unknown) and unit of
     each parameter of the term. `kept` says whether the term is in the chosen model. `with_it` and `without` are errors
-    of free runs over samples outside the fits [unit of y]. They are not finite without such runs. `verdict` is the
-    decision on the term.
+    of free runs over samples outside the fits [unit of y]. Without such runs, the errors are not finite. `verdict` is
+    the decision on the term.
     """
 
     setting: str

@@ -10,8 +10,9 @@ class PipelineTuning:
     """Thresholds and counts of `pmfid.pipeline`, grouped by module."""
 
     # checks.counter
-    #: Most rows between two changes, fewest changes, least part of the changes in step, and least part of the rows in
-    #: step with a change.
+    #: Limits for a column that changes only every k rows. `counter_most` is the largest k, and `counter_least` is the
+    #: smallest number of changes. `in_step` is the smallest part of the changes in step with k. `counter_often` is the
+    #: smallest part of these rows with a change.
     counter_most: int = 50
     counter_least: int = 30
     in_step: float = 0.98
@@ -20,14 +21,14 @@ class PipelineTuning:
     # checks.inputs
     #: Number of values below which an input consists of steps.
     inputs_levels: int = 20
-    #: Least part of the record at a limit, least ratio to the number of rows at a neighbouring value, and number of
-    #: such neighbouring values.
+    #: Smallest part of the record at a limit. `inputs_piled` is the smallest ratio of rows at the limit to rows at one
+    #: of the `inputs_neighbours` nearest values.
     at_limit: float = 0.005
     inputs_piled: float = 5.0
     inputs_neighbours: int = 20
-    #: Tests of the missing force at a limit. The first value is its least size in standard deviations. The second is
-    #: its least size relative to the largest force, times the part of the unexplained input that it removes. The third
-    #: is the greatest unexplained part of the input.
+    #: Limits of the test for missing force at a limit of the input. `inputs_certain` is the smallest size of the force
+    #: in standard deviations. `inputs_short` is the smallest relative size of the force, times the part of the
+    #: unexplained input that the force removes. `inputs_seen` is the greatest unexplained part of the input.
     inputs_certain: float = 4.0
     inputs_short: float = 0.008
     inputs_seen: float = 0.2
@@ -35,21 +36,21 @@ class PipelineTuning:
     times: tuple[float, ...] = (3.0, 10.0, 30.0, 100.0)
 
     # checks.force
-    #: Least part of the travel in either direction of a reversing axis, and widths of means that smooth the steps of an
-    #: encoder [samples].
+    #: Smallest part of the travel in either direction of a reversing axis. `force_widths` are widths of means that
+    #: smooth the steps of an encoder [samples].
     force_reverses: float = 0.2
     force_widths: tuple[int, ...] = (3, 9, 27, 81)
-    #: Greatest unexplained part of an unsigned input with the best signs, its greatest ratio to the part without signs,
-    #: and the iterations of the search for the signs.
+    #: Greatest unexplained part of an unsigned input with the best signs. `force_better` is its greatest ratio to the
+    #: part without signs. `force_turns` is the number of iterations in the search for the signs.
     force_signed: float = 0.7
     force_better: float = 0.5
     force_turns: int = 10
-    #: Least correlation of a command with the output that it sets.
+    #: Smallest correlation of a command with the output that it sets.
     force_alike: float = 0.9
 
     # checks.readings
-    #: Greatest part of the input that a reading leaves unexplained, and its greatest ratio to the part that the given
-    #: columns leave.
+    #: Greatest part of the input that a reading leaves unexplained. `readings_better` is the greatest ratio of this
+    #: part to the part that the given reading leaves.
     readings_follows: float = 0.15
     readings_better: float = 0.3
     #: Greatest unexplained part if a reading also leaves friction unexplained. The input must then have the clock of
@@ -62,38 +63,39 @@ class PipelineTuning:
     readings_likely: float = 3.0
     #: Unexplained part above which a record says nothing about a sign.
     readings_unseen: float = 0.5
-    #: Least time in which a mass reaches its speed [samples], and the factor by which a velocity may leave more
-    #: unexplained without a mass.
+    #: Smallest time in which a mass reaches its speed [samples]. Without a mass, the reading as a velocity may leave
+    #: more of the input unexplained by the factor `readings_alike`.
     readings_samples: float = 1.5
     readings_alike: float = 2.0
-    #: Least duration of the motion in a reading, in time constants of the filters.
+    #: Smallest duration of the motion in a reading, in time constants of the filters.
     readings_lasting: float = 10.0
-    #: Relative change of the velocity from row to row: above the first value a column is no position, and below the
-    #: second it may be one.
+    #: Relative change of the velocity from row to row. Above `readings_rough` a column is no position, and below
+    #: `readings_smooth` the input may be a position.
     readings_rough: float = 0.6
     readings_smooth: float = 0.1
-    #: Least travel that shows gravity [rad]. A spring explains a shorter travel equally well.
+    #: Smallest travel that shows gravity [rad]. A spring explains a shorter travel equally well.
     readings_turned: float = 1.0
-    #: Least travel from one end to the other [counts].
+    #: Smallest travel from one end to the other [counts].
     readings_fewest: int = 8
-    #: Least mass in standard deviations.
+    #: Smallest mass in standard deviations.
     readings_distinct: float = 2.0
 
     # checks.timing
     #: Largest shift in either direction [samples], and number of pieces of the record.
     largest_shift: int = 30
     timing_pieces: int = 16
-    #: Least length of a piece as a multiple of the largest shift.
+    #: Smallest length of a piece as a multiple of the largest shift.
     timing_least: int = 2
     #: Largest drift over the whole record in either direction, and distance between tried drifts [samples].
     timing_furthest: float = 30.0
     timing_step: float = 0.5
-    #: Relative change of the velocity from sample to sample above which samples miss the motion. The second value is
-    #: the counts per sample above which the encoder does not cause this change.
+    #: Relative change of the velocity from sample to sample above which samples miss the motion. `timing_fine` is the
+    #: number of counts per sample above which the encoder does not cause such changes.
     timing_hasty: float = 0.42
     timing_fine: float = 3.0
-    #: Limits for records that are too short for filters: the relative change of the velocity, the part of the change
-    #: that the logged input leaves, the least standard deviation of the change [counts], and the least rows.
+    #: Limits for records that are too short for filters. `timing_rather` is the relative change of the velocity.
+    #: `timing_astray` is the part of the change that the logged input does not explain. `timing_counts` is the smallest
+    #: standard deviation of the change [counts]. `timing_rows` is the smallest number of rows.
     timing_rather: float = 0.25
     timing_astray: float = 0.5
     timing_counts: float = 10.0
@@ -101,52 +103,54 @@ class PipelineTuning:
     #: Counts per sample below which most samples carry no information, and counts per sample that suffice.
     timing_idle: float = 0.02
     timing_plenty: float = 0.2
-    #: Time constants of the filters that show a drift [samples]. The next values are the least drift [samples], the
-    #: least drift in standard deviations, and the largest ratio of the unexplained parts with and without drift.
+    #: Time constants of the filters that show a drift [samples]. `timing_drifted` is the smallest drift [samples], and
+    #: `timing_sure` is the smallest drift in standard deviations. `timing_less` is the largest ratio of the unexplained
+    #: power with drift to the power without drift.
     drift_times: tuple[float, float, float] = (10.0, 30.0, 100.0)
     timing_drifted: float = 1.5
     timing_sure: float = 4.5
     timing_less: float = 0.95
-    #: Largest ratio of the unexplained parts for the largest tried drift, because the motion of another joint also
-    #: suggests this drift.
+    #: Value of `timing_less` for the largest tried drift. The limit is stricter, because the motion of another joint
+    #: also suggests this drift.
     timing_less_furthest: float = 0.5
-    #: Most further corrections of a drift, and largest corrected drift as a multiple of the first drift.
+    #: Largest number of further corrections of a drift, and largest corrected drift as a multiple of the first drift.
     timing_corrections: int = 3
     timing_most: float = 1.5
-    #: Most samples in a search for a drift.
+    #: Largest number of samples in a search for a drift.
     timing_most_samples: int = 40_000
 
     # checks.view
-    #: Least duration of a record in time constants. After slow filters, any columns explain a short record.
+    #: Smallest duration of a record in time constants. After slow filters, any columns explain a short record.
     view_enough: float = 60.0
-    #: Least part of the travel in either direction if the motion has both directions.
+    #: Smallest part of the travel in either direction if the motion has both directions.
     one_way: float = 0.05
     #: Speed over which friction at rest falls, relative to the usual speed.
     view_slow: float = 0.1
     #: Spans that show the edges of a stop [samples], and the least change of the motion at an abrupt edge [counts].
     view_spans: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
     view_counts: int = 6
-    #: Least ratio of the change of the motion at an abrupt stop to the largest change elsewhere.
+    #: Smallest ratio of the change of the motion at an abrupt stop to the largest change elsewhere.
     view_abrupt: float = 2.5
     #: Factor of the limit for a stop that the axis leaves slowly or never. If the record has view_several stops, the
     #: change must also exceed view_abrupt times the median of all stops.
     view_dead: float = 2.0
     view_several: int = 3
-    #: Least part of the record outside of stops for this comparison with other rows.
+    #: Smallest part of the record outside of stops that allows a comparison of a stop with other rows.
     view_apart: float = 0.2
-    #: Least samples of a stop, and least counts that the usual speed would bring within the stop.
+    #: Smallest number of samples in a stop, and smallest number of counts that the usual speed would bring during the
+    #: stop.
     shortest_stop: int = 5
     view_missed: float = 4.0
-    #: Least part of changing rows outside of stops. A column of steps has fewer.
+    #: Smallest part of the rows outside of stops in which the counts change. In a column of steps, fewer rows change.
     view_moving: float = 0.05
-    #: A force that keeps no axis at rest, as a multiple of its friction. The other values are the allowed delay
-    #: [samples] and the least motion that the force would cause [counts].
+    #: Force that moves an axis from rest, as a multiple of the friction. `view_late` is the allowed delay [samples],
+    #: and `view_far` is the smallest motion by the force [counts].
     view_held: float = 2.2
     view_late: int = 5
     view_far: float = 8.0
-    #: Most examined stops, of which the longest come first.
+    #: Largest number of examined stops. The longest stops come first.
     view_most: int = 1000
-    #: Most samples that are filtered, which are those with the most motion.
+    #: Largest number of filtered samples. The filters run over the samples with the most motion.
     view_most_samples: int = 8000
 
     # designs
@@ -174,7 +178,8 @@ class PipelineTuning:
     axis_file_listed: int = 80
 
     # guess.columns
-    #: Most examined values, least part of the steps that are whole multiples, and largest distance from a multiple.
+    #: Largest number of examined values, smallest part of the steps that are whole multiples, and largest distance from
+    #: a multiple.
     columns_most: int = 20_000
     columns_part: float = 0.98
     columns_exact: float = 0.02
@@ -182,47 +187,50 @@ class PipelineTuning:
     most_rounded: float = 0.15
     #: Largest difference between a set point and the output, relative to the output's standard deviation.
     columns_set_point: float = 0.1
-    #: Least part of the rows with a value, and the part below which a column belongs to one of several topics.
+    #: Smallest part of the rows with a value, and the part below which a column belongs to one of several topics.
     columns_filled: float = 0.1
     columns_topic: float = 0.7
     #: Number of steps in the range of a column without visible steps.
     columns_fine: int = 2**20
-    #: Most tried pairs of an input and an output.
+    #: Largest number of tried pairs of an input and an output.
     most_pairs: int = 36
-    #: Least travel of a joint, relative to the largest travel of any joint.
+    #: Smallest travel of a joint, relative to the largest travel of any joint.
     least_travel: float = 0.05
     #: Factor of the explained part for a joint that seems to move against its torque, because other joints drive it.
     turned_joint: float = 0.5
-    #: Greatest ratio of the input that a pendulum leaves to the input that a plain drive leaves, and least gravity in
-    #: standard deviations. A pendulum without gravity costs little, because its gravity is then estimated as zero.
+    #: Greatest ratio of the part of the input that a pendulum leaves unexplained to the part that a plain drive leaves.
+    #: `hanging_likely` is the smallest gravity in standard deviations. A pendulum without gravity costs little, because
+    #: its gravity is then estimated as zero.
     hanging_better: float = 0.8
     hanging_likely: float = 2.5
     #: Largest travel of an angle without a unit [rad] for a pendulum. A column with a larger travel is no angle or no
     #: pendulum.
     most_turned: float = 1000.0
-    #: Least mass of a reading in standard deviations.
+    #: Smallest mass of a reading in standard deviations.
     columns_significant: float = 4.5
     #: Factor of the unexplained part for a reading that contradicts the column's name.
     columns_against: float = 3.0
-    #: Least part of usual steps in a time column, and largest relative deviation of a usual step from the median.
+    #: Smallest part of usual steps in a time column, and largest relative deviation of a usual step from the median.
     columns_mostly: float = 0.9
     columns_even: float = 0.2
-    #: Least jump of a column that is no motion, relative to its range, and least number of jumps in each direction.
+    #: Smallest jump of a column that is no motion, relative to its range, and smallest number of jumps in each
+    #: direction.
     columns_jump: float = 0.4
     few_jumps: int = 3
-    #: Least correlation of a column with the change of the output above which the column is the velocity and no input.
+    #: Smallest correlation of a column with the change of the output above which the column is the velocity and no
+    #: input.
     columns_same: float = 0.99
 
     # monitored.lines
-    #: Most stored sets of field names for one axis. The names may have units in brackets.
+    #: Largest number of stored sets of field names for one axis. The names may have units in brackets.
     most_readings: int = 16
-    #: Most letters in a message on a received value.
+    #: Largest number of letters in a message on a received value.
     most_letters: int = 200
 
     # monitored.run
-    #: Most rows in the report. If a run has more rows, every other row is dropped.
+    #: Largest number of rows in the report. In a longer run, every second row is dropped.
     most_rows: int = 8000
-    #: Most notices of one kind of line and of gaps, and most stored events.
+    #: Largest number of notices for each kind of line and for gaps, and largest number of stored events.
     most_notices: int = 10
     run_kept: int = 10_000
 
@@ -235,12 +243,12 @@ class PipelineTuning:
     setup_sure: float = 2.0
 
     # monitored.stream
-    #: Most bytes of a line. A longer line counts as several bad lines.
+    #: Largest number of bytes in a line. A longer line counts as several bad lines.
     longest_line: int = 65536
     #: Number of first and of last lines that must contain samples, and least number of samples among the first lines.
     first_lines: int = 100
     least_samples: int = 10
-    #: Most repetitions of every line by a logger.
+    #: Largest number of repetitions of every line by a logger.
     most_repeated: int = 3
 
     # monitored.timeline
@@ -250,7 +258,7 @@ class PipelineTuning:
     timeline_coarse: float = 0.05
     #: Longest step before a repeated line, which counts as no step [sample periods].
     timeline_doubled: float = 0.02
-    #: Least part of regular steps in a group with a period, and largest distance of a regular step from their mean.
+    #: Smallest part of regular steps in a group with a period, and largest distance of a regular step from their mean.
     timeline_regular: float = 0.8
     timeline_close: float = 0.25
     #: Samples before the mean period is checked, and the largest relative error of the period.
@@ -261,8 +269,9 @@ class PipelineTuning:
     timeline_near: float = 0.75
     #: Part of a stamp's deviation by which the grid moves.
     timeline_follow: float = 0.1
-    #: Number of successive lines that show missing samples, and the number that show a clock that was set back. The
-    #: second number is larger because a logger that repeats its last lines looks like a clock that was set back.
+    #: Number of successive lines that reveal missing samples. `timeline_late` is the number of lines that reveal a
+    #: clock that was set back. This number is larger, because a logger that repeats its last lines resembles such a
+    #: clock.
     timeline_ahead: int = 2
     timeline_late: int = 5
     #: Shortest and longest step from a held line to the next one [sample periods]. Lines between the two may be lost.
@@ -279,7 +288,7 @@ class PipelineTuning:
     # stored
     #: Largest accepted file [bytes], because a result has only some kilobytes.
     stored_largest: int = 10_000_000
-    #: Most letters of a text from the file in a message.
+    #: Largest number of letters of a text from the file in a message.
     stored_longest: int = 150
     #: Relative difference below which a number in a file equals the configured number.
     stored_same: float = 1e-6

@@ -46,8 +46,8 @@ def named_unit(name: str) -> str | None:
 def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
     """Return the sample period [s] of an axis' record with the time column (n,), and notes for people.
 
-    Raises UsageError without a period, for uneven steps, and if [record] dt differs from the period. It is also raised
-    for a period that is unusual for an axis, unless the configuration confirms the period.
+    Raises UsageError without a period, for uneven steps, and if [record] dt differs from the period. The error also
+    occurs for a period that is unusual for an axis, unless the configuration confirms the period.
     """
     if time is None:
         if config.dt is None:
@@ -256,7 +256,7 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
         if found is not None:
             places, period = found
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
-    dt, notes = sample_period(stamps, config)  # refuses stamps without a grid
+    dt, notes = sample_period(stamps, config)  # this call refuses stamps without a grid
     counts = kept[rows]
     places = np.flatnonzero(counts) if places is None else places[counts]
     return PlacedRows(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
@@ -299,8 +299,8 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
 
     The steps of the stamps (n,) are whole multiples of the median step. The result is None for fewer than long_steps
     such steps, or if the output (n,) shows no difference. If lines are missing, the output changes over a step of k
-    periods by k times its usual change. If stamps are rounded, it changes by its usual change. The usual change is the
-    mean over the two neighbouring steps.
+    periods by k times its usual change. If stamps are rounded, the output changes by its usual change. The usual change
+    is the mean over the two neighbouring steps.
     """
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else 0.0

@@ -51,7 +51,7 @@ def smooth_deviation(
     )
     lasting = np.diff(events) * dt
     along, kept, free, still = _travel(lasting, decay), np.exp(-decay * lasting), 1 / steps[1:], 1 / moves[1:]
-    band = np.zeros((4, 2 * g))  # lower triangle of the matrix, alternating position and velocity
+    band = np.zeros((4, 2 * g))  # band of the lower triangle; position and velocity alternate
     band[0, 0::2] = one + np.r_[still, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, still]
     band[0, 1::2] = (
         second + np.r_[still * along**2 + free * kept**2, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, free]
@@ -187,7 +187,7 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
 def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
     """Return the gaps in which the motion determines the input (n,).
 
-    These are the changes of a held input, and the long gaps of any other input.
+    The motion determines the changes of a held input, and the long gaps of any other input.
     """
     gap = gaps_of(there)
     found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > TUNING.gaps_always)
@@ -235,7 +235,8 @@ def _decide(machine: FilledMachine, gap: Gap, u: Floats, steps: Floats, variance
     before, change = u[gap.before], u[gap.after] - u[gap.before]
     total = np.r_[0.0, np.cumsum(u)]
     inside = total[gap.after] - total[gap.before + 1] + steps / machine.push
-    later = np.clip((inside - gap.missing * before) / change, 0.0, gap.missing)  # samples after the change
+    # `later` counts the samples after the change.
+    later = np.clip((inside - gap.missing * before) / change, 0.0, gap.missing)
     known = np.sqrt(variance) < TUNING.filling_known * np.abs(machine.push * change)
     later = np.where(known, np.rint(later), later)
     whole = np.floor(later).astype(np.intp)

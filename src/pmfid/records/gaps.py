@@ -32,7 +32,7 @@ class Polynomial:
     def estimate_error(self, u: Floats, places: NDArray[np.intp], length: int) -> float:
         """Return the root mean square error of the sum of `length` successive samples.
 
-        The error is measured at measured samples. It is infinite if these are too few.
+        The error comes from measured samples, and is infinite if their number is too small.
         """
         first = np.arange(self.half, places.size - self.half - length + 1)
         first = first[places[first + length - 1] - places[first] == length - 1]

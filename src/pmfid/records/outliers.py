@@ -162,8 +162,8 @@ def _paces_of(record: Record) -> Floats:
 def _find_runs(counts: Counts, paces: Floats) -> tuple[list[_WrongRun], Counts]:
     """Return runs of changes that are no motion, and the counts (n,) without them.
 
-    The function returns no runs if wrong changes remain after all passes. It also returns none if a step is so short
-    that its counts say nothing about the speed.
+    The function returns no runs if wrong changes remain after all passes. The function also returns no runs if the
+    counts within a very short step say nothing about the speed.
     """
     found, left = list[_WrongRun](), counts
     if np.min(paces, initial=1.0) < TUNING.outliers_pace:
@@ -261,7 +261,7 @@ def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
 
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     """Return the samples of the input (n,) that are spikes, which the counts (n,) do not follow."""
-    size = np.abs(np.nan_to_num(u))  # unknown in a gap
+    size = np.abs(np.nan_to_num(u))  # the input is unknown in a gap
     large = np.flatnonzero(size > TUNING.outliers_spike * np.quantile(size, 1 - TUNING.most_inputs, method="lower"))
     if large.size == 0 or counts.size < 4 * TUNING.answer_samples:
         return large[:0]

@@ -35,8 +35,8 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
     """Return the position (n,) of a velocity (n,) that is sampled every dt [s], and a description of the method.
 
     The position starts at 0. A drive that differentiates its counts logs multiples of resolution / dt, which are means
-    over the preceding interval. Their sum gives the counts exactly. Any other velocity is taken as linear between
-    samples.
+    over the preceding interval. The sum of these multiples gives the counts exactly. Any other velocity is taken as
+    linear between samples.
     """
     steps = velocity * (dt / resolution)
     if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < TUNING.record_whole):
@@ -98,7 +98,7 @@ def _whole(output: Floats) -> Counts:
     rounded = np.rint(output)
     off = np.subtract(output, rounded)
     bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= TUNING.max_count) | (output <= -TUNING.max_count))
-    del off  # it takes much memory for a long record
+    del off  # the mask of a long record takes much memory
     if len(bad):
         raise UsageError(
             f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
@@ -153,12 +153,11 @@ class Record:
 
     `u` (n,) is the scaled input, with NaN in gaps where the input is unknown. `counts` (n,) are the unwrapped encoder
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
-    data. `name` is the name of the file. `rotary` says whether the output is an angle.
-    `there` (n,) marks the measured samples, or is None if all were measured. `gaps` fills the other samples. `doubt`
-    (p,) is the relative error of parameters that filled samples may cause, or None without an error.
-    `jitter` is the root mean square deviation of the steps of an uneven clock, relative to the period, before
-    resampling. `own` is the record at its own uneven instants, or None for even instants. Such a record has `steps`,
-    the times between its samples.
+    data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
+    samples, or is None if all were measured. `gaps` fills the other samples. `doubt` (p,) is the relative error of
+    parameters that filled samples may cause, or None without an error. `jitter` is the root mean square deviation of
+    the steps of an uneven clock, relative to the period, before resampling. `own` is the record at its own uneven
+    instants, or None for even instants. A record at uneven instants has `steps`, the times between its samples.
     `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
     """
 
@@ -227,7 +226,7 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
     record without motion is not an error.
     """
     resolution = axis.encoder.resolution
-    # This form also rejects NaN.
+    # The negated comparison also rejects NaN.
     if quantize is not None and not resolution * (1 - 1e-9) <= quantize < np.inf:
         raise UsageError(
             f"quantize = {quantize:g} must be positive, finite and not finer than [encoder] resolution = "
@@ -292,7 +291,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     columns, found, clock_notes = _resample(axis, columns, units.y)
     jitter = 0.0 if found is None else found.jitter
     rows, row_notes = _rows(table, config, columns)
-    if rows.rows.size < len(columns["input"]):  # avoids a needless copy of each column
+    if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
     columns.pop("time", None)
     y = _scale_column(columns["output"], units.y, "the unit of the output")
@@ -352,7 +351,7 @@ def _span_gaps(u: Floats, counts: Counts, steps: SampleSteps) -> tuple[Floats, N
     places = np.flatnonzero(there)
     filled = np.full(u.size, np.nan)
     filled[: places[-1] + 1] = fill_gaps(u[places], counts[places], places)[0]
-    if is_held(u, there):  # the instant of its jump is unknown
+    if is_held(u, there):  # the instant of a jump within a gap is unknown
         filled[~np.isin(filled, u[there])] = np.nan
     kept = np.flatnonzero(there | np.isnan(filled))
     time = np.cumsum(steps.before)
@@ -453,7 +452,7 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
 
 
 def _scale_column(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:
-    if scale == 1:  # avoids a copy of a long record
+    if scale == 1:  # a scale of 1 needs no copy
         return column
     with np.errstate(over="ignore"):  # checked below
         scaled = scale * column

@@ -14,12 +14,12 @@ __all__ = ["drop_stale_rows"]
 
 
 def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[str, Floats], int]:
-    """Return the columns (n,) of input, output and time without rows with an old output, and the number of these rows.
+    """Remove the rows with an old output from the columns (n,) of input, output and time.
 
-    `step` is the step of the encoder in the unit of the column. The function changes nothing unless all rows have
-    numbers and the time rises. The input of a kept row is its mean until the next row, so that no impulse is lost. A
-    row at which the input jumps remains, because a mean would move the jump. Its output comes from the cubic through
-    its neighbours.
+    The function returns the columns and the number of removed rows. `step` is the step of the encoder in the unit of
+    the column. The function changes nothing unless all rows have numbers and the time rises. The input of a kept row is
+    its mean until the next row, so that no impulse is lost. A row at which the input jumps remains, because a mean
+    would move the jump. The output of such a row comes from the cubic through the neighbouring rows.
     """
     time, u, y = columns["time"], columns["input"], columns["output"]
     if not (np.all(np.isfinite(u + y + time)) and np.all(np.diff(time) > 0)):
@@ -52,7 +52,8 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
         return stale
     before, after = np.diff(y[new])[:-1], np.diff(y[new])[1:]
     rows_each = np.diff(new)
-    caught_up = np.append(False, np.abs(after) > 0.5 * rows_each[1:] * np.abs(before))  # in contrast to a stop
+    # After a stop, no value catches up.
+    caught_up = np.append(False, np.abs(after) > 0.5 * rows_each[1:] * np.abs(before))
     rests = (rows_each > 1) & (rows_each <= np.where(caught_up, TUNING.repeats_longest, TUNING.repeats_longest_slow))
     fast = (np.sign(before) == np.sign(after)) & (np.minimum(np.abs(before), np.abs(after)) > TUNING.repeats_sudden)
     sudden, most = int(np.count_nonzero(fast & rests[1:])), int(np.count_nonzero(fast))

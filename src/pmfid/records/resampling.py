@@ -19,8 +19,8 @@ from pmfid.types import Flags, Floats
 class Resampled:
     """Columns (m,) on an even grid: time in the unit of the stamps, input and output, with NaN in gaps.
 
-    `jitter` is the root mean square deviation of the steps, relative to the period. It is 0 if only the stamps are
-    uneven. `own` holds the samples before resampling, or None if the samples are even or the clock drifts.
+    `jitter` is the root mean square deviation of the steps, relative to the period. If only the stamps are uneven,
+    `jitter` is 0. `own` holds the samples before resampling, or None if the samples are even or the clock drifts.
     """
 
     time: Floats
@@ -34,8 +34,8 @@ class Resampled:
 class OwnSamples:
     """Samples (n,) at their own instants.
 
-    `before` is the time since the previous sample in the unit of the stamps, and one period for the first sample. The
-    input is NaN in the rows that fill a gap, and the output follows a line there.
+    `before` is the time since the previous sample in the unit of the stamps, and one period for the first sample. In
+    the rows that fill a gap, the input is NaN and the output follows a line.
     """
 
     before: Floats
@@ -80,7 +80,7 @@ def _drifts(steps: Floats) -> bool:
     """Return whether the mean steps (n,) of the two halves of a record differ by more than chance."""
     half = steps.size // 2
     first, last = (float(np.mean(part)) for part in (steps[:half], steps[half:]))
-    scatter = float(np.std(np.diff(steps)))  # differences of neighbours, which a drift hardly changes
+    scatter = float(np.std(np.diff(steps)))  # a drift hardly changes differences of neighbours
     chance = TUNING.most_by_chance * scatter / np.sqrt(half)
     return bool(abs(first - last) > TUNING.resampling_same_period * float(np.mean(steps)) + chance)
 
@@ -102,8 +102,8 @@ def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float, longest: floa
 
 
 def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
-    """Return even samples (n,) whose stamps are late. They have a jitter if the halves of the record differ in the
-    period.
+    """Return even samples (n,) whose stamps are late. The result has a jitter if the halves of the record differ in
+    the period.
     """
     k = np.arange(stamps.size, dtype=np.float64)
     period, start = np.polyfit(k, stamps, 1)
@@ -128,7 +128,7 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
     median = float(np.median(steps))
     if not (np.min(steps) > 0 and np.max(np.abs(steps - median)) > TUNING.even_steps * median):
         return False
-    if np.sum(steps) > TUNING.most_missing * steps.size * median:  # bursts, or lines that are usually missing
+    if np.sum(steps) > TUNING.most_missing * steps.size * median:  # the record has bursts, or most lines are missing
         return True
     if misses_lines(stamps, y) is not None:
         return False
@@ -150,9 +150,9 @@ def _are_late(stamps: Floats, y: Floats) -> bool:
 def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
     """Return the part of the effect of stamps (n,) that the output shows, and its standard error.
 
-    The part is 1 if the stamps are the instants of the samples, and 0 if an even clock samples before the stamps. It is
-    the slope of a regression. The regressor is the distance between the interpolated output and the mean of its
-    neighbours. The target is the same distance for the measured output.
+    The part is 1 if the stamps are the instants of the samples, and 0 if an even clock samples before the stamps. The
+    part is the slope of a regression. The regressor is the distance of the interpolated output from the mean of the two
+    neighbouring outputs. The target is this distance for the measured output.
     """
     steps = np.diff(stamps)
     part = steps[:-1] / (steps[:-1] + steps[1:])

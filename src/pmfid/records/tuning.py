@@ -42,11 +42,11 @@ class RecordTuning:
     #: Time after another row within which a row is odd [periods], and the greatest part of odd rows.
     clock_early: float = 0.3
     clock_rare: float = 0.001
-    #: Most iterations between grid and places.
+    #: Largest number of iterations between grid and places.
     clock_turns: int = 5
-    #: Least part of the steps of a grid that are single periods.
+    #: Smallest part of the steps of a grid that are single periods.
     clock_single: float = 0.3
-    #: Least number of long steps that distinguishes missing lines from rounded stamps. After one or two pauses the
+    #: Smallest number of long steps that distinguishes missing lines from rounded stamps. After one or two pauses the
     #: output says too little.
     long_steps: int = 5
     #: Longest gap on the grid [samples]. Longer gaps are shortened, because the motion restarts after any gap.
@@ -59,12 +59,12 @@ class RecordTuning:
     filling_nothing: float = 1e-12
     #: Number of right-hand sides that are solved together.
     filling_chunk: int = 256
-    #: Most iterations of estimate and filling, as the filled samples hardly change the estimate.
+    #: Largest number of iterations between estimate and filling. The filled samples hardly change the estimate.
     filling_turns: int = 3
     #: Relative change of the parameters below which the iteration ends.
     filling_settled: float = 1e-4
-    #: Error of the velocity at an event by wrong parameters, relative to the root mean square velocity. The second
-    #: value holds after the inputs are known.
+    #: Error of the velocity at an event by wrong parameters, relative to the root mean square velocity, before and
+    #: after the inputs are known.
     filling_wrong: tuple[float, float] = (1e-2, 1e-3)
     #: Error of the position at an event by wrong parameters [counts].
     filling_shift: float = 0.1
@@ -82,12 +82,12 @@ class RecordTuning:
     #: Distance, in multiples of `half`, of samples beyond another gap, and the weight of such samples.
     gaps_near: float = 3.0
     far_weight: float = 1e-6
-    #: Most and fewest samples that are omitted to measure the error, and number of missing samples that are filled
-    #: together.
+    #: Largest and smallest number of samples that are omitted to measure the error. `gaps_chunk` is the number of
+    #: missing samples that are filled together.
     gaps_most: int = 1000
     gaps_fewest: int = 30
     gaps_chunk: int = 20_000
-    #: Least part of the samples in which a held input does not change.
+    #: Smallest part of the samples in which a held input does not change.
     gaps_held: float = 0.5
     #: Quantile of the times for which a held input keeps its values. Shorter gaps are filled.
     gaps_shortest: float = 0.02
@@ -119,7 +119,8 @@ class RecordTuning:
     most_bits: int = 32
     outliers_least: int = 8
     #: Changes of the counts in the window of the median that predicts one change. The median follows a step of the
-    #: velocity, and five successive wrong changes do not move it. The same window shows steps of the velocity.
+    #: velocity, and five successive wrong changes do not move it. A window of this length also reveals steps of the
+    #: velocity.
     outliers_around: int = 11
     #: Allowed deviation from the median in counts, and as a multiple of the usual deviation plus the step of the
     #: velocity.
@@ -129,13 +130,12 @@ class RecordTuning:
     outliers_usual: float = 0.95
     #: Shortest step of a clock, in periods, for which changes of the counts are judged as speeds.
     outliers_pace: float = 0.25
-    #: Most passes, because neighbouring wrong changes hide each other.
+    #: Largest number of passes. Several passes are necessary, because neighbouring wrong changes hide each other.
     outliers_passes: int = 4
     #: Largest part of wrong changes. With more, the errors are not single samples.
     most_changes: float = 0.04
-    #: Least ratio of a spike to the quantile 1 - most_inputs of the input. The second value limits the response of the
-    #: velocity, relative to its usual change over answer_samples samples. With a larger response, the input is not a
-    #: spike.
+    #: Smallest ratio of a spike to the quantile 1 - most_inputs of the input. The input is no spike if the velocity
+    #: responds by more than a multiple of its usual change over answer_samples samples.
     outliers_spike: float = 50.0
     outliers_answer: float = 3.0
     answer_samples: int = 10
@@ -159,25 +159,26 @@ class RecordTuning:
     # repeats
     #: Counts in the rows before and after a row without counts. No motion stops and continues so suddenly.
     repeats_sudden: float = 3.0
-    #: Most rows with one value. More rows are a stop or a stuck sensor. The second limit holds if the next value does
-    #: not catch up.
+    #: Largest number of rows with one value. More rows are a stop or a stuck sensor. `repeats_longest_slow` is the
+    #: limit if the next value does not catch up.
     repeats_longest: int = 8
     repeats_longest_slow: int = 4
-    #: Fewest rows that repeat an output, and their least and greatest part of the fast rows. A single row is a wrong
-    #: reading, and an output that is held in every second row has its own remedy.
+    #: Smallest number of rows that repeat an output. `repeats_part` and `repeats_most` are the smallest and greatest
+    #: part of the fast rows. A single row is a wrong reading, and an output that is held in every second row has its
+    #: own remedy.
     repeats_fewest: int = 5
     repeats_part: float = 0.005
     repeats_most: float = 0.5
-    #: Least error of an old value [steps of the encoder]. With a smaller error, the value is as good as a new one.
+    #: Smallest error of an old value [steps of the encoder]. With a smaller error, the value is as good as a new one.
     repeats_off: float = 0.75
-    #: Least jump of the input, relative to its range.
+    #: Smallest jump of the input, relative to its range.
     repeats_jump: float = 0.2
 
     # resampling
     #: Relative deviation of steps from their median below which the steps are even.
     even_steps: float = 0.02
-    #: Standard errors by which the output must show whether stamps are the instants of the samples. The second value is
-    #: the part of the rows that is used, as the other rows may be wrong readings.
+    #: Standard errors by which the output must show whether stamps are the instants of the samples. `resampling_plain`
+    #: is the part of the rows in this test, because the other rows may be wrong readings.
     resampling_errors: float = 2.0
     resampling_plain: float = 0.99
     #: Longest step in usual steps. A longer step is a gap without interpolation.
@@ -193,12 +194,12 @@ class RecordTuning:
     #: significant error of the mass.
     resampling_same_period: float = 0.01
     #: Part of the period within which the next sample follows at once, so that the input of the first sample acts for
-    #: no time. The second value is the fewest samples for a decision.
+    #: no time. `resampling_fewest` is the smallest number of samples for a decision.
     resampling_at_once: float = 1e-3
     resampling_fewest: int = 50
     # topics
-    #: Greatest part of the rows with both values if input and output have separate rows, and least number of rows of
-    #: each.
+    #: Greatest part of the rows with both values if input and output have separate rows. `topics_fewest` is the
+    #: smallest number of rows for each.
     most_together: float = 0.05
     topics_fewest: int = 10
 

@@ -23,8 +23,7 @@ __all__ = ["LATER", "SOON", "Check", "check_record", "scan_record"]
 
 Check = Callable[[CheckedLog], Iterator[Finding]]
 
-#: Families of checks in their order. A mistake that one family finds would confuse later families, so it ends the
-#: search.
+#: Families of checks in their order. A mistake would confuse later families, and therefore ends the search.
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
     (find_unsigned, find_command, find_gravity),

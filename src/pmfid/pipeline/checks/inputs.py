@@ -79,7 +79,7 @@ def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
 def _arcs(there: NDArray[np.bool_]) -> Floats:
     """Return an array (n,) with an arc over each stretch of rows.
 
-    All arcs have the same curvature. They approximate a smooth signal beyond a limit.
+    All arcs have the same curvature. The arcs approximate a smooth signal beyond a limit.
     """
     edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(np.int8)))
     first, last = (np.repeat(edges[side::2], edges[1::2] - edges[::2]) for side in (0, 1))
@@ -90,7 +90,8 @@ def _arcs(there: NDArray[np.bool_]) -> Floats:
 
 
 def _misses_force(log: CheckedLog, shape: Floats, time: float) -> bool:
-    """Return whether a force of this shape (n,) is missing after filters with one time constant [samples].
+    """Return whether a force with the given shape (n,) is missing, after filters with the given time constant
+    [samples].
 
     Friction that is neither viscous nor dry resembles the missing force and has its own columns.
     """

@@ -192,7 +192,7 @@ def _resample_input(u: Floats, rate: float) -> Floats:
 def _is_better(drift: Drift) -> bool:
     """Return whether the drift explains the record better than no drift.
 
-    The largest tried drift may stand for an even larger one. Therefore it must explain more.
+    The largest tried drift may stand for an even larger drift, and therefore must explain more.
     """
     furthest = abs(drift.samples) >= TUNING.timing_furthest
     return drift.less < (TUNING.timing_less_furthest if furthest else TUNING.timing_less)

@@ -169,7 +169,7 @@ def long_stops(counts: Counts) -> list[Stop]:
 def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
     """Return the stops that begin in full motion and end in motion.
 
-    The function also returns stops that begin too suddenly for the axis itself.
+    The function also returns stops whose start is too sudden for a real motion.
     """
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True

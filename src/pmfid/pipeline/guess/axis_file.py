@@ -164,7 +164,7 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
         return
     step, found = step_of(output)
     if pair.kind == "velocity" and found and abs(step / max(rounding_of(output), 1e-300) - 1) < TUNING.columns_exact:
-        step, found = float(np.ptp(output)) / TUNING.columns_fine, False  # digits of a log, no counts per sample
+        step, found = float(np.ptp(output)) / TUNING.columns_fine, False  # the step is a digit of the log
     reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
     unit = column_unit(pair.output, OUTPUTS)
     if unit is None:

@@ -36,11 +36,11 @@ def role_of(name: str) -> Role:
     """Return the role of the column with this name, or an empty text if the name shows no role."""
     bare = re.sub(r"\s*[\[(][^\])]*[\])]\s*$", "", name)
     output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
-    split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # splits names such as MotorTorque
+    split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # "MotorTorque" has two words
     words = [word.rstrip("0123456789") or word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
     if len(words) > 1 and re.search(r"[\s_.,:/-][AVN]$", bare):
         words = words[:-1]  # "i_A", "u_V": the letter is a unit here, and "a" or "v" alone is not
-    if output is not None or driven is not None:  # with any name, except for set points
+    if output is not None or driven is not None:  # a unit decides, except for set points
         set_point = any(re.fullmatch(_WORDS[0][1], word) for word in words)
         return "other" if set_point else "input" if output is None else _MEASURED[output.of]
     joined, long_words = "".join(words), [word for word in words if len(word) > 1]  # a letter may be a unit or an index

@@ -19,9 +19,9 @@ from pmfid.records.clock import time_factor
 
 __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
 
-#: Limit of counts. Above it, a double cannot represent every whole number.
+#: Limit of counts. A double cannot represent every larger whole number.
 MAX_COUNT = 2.0**53
-#: Largest time stamp [s], which a stamp in ns may be by mistake. In samples it must remain a finite number.
+#: Largest time stamp [s], which a stamp in ns may be by mistake. Such a stamp must remain finite in samples.
 MOST_TIME = 1e30
 
 #: A value as text, or as JSON and line protocol give it.
@@ -104,7 +104,7 @@ class FieldReader:
     def __call__(self, fields: Mapping[str, object], stamp: float = math.nan) -> Line:
         """Return the line of some fields. An invalid field raises nothing, because the line stores the problem.
 
-        `stamp` is a time outside of the fields [s]. It is used if [record] names a time that is not a field.
+        `stamp` is a time outside of the fields [s]. The stamp counts if [record] names a time that is not a field.
         """
         try:
             return self._line(fields, stamp)
@@ -218,7 +218,7 @@ class LineParser:
             return Line(math.nan, math.nan, 0, str(error))
 
     def _is_header(self, text: str) -> bool:
-        """Take a line as the header of the next lines if it has the columns, and return whether it has them."""
+        """Return whether a line has the columns, and then take the line as the header of the next lines."""
         if not all(name in text for name in self._wanted):
             return False
         header = _likeliest(text, self._wanted)
@@ -255,7 +255,7 @@ def _is_comment(text: str) -> bool:
 
 def _text(line: bytes) -> str:
     text = line.decode("utf-8", "replace").strip(" \r\n\ufeff")
-    return text.replace("\r", " ") if "\r" in text else text  # some loggers put it inside a line
+    return text.replace("\r", " ") if "\r" in text else text  # some loggers write a carriage return inside a line
 
 
 def _are_units(fields: Sequence[str]) -> bool:

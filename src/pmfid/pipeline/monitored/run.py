@@ -157,7 +157,8 @@ def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tel
 
 
 def _row(time: float, estimate: Estimate | Seen, state: str) -> tuple[float | int | str, ...]:
-    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()  # infinite before the first information
+    # Values are infinite before the first information.
+    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()
     return (time, *theta, *std, estimate.innovation, estimate.status, state)
 
 

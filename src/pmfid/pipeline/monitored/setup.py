@@ -35,7 +35,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
-#: Version of the calibration and of its file, which grows with every change of either.
+#: Version of the calibration and its file. Every change of either needs a new version.
 VERSION = 6
 
 
@@ -88,7 +88,7 @@ def _read(path: Path) -> Calibration | None:
     try:
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")
         if digest != _digest(text):
-            return None  # damaged: numbers may have changed and still be numbers
+            return None  # the file is damaged, even if its numbers are valid
         raw: dict[str, Any] = json.loads(text)  # another structure raises one of the errors below
         return Calibration(
             np.array(raw["theta"]),
@@ -134,7 +134,7 @@ class Setup:
 
     @property
     def reported(self) -> Floats:
-        """The nominal values, followed by the input gain if it is estimated (q,)."""
+        """The nominal values (q,). An estimated input gain comes last."""
         further = len(self.monitor.names) - len(self.monitor.estimator.names)
         return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * further])
 

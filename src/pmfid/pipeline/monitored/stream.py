@@ -27,7 +27,7 @@ class _InterruptedError(Exception):
 def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
     """Pass SIGINT, SIGTERM and SIGHUP to a handler inside the block.
 
-    SIGHUP is included only if it is wanted and the system has it.
+    SIGHUP needs `hangup` and a system with this signal.
     """
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hangup and hasattr(signal, "SIGHUP"):
@@ -44,8 +44,8 @@ def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool 
 class Stop:
     """The end of a run on SIGINT, SIGTERM or SIGHUP.
 
-    The run ends after the present sample, or at once if it waits for the next sample. An ignored SIGHUP, as under
-    nohup, remains ignored.
+    The run ends after the present sample, or at once during the wait for a sample. An ignored SIGHUP, as under nohup,
+    remains ignored.
     """
 
     requested: bool = field(default=False, init=False)
@@ -89,8 +89,8 @@ def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterato
     """Yield the samples of the lines after the header, each as soon as possible, and the skipped lines.
 
     dt [s] is the sample period. Raises UsageError if the header does not have the columns of [record], or if the lines
-    have another sample period than dt. It is also raised without any line, or if the first lines or most of all lines
-    are unusable.
+    have another sample period than dt. The error also occurs without any line, or if the first lines or most of all
+    lines are unusable.
     """
     parse = _read_header(stream, axis, stop)
     if parse is None:

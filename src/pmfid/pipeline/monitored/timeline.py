@@ -108,7 +108,7 @@ BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
 class Line:
     """The values of a line.
 
-    `time` [s] is NaN without a time. `u` is NaN if it is unusable, and `problem` is the reason or an empty text.
+    `time` [s] is NaN without a time. An unusable `u` is NaN, and `problem` is then the reason.
     """
 
     time: float
@@ -164,7 +164,7 @@ class Metronome:
         self._next, self._counts = float(saved["next"]), int(saved["counts"])
 
     def take(self, line: Line) -> list[Found]:
-        """Return the sample of a line. An unusable line also takes one sample period."""
+        """Return the sample of a line. The next line is one sample period later, even after an unusable line."""
         time, self._next = self._next, self._next + self.dt
         if line.problem:
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
@@ -237,8 +237,8 @@ class Timeline:
         return (time - self._expected) / self.dt
 
     def _place(self, time: float) -> int | None:
-        """Return the place of a line, in samples after the expected sample. Unusable lines may take the earlier
-        places.
+        """Return the place of a line, in samples after the expected sample. Unusable lines may take the places
+        before this line.
         """
         offset = self._offset(time)
         place = min(max(0, round(offset)), self._unused + len(self._held))
@@ -254,7 +254,7 @@ class Timeline:
             other.time < self._expected - TUNING.timeline_near * self.dt and other not in self._recent for other in held
         )
         found += self._accept(line, late)
-        for other in held:  # two lines that changed places
+        for other in held:  # two lines have changed places
             fits = abs(self._offset(other.time)) < 0.5
             found += self._accept(other) if fits else [self._stray(other)]
         self._unused = 0
@@ -273,7 +273,7 @@ class Timeline:
         return [Sample(line.time, line.u, line.counts, missing, jump)]
 
     def _irregular(self, line: Line) -> list[Found]:
-        """Hold a line until the next lines show whether they follow it."""
+        """Hold a line until further lines confirm its time."""
         follows = (
             bool(self._held)
             and TUNING.timeline_soonest < (line.time - self._held[-1].time) / self.dt < TUNING.timeline_latest
