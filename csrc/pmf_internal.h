@@ -107,6 +107,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_BLOCK_MEMORY 100U /* blocks of innovations */
 #define PMF_LEAST_RATIO PMF_R(1e-6) /* of a step to the sample period */
 #define PMF_MOST_RATIO PMF_R(100.0)
+#define PMF_LONGEST 4U /* periods: a longer step is a gap, not the clock */
 #define PMF_LOOK 4U /* updates between two looks at the size of the motion: no column changes much faster */
 #define PMF_SWING_BITS 15U /* what they may show, in this half memory and in the last */
 /* From encoder to filters alone: a wrong count was replaced as well as an encoder can tell. */

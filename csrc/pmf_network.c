@@ -16,12 +16,11 @@
 #endif
 
 #define RECENT PMF_R(0.99609375) /* forgetting of steps: 256 samples */
-#define LONGEST PMF_R(4.0) /* a longer one is a gap, not the clock */
 
 /* Of the step, over time: long ones last longer. */
 static real_t mean_square(pmf_network_state_t *state)
 {
-    real_t step = state->ratio < LONGEST ? state->ratio : LONGEST;
+    real_t longest = (real_t)PMF_LONGEST, step = state->ratio < longest ? state->ratio : longest;
     state->time = RECENT * state->time + step;
     state->cubes = RECENT * state->cubes + step * step * step;
     return state->cubes / state->time;

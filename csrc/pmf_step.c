@@ -220,6 +220,21 @@ static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *di
     borrowed->innovation_variance = direct->innovation_variance;
 }
 
+#if PMF_STEPS
+/* A sum over samples becomes an integral over time: each row, which is one sample late, counts for half of the steps
+ * before and after it. The samples of a burst would else have all weight, and the pause none. */
+static void weigh_instruments(const pmf_recursion_config_t *config, pmf_network_state_t *network)
+{
+    real_t longest = (real_t)PMF_LONGEST, *zeta = &network->column[config->first_column + config->n_parameters + 1U];
+    real_t weight = PMF_R(0.5) * ((network->ratio < longest ? network->ratio : longest) +
+                                  (network->ratio_before < longest ? network->ratio_before : longest));
+    uint32_t i;
+    for (i = 0; i < config->n_parameters; ++i) {
+        zeta[i] *= weight;
+    }
+}
+#endif
+
 /* The instrumental estimate takes over once it has gathered a fair part of what the direct one has, which began before,
  * and knows the mass about as well, or well enough. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
@@ -269,6 +284,11 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,
               pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument));
     status = PMF_BIT(PMF_NOT(trusted) | (state->instrument.started == 0U), PMF_STARTING);
+#if PMF_STEPS
+    if (PMF_STEPPED(config->encoder.rate > PMF_R(0.0))) {
+        weigh_instruments(&config->instrument, &state->network);
+    }
+#endif
     PMF_WHERE(trusted & settled, &state->instrument,
               stepped = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column));
     status = PMF_IF(trusted & settled, stepped, status);

@@ -79,6 +79,18 @@ def test_direct_methods_stand_bursts_and_say_so(method: type[RecursiveEstimator]
     assert track.status[-1] & Status.UNMODELLED
 
 
+def test_samples_of_a_burst_count_as_the_time_that_they_stand_for() -> None:
+    """Each sample of the second half is logged four times at nearly the same instant: nothing more is known."""
+    u, counts, _ = jittered(0.0)
+    resolution, half = 8 * CART_RESOLUTION, SAMPLES // 2
+    often = np.r_[np.ones(half, int), np.full(SAMPLES - half, 4)]
+    after = np.r_[np.ones(half), np.tile([1e-5, 1e-5, 1e-5, 1 - 3e-5], SAMPLES - half)] * CART_DT
+    setup = Drive(CART.input_gain), Encoder(resolution), CART_DT, 20.0
+    even = IV(*setup).fit(u, counts // 8)
+    fit = IV(*setup, steps=np.r_[CART_DT, after[:-1]]).fit(np.repeat(u, often), np.repeat(counts // 8, often))
+    np.testing.assert_array_less(np.abs(fit.theta - even.theta), 0.1 * even.theta_std)
+
+
 @pytest.mark.parametrize(("late", "lag"), [(0.013, 0.0), (0.0, 0.02), (0.013, 0.02)])
 def test_an_input_that_acts_late_switches_inside_the_steps(late: float, lag: float) -> None:
     u, _, steps = jittered(0.5)

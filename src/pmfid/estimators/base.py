@@ -29,7 +29,7 @@ from pmfid.kernel.configuration import late_values, new_kernel, shape_values, to
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -161,6 +161,12 @@ class Estimator:
             known = self.steps.before.size if isinstance(self.steps, SampleSteps) else 0
             raise UsageError(f"the record has {samples} samples and steps {known}: give steps for each sample, (n,)")
         return self.steps.before
+
+    def weigh_rows(self, zeta: Floats, used: Flags) -> Floats:
+        """Instruments (m, p) of the rows in use (n,), by the time that each stands for."""
+        if not isinstance(self.steps, SampleSteps):
+            return zeta
+        return np.asarray(zeta * self.steps.weights(self.dt)[used, None])
 
     @property
     def intervals(self) -> float | Floats:

@@ -186,7 +186,8 @@ class Instruments(ProcessSolver, Simulating):
         first, p = auxiliary_columns(self)[2], len(self.names)
         columns = columns[used, first:]
         occurred = int(np.bitwise_or.reduce(status)) & int(Status.SAMPLE_REJECTED)
-        return Columns(columns[:, :p], columns[:, p], columns[:, p + 1 : 2 * p + 1], used, occurred)
+        zeta = self.weigh_rows(columns[:, p + 1 : 2 * p + 1], used)
+        return Columns(columns[:, :p], columns[:, p], zeta, used, occurred)
 
     def _filter_record(
         self,

@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
+from pmfid.kernel.structures import constants_of
 from pmfid.types import Floats
 
+#: Sample periods; a longer step is a gap, not the clock.
+LONGEST = constants_of(None)["PMF_LONGEST"]
 #: Each sample comes with the time since the last one.
 GIVEN: Literal["given"] = "given"
 
@@ -35,6 +38,12 @@ class SampleSteps:
     def after(self) -> Floats:
         """(n,) time from each sample to the next [s]."""
         return np.append(self.before[1:], self.before[:1])
+
+    def weights(self, dt: float) -> Floats:
+        """(n,) half of the steps before and after each row of columns, which is one sample late, in sample periods dt
+        [s]: a sum over rows is then an integral over time."""
+        step = np.minimum(np.append(dt, self.before) / dt, LONGEST)
+        return np.asarray((step[:-1] + step[1:]) / 2)
 
     def part(self, first: int, last: int) -> SampleSteps:
         """Of samples first to last - 1."""
