@@ -42,7 +42,7 @@ def _watch() -> None:
 def _leave_late(hears: socket.socket, speaks: socket.socket) -> None:
     """End the process a short time after Ctrl-C.
 
-    The argument `speaks` keeps a reference, because a socket without a reference is closed.
+    The argument `speaks` only keeps the socket open, because a socket without a reference is closed.
     """
     while number := hears.recv(1):
         # A command with its own handler ends by its own rules.

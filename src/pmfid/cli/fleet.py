@@ -59,7 +59,7 @@ def stream(
 
     SOURCE holds Parquet files with two columns: axis, the name, and block, the bytes of docs/wire.md. SOURCE may also
     hold growing files of such blocks in sequence (.pmfb). A repeated block is ignored, an early block waits, and a late
-    block is counted. A second call with the same folders continues after any end of the first call.
+    block is counted. A second call with the same folders continues where the first call ended, for whatever reason.
 
     Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
     """

@@ -27,10 +27,10 @@ from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
 EXIT_USAGE = 2
-#: Name that stands for all methods.
+#: Name of a method that stands for all methods.
 EVERY = "all"
-#: Variables that limit threads. With several threads, products of small matrices wait for each other, and a search took
-#: four times as long.
+#: Environment variables that limit threads. With several threads, products of small matrices wait for each other, and a
+#: search took four times as long.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

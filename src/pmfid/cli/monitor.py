@@ -111,7 +111,7 @@ def _run(
 
 
 def _complain(run: MonitoredRun, sink: RowSink) -> None:
-    """Raise UsageError for a problem that ended the run early, or for rows that are missing in its file."""
+    """Raise UsageError for a problem that ended the run early, or for rows that are missing in the file."""
     from pmfid.errors import UsageError
 
     if run.problem:
@@ -155,7 +155,7 @@ class _Teller:
         self({**start_object(setup), "out": None if out is None else str(out)})
 
     def end(self, run: MonitoredRun, sink: RowSink) -> None:
-        """Print the totals, and on standard error the skipped lines, where a user sees them."""
+        """Print the totals. The number of skipped lines goes to standard error, where a user sees it."""
         from pmfid.cli.monitor_lines import list_skipped
 
         totals = run.totals()
@@ -165,7 +165,7 @@ class _Teller:
 
 
 def _report_failure(error: OSError) -> bool:
-    """Report once on standard error that events cannot be written, and return True."""
+    """Report on standard error that events cannot be written, and return True."""
     from contextlib import suppress
 
     with suppress(OSError):

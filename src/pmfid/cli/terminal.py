@@ -48,7 +48,8 @@ def print_json(content: Mapping[str, object]) -> None:
     click.echo(json.dumps(content, allow_nan=False))
 
 
-#: On a terminal, time before the line appears, as shorter work needs no line, and time between two updates [s].
+#: Time before the line appears on a terminal [s], because shorter work needs no line. `REFRESH` is the time between two
+#: updates [s].
 PATIENCE, REFRESH = 1.5, 0.25
 #: In other outputs, time before the first line and between two lines [s].
 EVERY = 9.0
@@ -59,7 +60,7 @@ CLEAR = "\r\x1b[K"
 class ProgressReport:
     """A thread that reports the progress of long work, because the work itself may be inside a library.
 
-    The first report appears before rich would be loaded.
+    The class does not use rich, which would take longer to load than the first report may wait.
     """
 
     def __init__(self, what: str) -> None:
@@ -72,7 +73,7 @@ class ProgressReport:
         self._thread.start()
 
     def __call__(self, done: float) -> None:
-        """Set the completed part of the work, from 0 to 1. After 1, the remaining time is unknown."""
+        """Set the completed part of the work, from 0 to 1. A part of 1 means that the remaining time is unknown."""
         self.done = done
 
     @property

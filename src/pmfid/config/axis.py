@@ -1,7 +1,7 @@
 """AXIS.toml with record, encoder, model and estimator, validated once and frozen.
 
-The description of a field ends the error message about the field. Therefore it must be a sensible text after "give
-...".
+The description of a field ends the error message about the field. Therefore a description must be a sensible text after
+"give ...".
 """
 
 from __future__ import annotations
@@ -104,7 +104,8 @@ class MonitorConfig(FileSection):
     )
 
 
-#: Section, key, and whether the key belongs to a transfer function. Other keys belong to a machine with friction.
+#: Section, key, and whether the key belongs to a transfer function. Keys of no transfer function belong to a machine
+#: with friction.
 _KEYS_OF_ONE_KIND = (
     ("record", "gap", True),
     ("record", "hold", True),

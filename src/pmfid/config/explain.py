@@ -82,7 +82,7 @@ class ReferenceEntry:
 
 
 def entries() -> tuple[ReferenceEntry, ...]:
-    """Return the entries of all keys in the order of the file, and then of all words of a status."""
+    """Return the entries of all keys in the order of the file, followed by those of all words of a status."""
     sections = ((name, field) for name, field in Axis.model_fields.items())
     keys = [key for name, field in sections for key in keys_in(name, field.annotation)]
     bits = {str(bit.name).lower(): ADVICE[bit] for bit in Status}
@@ -182,8 +182,8 @@ def _models(section: str, name: str) -> str:
 def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[ReferenceEntry]:
     """Return the entries for a word among `known`, by default those of AXIS.toml.
 
-    A word is a key with or without its section, a whole section, or a word of a status. Spaces may replace underscores.
-    Raises UsageError with similar words.
+    A word is a key with or without its section, a whole section, or a word of a status. A word may have spaces in place
+    of underscores. Raises UsageError with similar words.
     """
     wanted = re.sub(r"^\[(.+)\]\s*", r"\1.", word.strip()).rstrip(".").replace(" ", "_").replace("-", "_").lower()
     known = entries() if known is None else known

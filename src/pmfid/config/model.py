@@ -1,7 +1,7 @@
 """[model] of AXIS.toml: a drive, a transfer function, or an equation with user-defined terms.
 
-The description of a field ends the error message about the field. Therefore it must be a sensible text after "give
-...".
+The description of a field ends the error message about the field. Therefore a description must be a sensible text after
+"give ...".
 """
 
 from __future__ import annotations

@@ -221,7 +221,9 @@ def _numbers(axis: Sections, keys: tuple[tuple[str, str], ...]) -> Iterator[tupl
 
 
 def _choose_unit(key: str, given: str | None, name: str, table: dict[str, Unit]) -> Unit | None:
-    """Return the configured unit, or the unit in the column's name, or None. Raises UsageError if they differ."""
+    """Return the configured unit, or the unit in the column's name, or None. Raises UsageError if the two units
+    differ.
+    """
     named, stated = column_unit(name, table), table.get(given or "")
     if named and stated and (named.of, named.factor) != (stated.of, stated.factor):
         raise UsageError(

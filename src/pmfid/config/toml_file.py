@@ -1,7 +1,7 @@
 """TOML files with sections, validated by pydantic models that turn every problem into one clear line.
 
-The description of a field ends the error message about the field. Therefore it must be a sensible text after "give
-...".
+The description of a field ends the error message about the field. Therefore a description must be a sensible text after
+"give ...".
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["FileSection", "load_sections", "show_value", "validate_sections"]
 class FileSection(BaseModel):
     """A section of a file, or a whole file."""
 
-    # Strict, because a string "50" or the value `true` in place of a number is a mistake.
+    # The models are strict, because a string "50" or the value `true` in place of a number is a mistake.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -71,7 +71,8 @@ def validate_sections(
     except ValidationError as error:
         # A misspelt key is also a missing key. The misspelling comes first, because it explains the missing key.
         details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
-    # A value that is neither a number nor a name fails twice at one place. The message has one text for each place.
+    # A value that is neither a number nor a name fails twice at one place. Therefore the message has only one text for
+    # each place.
     problems = {detail["loc"][:2]: _problem(whole, detail, raw, given or {}) for detail in details}
     raise UsageError("\n  ".join(problems.values()))
 

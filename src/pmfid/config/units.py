@@ -29,7 +29,7 @@ class Unit:
 
     @property
     def plain(self) -> bool:
-        """Whether this is the SI unit."""
+        """Whether the unit is the SI unit."""
         return self.factor == 1.0
 
 

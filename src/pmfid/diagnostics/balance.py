@@ -47,7 +47,7 @@ class Binned:
 
     @property
     def _ends(self) -> tuple[int, int]:
-        """The bins with the lowest and the highest mean. A mean with a large error hardly counts."""
+        """The bins with the lowest and the highest mean. The choice disfavours means with large errors."""
         return int(np.argmin(self.mean + 2 * self.error)), int(np.argmax(self.mean - 2 * self.error))
 
     @property
@@ -191,7 +191,7 @@ class Balance:
 
 
 def one_way_friction(balance: Balance) -> Friction | None:
-    """Return the friction of the samples with a single direction of motion, or None if such samples are too few."""
+    """Return the friction of the samples with a single direction of motion, or None if too few such samples exist."""
     # After a reversal, the filtered velocity may still have the old sign.
     one_way = np.sign(balance.velocity) * balance.direction >= TUNING.one_way
     if np.count_nonzero(one_way) < 2 * TUNING.fewest_bins:
@@ -202,7 +202,7 @@ def one_way_friction(balance: Balance) -> Friction | None:
 
 
 def low_pass(estimator: IV, signal: Floats) -> list[Floats]:
-    """Return a signal (n,) after 1, 2, ... `order` stages of the Poisson chain, in the kernel's arithmetic for
+    """Return a signal (n,) after each of the `order` stages of the Poisson chain, in the kernel's arithmetic for
     velocities.
     """
     slope, cutoff = 2 / estimator.dt, estimator.cutoff
@@ -289,8 +289,8 @@ class Correlations:
 
     `own` (lags + 1,) correlates the residual with itself. `cross` (2 lags + 1,) correlates the input force with the
     residual `lag` samples later. `encoder` (lags + 1,) is the autocorrelation of a residual that contains only the
-    encoder's error. `own_error` and `cross_error` are standard deviations of the correlations for this error alone
-    (Bartlett 1935).
+    encoder's error. `own_error` and `cross_error` are standard deviations of the correlations for the encoder's error
+    alone (Bartlett 1935).
     """
 
     own: Floats

@@ -1,13 +1,13 @@
 """Two tests against chance: does the input explain the residual, and does the noise drive the input?
 
-The first regression uses present and past inputs. If these explain more of the residual than the fit, an unmodelled
-effect exists. The second regression adds future inputs. If only future inputs explain the residual, the noise returns
-through the input, as under control (Sims 1972). Both tests whiten the noise first and take the input as given.
-Therefore a predictable input, such as a sweep, a sum of sines or a periodic signal, causes no false alarm.
+The first regression uses present and past inputs. If present and past inputs explain a part of the residual, an
+unmodelled effect exists. The second regression adds future inputs. If only future inputs explain the residual, the
+noise returns through the input, as under control (Sims 1972). Both tests whiten the noise first and take the input as
+given. Therefore a predictable input, such as a sweep, a sum of sines or a periodic signal, causes no false alarm.
 
 A controller responds to noise of any size, but the jumps of its reference hide a small response. Therefore a robust
 linear prediction removes the predictable part and the jumps from the future inputs. The test may use any function of a
-given input, and therefore also this remainder.
+given input, and therefore also the remainder of a prediction.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class ResidualStretch:
 class Evidence:
     """The result of one test.
 
-    `chance` is the probability that noise alone explains as much. `share` is the explained part of the whitened
+    `chance` is the probability that noise alone gives such a result. `share` is the explained part of the whitened
     residual's power.
     """
 
@@ -167,8 +167,8 @@ def _columns(parts: Sequence[ResidualStretch], source: int) -> tuple[Floats, Fla
 def _past(u: Floats, lags: int, samples: int) -> Floats:
     """Return regressors (M, l) from an input u (M,).
 
-    The columns are the present and past input, slow means of the older input, decaying exponentials for the unknown
-    past, and a constant.
+    The columns are the present and past input, slow means of the older input, and a constant. Decaying exponentials
+    represent the unknown past.
     """
     u = u - np.mean(u)
     lagged = [np.r_[np.full(min(k, u.size), u[0]), u][: u.size] for k in range(lags + 1)]

@@ -61,8 +61,8 @@ JUMP_REMEDY = "give [encoder] bits for a counter that wraps, max_speed for lost 
 def _motion(counts: Counts, change: Counts) -> Counts:
     """Return the sizes (n - 1,) of the changes of the counts (n,) without wrong readings.
 
-    A wrong reading returns at once to the old position. A few of these among a hundred samples would distort the usual
-    change.
+    A wrong reading returns at once to the old position. A few wrong readings among a hundred samples would distort the
+    usual change.
     """
     if change.size < 2:
         return change
@@ -121,7 +121,7 @@ def _others(equation: Equation) -> Iterator[Equation]:
 
 
 def _fit_equation(found: Adequacy, equation: Equation) -> Lateness | None:
-    """Fit another equation from the model's fit.
+    """Fit another equation, starting from the model's fit.
 
     The result is None if the equation has no fit or its fit has no delay.
     """
@@ -172,8 +172,8 @@ def _late_by(found: Adequacy) -> float:
 def _gain(found: Adequacy, size: float, cost_there: float | None) -> float:
     """Return the gain of the doubled log-likelihood by another fit.
 
-    `size` is the root mean square difference of the other fit. `cost_there` is its negative log-likelihood if both fits
-    are within the counts.
+    `size` is the root mean square difference of the other fit. `cost_there` is the negative log-likelihood of the other
+    fit, if both fits are within the counts.
     """
     error = found.difference(found.q)
     if found.noise is None or cost_there is None:
@@ -275,7 +275,8 @@ def judge(
     record, if known.
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
-    # If the model is wrong, methods differ because they weigh its error differently. Then only large differences count.
+    # If the model is wrong, methods weigh its error differently. Therefore only large differences between methods count
+    # for a wrong model.
     limit = 10 * TUNING.drives_biased if "unmodelled" in codes(residual) else 2 * TUNING.drives_biased
     return sort_findings(
         [
@@ -341,7 +342,7 @@ def _bias(
 def reference(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> dict[str, tuple[float, float]]:
     """Return the value and the standard deviation of each parameter by instrumental variables with the same memory.
 
-    If these do not converge, the values come from bias-compensated least squares.
+    If instrumental variables do not converge, the values come from bias-compensated least squares.
     """
     forgetting = getattr(estimator, "forgetting", 1.0)
     if estimator.equation.without_simulation:
@@ -408,8 +409,8 @@ def examine_estimate(
 ) -> Adequacy | None:
     """Return the adequacy of the model near an estimate theta (p,) from u (n,) and counts (n,).
 
-    The samples are those that determine the estimate. The result is None if the equation cannot be simulated or nothing
-    moves. `known` is the result of an earlier examination of the same model.
+    The function uses the samples that determine the estimate. The result is None if the equation cannot be simulated or
+    nothing moves. `known` is the result of an earlier examination of the same model.
 
     Raises NotIdentifiableError if no motion of the model can be fitted.
     """
@@ -439,7 +440,7 @@ def _model(
     std: NDArray[np.float64],
     adequacy: Examined,
 ) -> Iterator[Finding]:
-    """Yield findings if the simulated motion does not explain the counts, and on effects that the counts may hide."""
+    """Yield findings on counts that the simulated motion does not explain, and on effects that the counts may hide."""
     try:
         found = examine_estimate(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
@@ -538,8 +539,8 @@ def _feedback(
 def correlation_score(error: NDArray[np.float64], change: NDArray[np.float64], lags: int = 5) -> float:
     """Return the largest correlation of an error (n,) with later changes of the input (n,), in standard deviations.
 
-    The changes follow up to `lags` samples later. The standard deviation holds for independent coloured series
-    (Bartlett 1935).
+    The changes of the input follow the error by up to `lags` samples. The standard deviation holds for independent
+    coloured series (Bartlett 1935).
     """
     n = error.size
     error, change = error - error.mean(), change - change.mean()

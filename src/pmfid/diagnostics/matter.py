@@ -67,8 +67,8 @@ def is_small_doubt(finding: Finding) -> bool:
 class Matter:
     """The size of the possible error of the parameters.
 
-    `name` is the worst parameter, and `part` is half of its interval relative to its size. `beyond` says whether any
-    parameter exceeds both the tolerance and the noise.
+    `name` is the worst parameter, and `part` is half of its interval relative to its size. `beyond` says whether the
+    error of any parameter exceeds both the tolerance and the noise.
     """
 
     name: str
@@ -87,7 +87,7 @@ def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, 
     """Return how much an estimate theta (p,) with standard deviations std (p,) may be wrong.
 
     `spread` (p,) is the shift that the visible unmodelled effects may cause. A NaN in `spread` stands for an unknown
-    shift, and then the effects matter.
+    shift, which always matters.
     """
     p = len(estimator.equation.names)
     half, size = TUNING.normal_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])

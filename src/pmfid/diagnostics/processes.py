@@ -43,9 +43,8 @@ from pmfid.types import Floats
 class Hold:
     """The findings on the hold of the input.
 
-    `better` says whether the record follows a model with the other hold significantly better, at any parameters.
-    `hidden` says whether the record cannot distinguish the holds although a parameter differs between them by many
-    standard errors.
+    `better` says whether a model with the other hold explains the record significantly better. `hidden` says whether
+    the record cannot distinguish the holds although a parameter differs between them by many standard errors.
     """
 
     better: bool = False
@@ -89,7 +88,9 @@ def _swap_hold(problem: ProcessProblem) -> ProcessProblem:
 
 
 def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> ProcessPoint:
-    """Return the least sum of squares near theta (p,), where theta belongs to the problem before whitening."""
+    """Return the point with the least sum of squares near theta (p,), where theta belongs to the problem before
+    whitening.
+    """
     theta = theta.copy()
     if problem.structure.offset:
         theta[problem.structure.linear - 1] *= float(np.sum(noise.whitener))
@@ -191,14 +192,14 @@ class Assessment:
     """The assessment of a model on its records.
 
     `fit` is 100 (1 - |y - simulated| / |y - mean y|) [%] with fitted initial conditions. `simulated` and `residual`
-    hold one array for each stretch, at its measured samples. `samples` are the numbers of these samples in the record,
-    and `records` are the numbers of the records. `autocorrelation` (residuals_lags + 1,) belongs to the residual, from
-    lag 0. `cross` (2 residuals_lags + 1,) correlates the residual with the input, or with the reference if one exists.
-    The bounds of `autocorrelation` and `cross` hold 99 % of the correlations of an independent residual. `unmodelled`
-    says whether the present and past input explains the residual. `feedback` says whether future inputs explain it,
-    because a controller feeds the noise back (`causality.py`). `depends` says whether the output depends on the input
-    by more than chance. `second` is the second examination, and `hold` is the test of the other hold. `repeats` says
-    whether a part of the residual repeats in every period of the input.
+    hold one array for each stretch, at its measured samples. `samples` are the numbers of the measured samples in the
+    record, and `records` are the numbers of the records. `autocorrelation` (residuals_lags + 1,) belongs to the
+    residual, from lag 0. `cross` (2 residuals_lags + 1,) correlates the residual with the input, or with the reference
+    if one exists. The bounds of `autocorrelation` and `cross` hold 99 % of the correlations of an independent residual.
+    `unmodelled` says whether the present and past input explains the residual. `feedback` says whether future inputs
+    explain the residual, because a controller feeds the noise back (`causality.py`). `depends` says whether the output
+    depends on the input by more than chance. `second` is the result of a second examination, and `hold` is the result
+    of the test of the other hold. `repeats` says whether a part of the residual repeats in every period of the input.
     """
 
     fit: float
@@ -220,7 +221,7 @@ class Assessment:
     @property
     def lags(self) -> NDArray[np.int64]:
         """The lags (2 residuals_lags + 1,) of `cross`. At negative lags the input follows the residual, and only
-        feedback correlates them.
+        feedback causes correlation.
         """
         return np.arange(-LINEAR_TUNING.residuals_lags, LINEAR_TUNING.residuals_lags + 1)
 
@@ -298,7 +299,7 @@ def _doubts(
 def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]:
     """Return the least and the greatest part of the present input that a wrong hold leaves in the residual."""
     a, b, _ = problem.structure.split(point.theta)
-    if a.size == 0:  # if all poles are integrators
+    if a.size == 0:  # a process of integrators has no such part
         return (0.0, 0.0)
     stretch = problem.stretches[0]
     grid = Grid(float(np.median(stretch.grid.steps)), 2)
@@ -361,7 +362,7 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
     - feedback: the input contains the noise, and the method uses no reference.
     - unmodelled: the residual depends on the input, is smaller with the other hold, or repeats with the input.
     - unstable: a pole lies in the right half-plane, and no controller holds it (`held`).
-    - uncertain: a pole is unknown, unnecessary, or elsewhere if the noise is whitened.
+    - uncertain: a pole is unknown or unnecessary, or moves when the noise is whitened.
     - model_spread: the other hold explains the record equally well and moves a parameter beyond its standard error.
     """
     unknown = np.any(np.hypot(*process.poles_std.T) > TUNING.processes_unknown * np.abs(process.poles))

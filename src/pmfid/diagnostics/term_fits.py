@@ -70,7 +70,7 @@ class Bench:
                 with suppress(NotIdentifiableError, UsageError):
                     found.append(self._fit_pitch(change_arguments(trial.model, {"cogging": travel / number}), trial))
             tried += [*numbers, *(travel / pitch for _, pitch in found)]
-            # Motions that are all similar hardly distinguish one pitch in the travel more or less.
+            # If all motions are similar, the counts hardly distinguish n pitches in the travel from n + 1 pitches.
             own = travel / max(found)[1] if found else TUNING.term_trials_fewest
             numbers = [
                 one
@@ -126,7 +126,7 @@ class Bench:
     def _estimate_by_positions(self, model: Drive, theta: Floats) -> Floats:
         """Return parameters (p,) by instrumental variables, which take the position from the counts.
 
-        The simulated motion of a model without a periodic force may be wrong by a whole period. `theta` (p,) gives the
+        Without a periodic force, the simulated position may be wrong by a whole period. `theta` (p,) gives the
         parameters that instrumental variables do not estimate.
         """
         own, late = model.equation, dict.fromkeys((DEAD_TIME, LAG), 0.0) | _late_of(model.equation, theta)
@@ -139,8 +139,8 @@ class Bench:
     def fit_model(self, model: Drive, trial: Trial) -> Trial:
         """Fit a model from the parameters of another trial.
 
-        Of several start values, the function returns the likeliest fit or the first fit that explains every count.
-        Raises NotIdentifiableError if no start value converges.
+        Among the fits from several start values, the function returns the likeliest fit, or the first fit that explains
+        every count. Raises NotIdentifiableError if no start value converges.
         """
         found, refused = list[Trial](), NotIdentifiableError("the model settles nowhere")
         for theta, begun in self._starts(model, trial):
@@ -158,8 +158,8 @@ class Bench:
     def _starts(self, model: Drive, trial: Trial) -> Iterator[tuple[Floats, Trial]]:
         """Yield start values (p,), each with a trial whose motion starts alike.
 
-        The start values are the parameters of another model. If that model has no Stribeck speed, several speeds
-        follow.
+        The start values are the parameters of another model. If the other model has no Stribeck speed, the function
+        tries several speeds.
         """
         equation, before = model.equation, trial.model.equation
         theta = carry_parameters(before, trial.theta, equation)
@@ -181,8 +181,8 @@ class Bench:
     def _from(self, model: Drive, theta: Floats, trial: Trial, hasty: bool = False) -> Trial:
         """Fit a model from theta (p,) and from the start of another trial's motion.
 
-        Least squares come first. If they diverge, the fit maximises the likelihood. If `hasty`, any least-squares fit
-        is enough.
+        The fit starts with least squares. If least squares diverge, the fit maximises the likelihood. If `hasty`, any
+        least-squares fit is enough.
         """
         method, found = like(IntervalML, self.method, model=model), list[Trial]()
         refused = NotIdentifiableError("the model settles nowhere")
@@ -202,8 +202,8 @@ class Bench:
         return max(found, key=lambda one: one.log_likelihood)
 
     def _from_squares(self, model: Drive, theta: Floats, trial: Trial, hasty: bool) -> list[Trial]:
-        """Return the fits from least squares. A force that is periodic along the travel also starts from
-        instrumental variables.
+        """Return the fits by least squares. The fit of a force along the travel also starts from instrumental
+        variables.
         """
         method, starts = like(IntervalML, self.method, model=model), [theta]
         if any(not term.shape.of_speed for term in model.equation.shaped if term.shape):
@@ -220,7 +220,7 @@ class Bench:
     def settle_fit(self, trial: Trial) -> Trial:
         """Return the trial, fitted to convergence if its motion is within the counts.
 
-        The simulation is then as fine as the counts require.
+        The simulation of such a fit is as fine as the counts require.
         """
         best = trial.best
         if best.noise is None:
@@ -296,7 +296,7 @@ def _late_by(equation: Equation, theta: Floats, dead: float, lag: float) -> Floa
 
 
 def _different(found: Sequence[tuple[float, float]], travel: float) -> list[tuple[float, float]]:
-    """Return the pairs of gain and pitch without pitches close to an earlier one. The travel has the unit of y."""
+    """Return the pairs of gain and pitch without pitches close to an earlier pitch. `travel` has the unit of y."""
     kept = drop_neighbours([travel / pitch for _, pitch in found])
     return [one for one in found if travel / one[1] in kept]
 
@@ -313,7 +313,7 @@ def shortest_part(method: IntervalML) -> int:
 
 
 def choose_cutoff(samples: int, dt: float) -> float | None:
-    """Return the lowest cutoff [rad/s] at which a part with a sample period dt [s] can be predicted.
+    """Return the lowest cutoff [rad/s] that allows the prediction of a part of a record with the sample period dt [s].
 
     The result is None if `samples` is too small for a prediction.
     """

@@ -66,9 +66,9 @@ class Trial:
 
 
 def inflation(before: Trial, after: Trial) -> float:
-    """Return the inflation of the likelihood ratio by errors that are not independent.
+    """Return the factor by which dependent errors increase the likelihood ratio.
 
-    The inflation is the scatter of the scores of the new terms, divided by the scatter for independent errors. The
+    The factor is the scatter of the scores of the new terms, divided by the scatter for independent errors. The
     function returns the largest ratio over all new directions.
     """
     best, old, new = after.best, before.model.equation, after.model.equation
@@ -102,7 +102,7 @@ def known_shapes(best: Best) -> Best:
 def carry_parameters(before: Equation, theta: Floats, after: Equation) -> Floats:
     """Return the parameters (p,) of one equation as start values of another equation.
 
-    Parameters that only the new equation has are zero.
+    If only the new equation has a parameter, its start value is zero.
     """
     own = before.role_values(theta)
     body, further = (
@@ -241,7 +241,7 @@ def _moving(counts: NDArray[np.int64], near: int) -> NDArray[np.bool_]:
 class Pitched(Difference):
     """A `Difference` whose unknowns q include the pitch of the cogging force.
 
-    The unknowns are q = (theta, x0, v0, number / term_trials_hundred), with the number of pitches in the travel.
+    The unknowns are q = (theta, x0, v0, number / term_trials_hundred), where `number` counts the pitches in the travel.
     `model` has the equation at any pitch.
     """
 

@@ -1,10 +1,10 @@
 """Search for the terms of a drive, one term at a time.
 
 In each step, the score tests of the counts at the best fit propose candidates (`estimators/adequacy.py`). The score
-tests cost nothing. Then the search fits the candidates. The search keeps a term if its likelihood ratio is beyond
-chance and if it explains parts of the record outside the fit. The limit of chance depends on the number of tried terms
-and on the scatter of the scores (Rao 1948; Bonferroni). Finally, the search removes a term if the other terms make it
-superfluous.
+tests need no further fit. Then the search fits the candidates. The search keeps a term if its likelihood ratio is
+beyond chance and if it explains parts of the record outside the fit. The limit of chance depends on the number of tried
+terms and on the scatter of the scores (Rao 1948; Bonferroni). Finally, the search removes a term if the other terms
+make it superfluous.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG
 
-#: Changes that a score does not distinguish from another change. To first order, a lag equals a dead time.
+#: Alternatives to a change of the model that its score does not distinguish. To first order, a lag equals a dead time.
 OTHERWISE: Mapping[str, tuple[Change, ...]] = MappingProxyType({"dead_time": ({"lag": ESTIMATE},)})
 
 
@@ -78,8 +78,8 @@ class FittedCandidate:
 
     @property
     def explains_all(self) -> bool:
-        """Whether the model with this candidate explains every count. If so, scores of the model without the
-        candidate mean nothing.
+        """Whether the model with this candidate explains every count. The scores of a model are meaningless if a
+        candidate explains every count.
         """
         return self.trial is not None and self.trial.best.clean
 
@@ -90,7 +90,7 @@ class FittedCandidate:
 
     @property
     def size(self) -> float:
-        """The doubled gain of the log-likelihood without any scale."""
+        """The doubled gain of the log-likelihood itself, before its division by the inflation."""
         return self.gain * self.candidate.inflation
 
 
@@ -105,9 +105,9 @@ UNCLEAR = "its pitch is unclear: give it"
 class Terms:
     """The result of a search.
 
-    `trials` lead from the first model to the chosen model. `errors` are their errors of free runs over other parts of
-    the record [unit of y]. `steps` holds all candidates that each step has fitted. `without` holds the chosen model
-    without each of the added terms. `adequacy` is that of the chosen model.
+    `trials` lead from the first model to the chosen model. `errors` are the errors of these models in free runs over
+    other parts of the record [unit of y]. `steps` holds all candidates that each step has fitted. `without` holds one
+    fit of the chosen model without each added term. `adequacy` is that of the chosen model.
     """
 
     trials: tuple[Trial, ...]
@@ -271,8 +271,9 @@ class _Search:
         """Fit two terms together if no single term suffices.
 
         The first pair consists of the two best single terms. Further pairs combine the best term with a force along the
-        travel. A quick fit of that force may diverge while the best term is missing. In later steps, the search fits
-        the force along the travel alone. That force may replace a term that an earlier step kept.
+        travel. A quick fit of a force along the travel may diverge while the best term is missing. In later steps, the
+        search fits the force along the travel alone. A force along the travel may replace a term that an earlier step
+        kept.
         """
         best = [step.candidate for step in tried if step.trial is not None][:2]
         looking = self.looking and trial.model.cogging is None
@@ -307,7 +308,7 @@ class _Search:
         return found
 
     def _judge_steps(self, found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
-        """Keep the first candidate that is beyond chance and predicts other parts of the record no worse."""
+        """Keep the first candidate beyond chance that does not worsen the prediction of other parts of the record."""
         judged, kept, error = list[FittedCandidate](), None, self.errors[-1]
         for step in _simplest_first(found):
             if step.trial is None or (reason := find_objection(step, found)):
@@ -322,8 +323,7 @@ class _Search:
     def _drop_superfluous(self) -> tuple[FittedCandidate, ...]:
         """Return the chosen model without each of the added terms.
 
-        The search continues with one of these models if the loss is within chance, or if the term worsens the
-        prediction of other parts.
+        The search removes a term if its loss is within chance, or if the term worsens the prediction of other parts.
         """
         first = self.trials[0].model
         while True:
@@ -405,7 +405,7 @@ def _is_special_case(step: FittedCandidate, other: FittedCandidate) -> bool:
 def _otherwise_late(trial: Trial) -> list[Candidate]:
     """Return a model with dead time and lag as a candidate if the model has only one of them.
 
-    Scores do not distinguish the two, but likelihoods do.
+    Likelihoods distinguish a dead time from a lag, but scores do not.
     """
     keys = [key for key in (DEAD_TIME, LAG) if getattr(trial.model, key) == ESTIMATE]
     if len(keys) != 1:
@@ -419,7 +419,7 @@ def _list_retries(
 ) -> tuple[Candidate, ...]:
     """Return the candidates of the last step that were beyond chance but lost.
 
-    The kept term may have absorbed a part of their effect, so that their scores say nothing any more.
+    The kept term may have absorbed a part of the effect of a lost candidate, so that its score is meaningless.
     """
     if not steps:
         return ()
@@ -489,7 +489,7 @@ def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int
 
 
 def find_objection(step: FittedCandidate, found: Sequence[FittedCandidate]) -> str:
-    """Return the reason against a term that holds whatever other terms exist, or an empty text."""
+    """Return the reason to refuse a term independently of other terms, or an empty text."""
     if step.gain < step.needed:
         return "within chance"
     if step.candidate.elsewhere <= 0 and not step.explains_all:
@@ -500,7 +500,7 @@ def find_objection(step: FittedCandidate, found: Sequence[FittedCandidate]) -> s
 def is_unclear(step: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
     """Return whether a term is a cogging force whose pitch explains hardly more than another pitch.
 
-    Then neither pitch is credible.
+    If two pitches explain equally much, neither pitch is credible.
     """
     if step.explains_all:
         return False

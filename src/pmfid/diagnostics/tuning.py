@@ -10,27 +10,28 @@ class DiagnosticTuning:
     """Thresholds and counts of `pmfid.diagnostics`, grouped by module."""
 
     # balance
-    #: Encoder noise of the velocity, relative to the standard deviation of the velocity. Less noise moves hardly any
-    #: sample to another bin.
+    #: Encoder noise of the velocity, relative to the standard deviation of the velocity, that moves hardly any sample
+    #: to another bin.
     quiet_encoder: float = 0.003
-    #: Smallest part of the filter's memory with one direction of motion. In a larger part, friction belongs to a single
+    #: Smallest part of the filter's memory with one direction of motion for which friction belongs to a single
     #: velocity.
     one_way: float = 0.95
     most_bins: int = 24
     fewest_bins: int = 6
     #: Longest lag of the correlations in a report, in time constants of the filter.
     shown_lags: float = 10.0
-    #: Standard deviations above which a difference is real. The limit is high because many bins and lags are tested.
+    #: Number of standard deviations above which a difference is real. The number is high because many bins and lags are
+    #: tested.
     significant: float = 4.5
-    #: Residual force relative to the model's friction that deserves no warning, even if the force is real.
+    #: Residual force, relative to the model's friction, that is too small for a warning even if the force is real.
     relevant_force: float = 0.03
-    #: Correlated part of the residual relative to the input force that deserves no warning.
+    #: Correlated part of the residual, relative to the input force, that is too small for a warning.
     relevant_part: float = 0.005
     #: Fit of the velocity [%] below which the model does not follow the motion.
     good_fit: float = 90.0
     #: Multiple of the encoder's error above which a velocity error belongs to the model.
     above_encoder: float = 3.0
-    #: Significant correlation of the residual at lags that the filter does not explain.
+    #: Correlation above which the residual depends on its past at lags that the filter does not explain.
     balance_correlated: float = 0.2
     #: Filter time constants after which the filter alone leaves no correlation.
     filter_lags: float = 5.0
@@ -53,11 +54,11 @@ class DiagnosticTuning:
     causality_jump: float = 4.5
     #: Passes of the noise fit and the regression.
     causality_passes: int = 3
-    #: Part of a column that the other columns leave. A smaller part is only rounding.
+    #: Relative size of a remainder below which the other columns explain a column up to rounding.
     causality_apart: float = 1e-7
 
     # drives
-    #: Factor by which a change of the counts exceeds the usual changes if no motion explains it.
+    #: Factor by which a jump of the counts exceeds the usual changes. No motion explains such a jump.
     drives_jump: int = 30
     #: Smallest delay [samples] in a report if no score supports the delay. A smaller delay resembles other effects,
     #: such as friction within a sample.
@@ -66,9 +67,9 @@ class DiagnosticTuning:
     drives_coarse: float = 1.0
     #: Smallest number of samples for a judgement of a model. A judgement also needs at least one moving sample.
     drives_fewest: int = 50
-    #: Length of the judged last part of the record in memories, if the estimator forgets.
+    #: Length of the judged part at the end of the record, in memories of an estimator with forgetting.
     drives_memories: float = 3.0
-    #: Relative error of a method that deserves a finding.
+    #: Relative error of a method above which a finding is due.
     drives_biased: float = 0.01
 
     # free_run
@@ -86,47 +87,50 @@ class DiagnosticTuning:
     # matter
     #: Relative error of a parameter that does not matter.
     matter_tolerance: float = 0.01
-    #: Standard deviations on either side that hold 95 % of a normal variable, and standard errors within which an error
-    #: is noise.
+    #: Half-width of the 95 % interval of a normal variable in standard deviations. `noise_limit` is the number of
+    #: standard errors within which an error is noise.
     normal_95: float = 1.96
     noise_limit: float = 3.0
 
     # processes
     #: Greatest probability that a record with the right hold suggests the other hold.
     hold_chance: float = 1e-4
-    #: Standard errors above which two values of a parameter are far apart.
+    #: Number of standard errors above which two values of a parameter are far apart.
     processes_far: float = 2.0
     #: Relative decrease of the sum of squares below which a step is unnecessary and a model is judged.
     processes_settled: float = 1e-6
     #: Greatest probability that a record of noise alone passes the test.
     noise_chance: float = 1e-2
-    #: Greatest probability that chance alone moves an estimate as far as the colour of the noise does.
+    #: Probability of chance below which the colour of the noise has moved the estimate.
     processes_elsewhere: float = 1e-3
     #: Greatest part of the right models in open loop that a test of unmodelled effects or of feedback rejects.
     false_alarm: float = 1e-4
     #: Greatest residual of a wrong hold, as a multiple of the difference between the two responses at their first
     #: sample.
     wrong_hold: float = 2.0
-    #: Relative standard deviation above which a pole is unknown. A pole that is real has at most half of this value:
-    #: bars span two standard deviations, and such a pole does not cross zero.
+    #: Relative standard deviation above which a pole is unknown. The relative standard deviation of a real pole is at
+    #: most half of this value, because bars of two standard deviations do not cross zero.
     processes_unknown: float = 0.4
     #: Explained part of the output [%] below which a finding is due.
     poor_fit: float = 10.0
-    #: Size of an outlier in robust standard deviations, and the greatest part of the samples that outliers are.
+    #: Size of an outlier in robust standard deviations. `processes_few` is the greatest part of the samples that may be
+    #: outliers.
     far_outlier: float = 10.0
     processes_few: float = 0.01
 
     # term_fits
-    #: Largest number of parts of a sample in the simulations of a search. For a cart under a random binary input, 2
-    #: parts give the likelihoods of 16 parts within 0.1. One part gives them within 4.
+    #: Largest number of parts of a sample in the simulations of a search. For a cart under a random binary input,
+    #: likelihoods with 2 parts deviate from those with 16 parts by at most 0.1. Likelihoods with a single part deviate
+    #: by up to 4.
     most_parts: int = 2
     #: Relative tolerance of intermediate least-squares fits.
     term_fits_roughly: float = 1e-4
-    #: Noise [counts] between the noise floor and this value may belong to a local maximum of the likelihood.
+    #: Noise [counts] below which a fit above the noise floor may be at a local maximum of the likelihood.
     term_fits_suspicious: float = 0.25
     #: Gain of the log-likelihood below which a step is the last one.
     term_fits_settled: float = 0.1
-    #: Relative tolerance of fits that only compare pitches, and the noise [counts] at which the edges distinguish them.
+    #: Relative tolerance of fits that only compare pitches. `term_fits_loose` is the noise [counts] at which the edges
+    #: of the counts distinguish pitches.
     term_fits_coarsely: float = 1e-3
     term_fits_loose: float = 0.1
     #: Largest number of pitches that the search follows, because the likelihood distinguishes pitches with similar
@@ -134,7 +138,7 @@ class DiagnosticTuning:
     most_pitches: int = 2
     #: Start values of a lag [samples].
     term_fits_lags: tuple[float, float] = (0.5, 2.0)
-    #: Part of a sample by which rounding may change a cutoff.
+    #: Part of a sample by which rounding may change the length of a record part.
     term_fits_rounding: float = 1e-6
     #: Number of windows in each part of a record that is predicted from the other parts.
     term_fits_windows: int = 4
@@ -149,10 +153,11 @@ class DiagnosticTuning:
     #: Smallest length of a pitch, in counts and in samples at the usual speed.
     term_trials_counts: float = 8.0
     term_trials_samples: float = 4.0
-    #: Distance between the tried numbers of pitches, and how many of them are tried together.
+    #: Distance between the tried numbers of pitches. `at_a_time` is the number of pitches that are tried together.
     term_trials_apart: float = 0.5
     at_a_time: int = 40
-    #: Number of peaks that each scan follows, and their least distance in pitches of the travel.
+    #: Number of peaks that each scan follows. `term_trials_between` is the smallest distance of two peaks, in pitches
+    #: of the travel.
     term_trials_peaks: int = 2
     term_trials_between: float = 0.9
     #: Cutoffs of the balance relative to the cutoff of the filters. With fast filters the encoder's error hides a slow
@@ -162,8 +167,8 @@ class DiagnosticTuning:
     term_trials_hundred: float = 100.0
 
     # terms
-    #: Smallest score that deserves a trial if the model does not explain every count. Unmodelled effects then scatter
-    #: the scores.
+    #: Smallest score that deserves a trial if the model does not explain every count. In such a record, unmodelled
+    #: effects scatter the scores.
     terms_weak: float = 1.0
     #: Largest number of terms that a step fits if no term explains every count, and largest number of steps.
     most_tried: int = 4
@@ -179,14 +184,14 @@ class DiagnosticTuning:
     terms_alike: float = 9.0
     #: Relative gain of the second-best pitch above which the pitch remains ambiguous.
     terms_hardly: float = 0.5
-    #: Relative increase of the error of free runs that counts as worse. The last steps of a fit leave smaller
+    #: Relative increase of the error of free runs above which a model is worse. The last steps of a fit cause smaller
     #: differences.
     no_worse: float = 0.002
 
     # verdict
     #: Prior odds that a machine has a plausible force, because every machine has some of these forces.
     verdict_odds: float = 10.0
-    #: Greatest exponent, because the exponential function of a larger one is useless.
+    #: Greatest argument of the exponential function, because larger results are useless.
     most_evidence: float = 500.0
 
 

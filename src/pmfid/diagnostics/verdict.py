@@ -31,9 +31,9 @@ def model_spread(
 ) -> Floats:
     """Return the root mean square shift (p,) that unmodelled effects may cause in an estimate theta (p,).
 
-    The estimate has the standard deviations std (p,) and comes from u (n,) and counts (n,). Entries of unknowns that
-    are no parameter of the equation are NaN. `found` is the adequacy of the model on the same record. If the counts
-    contradict the model, a force that they ask for enters with its estimated size.
+    The estimate has the standard deviations std (p,) and comes from u (n,) and counts (n,). The shift of an unknown
+    that is no parameter of the equation is NaN. `found` is the adequacy of the model on the same record. If the counts
+    contradict the model, each required force enters with its estimated size.
     """
     spread = np.full(theta.size, np.nan)
     equation = slice(0, len(estimator.equation.names))
@@ -49,8 +49,8 @@ def model_spread(
 def spread_without_motion(estimator: Estimator, u: Floats, counts: NDArray[np.int64], theta: Floats) -> Floats:
     """Return the shift (p,) by unmodelled effects if no motion of the model can be fitted to the counts.
 
-    Without such a motion, no single effect can be identified. The shift is then the contradiction between parts of the
-    record. If the parts give no estimate, the shift is as large as the estimate itself.
+    Without a fitted motion, no single effect can be identified. Therefore the shift is the contradiction between parts
+    of the record. If the parts give no estimate, the shift is as large as the estimate itself.
     """
     p = len(estimator.equation.names)
     spread, twin = np.full(theta.size, np.nan), like(IV, estimator, prefilter_zeros=None)
@@ -72,7 +72,7 @@ def _largest(views: Sequence[Floats]) -> Floats:
 def _views(
     estimator: Estimator, twin: IV, columns: Columns, theta: Floats, std: Floats, best: Floats, found: Adequacy
 ) -> Iterator[Floats]:
-    """Yield the mean squares (p,) of the shift, one array for each way to estimate it."""
+    """Yield the mean squares (p,) of the shift, one array for each method of estimation."""
     follows = isinstance(estimator, Following)
     squares = _own_moves(found, twin, columns, follows)[: theta.size] ** 2 * believed_squares(found)
     yield sum((np.max(squares[:, own], axis=1) for own in _kinds_of_force(found)), start=np.zeros(theta.size))
@@ -112,7 +112,7 @@ def _contradictions(twin: IV, columns: Columns, velocity: Floats) -> Iterator[Fl
 def _own_moves(found: Adequacy, twin: IV, columns: Columns, follows: bool) -> Floats:
     """Return the shift of the estimate (p, k) for a unit of each force.
 
-    The shift comes from the best motion of the model or from the instruments.
+    The shift is computed from the best motion of the model or from the instruments.
     """
     if not follows:
         with suppress(NotIdentifiableError):
@@ -124,9 +124,9 @@ def believed_squares(found: Adequacy) -> Floats:
     """Return the mean squares (k,) of the coefficients of the forces, given the record and plausible sizes in machines.
 
     If the counts contradict the model, the weight of a force is the ratio of its explained part to that of the best
-    force. The whole is scaled by the part of the misfit that the best force explains. Noise of the force has no single
-    cause and belongs to the standard deviation. A force without a plausible size counts only if it explains nearly as
-    much as the best force.
+    force. All weights are scaled by the part of the misfit that the best force explains. Random noise of the force has
+    no single cause, and is already in the standard deviation. A force without a plausible size counts only if it
+    explains nearly as much as the best force.
     """
     prior = np.array([candidate.plausible for candidate in found.forces])
     squares = believed_square(found.size, found.size_std, prior)
@@ -140,7 +140,7 @@ def believed_squares(found: Adequacy) -> Floats:
 def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
     """Return the mean squares (k,) of coefficients with estimates `size` (k,) and standard deviations `std` (k,).
 
-    Each force has either the plausible size (k,) or does not exist in the machine.
+    `plausible` (k,) is the usual size of each force. A machine may also have no such force.
     """
     prior, variance = plausible**2, std**2
     share = prior / (prior + variance)
@@ -162,7 +162,7 @@ def _parts(twin: IV, columns: Columns, velocity: Floats) -> Iterator[NDArray[np.
 def _share(columns: Columns, part: NDArray[np.bool_]) -> Floats:
     """Return the part (p,) of the information on each parameter that the first part of the record contains.
 
-    If the values in both parts differ, the estimate from both scatters by share (1 - share) times the squared
+    If the values in both parts differ, the variance of the estimate from both is share (1 - share) times the squared
     difference.
     """
     scaled = columns.phi / np.linalg.norm(columns.phi, axis=0)
@@ -171,8 +171,8 @@ def _share(columns: Columns, part: NDArray[np.bool_]) -> Floats:
 
 
 def _solve_part(twin: IV, columns: Columns, part: NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
-    """Return the estimate (p,) and its variances (p,) from a part of the used samples, or None if it identifies
-    nothing.
+    """Return the estimate (p,) and its variances (p,) from a part of the used samples, or None if the part
+    identifies nothing.
     """
     own = replace(columns, phi=columns.phi[part], z=columns.z[part], zeta=columns.zeta[part])
     if not (np.all(np.any(own.zeta != 0, axis=0)) and np.all(np.any(own.phi != 0, axis=0))):
@@ -231,8 +231,8 @@ def _estimate_shown_bias(found: Adequacy, theta: Floats, std: Floats, spread: Fl
     """Return the shift (p,) that the visible effects in the record may cause in an estimate.
 
     If the counts contradict the model, the shift excludes effects that no record of this input shows. A separate
-    finding reports these effects once. If the model is adequate, the shift contains forces that are nearly visible and
-    the distance to the best motion. The interval covers invisible effects.
+    finding reports such invisible effects. If the model is adequate, the shift contains forces that are nearly visible
+    and the distance to the best motion. Effects that do not show in the record are covered by the interval.
     """
     p = theta.size
     if not found.adequate:

@@ -1,4 +1,4 @@
-"""Firmware, with a copy of the kernel and a generated configuration."""
+"""Export of firmware, with a copy of the kernel and a generated configuration."""
 
 from __future__ import annotations
 
@@ -126,8 +126,8 @@ def check_names(prefix: str, parameters: Sequence[str]) -> None:
 
 
 def remark(text: str) -> str:
-    """Return a text for a comment in C, one line of ASCII that cannot end the comment."""
-    plain = re.sub(r"[^ -~]|[\\?]", ".", text.translate(PLAIN))  # ? begins trigraphs
+    """Return a text for a comment in C: one line of ASCII that cannot end the comment."""
+    plain = re.sub(r"[^ -~]|[\\?]", ".", text.translate(PLAIN))  # a question mark begins trigraphs
     return re.sub(r"\*(?=/)|/(?=\*)", ".", plain)
 
 
@@ -202,7 +202,8 @@ def moving_part(counts: NDArray[np.int64]) -> slice:
     return slice(start, start + SAMPLES)
 
 
-#: Logarithm of the likelihood ratio that raises an alarm. By chance, it occurs about once in exp(10) = 22000 intervals.
+#: Logarithm of the likelihood ratio that raises an alarm. By chance, an alarm occurs about once in exp(10) = 22000
+#: intervals.
 THRESHOLD = 10.0
 #: Distance between used estimates, in memories, at which their errors are nearly independent.
 MEMORIES = 2.0
@@ -300,7 +301,7 @@ def export_firmware(
     ------
     UsageError
         The method is off-line, the prefix or the names of parameters would not compile, or the folder holds other
-        files. Further causes are an impossible alarm, and a record that is empty or not finite.
+        files. An alarm is impossible, or a record is empty or not finite.
     OSError
         The folder cannot be written.
 

@@ -1,6 +1,6 @@
 """The formats of a record, each with a reader in its own file."""
 
-#: Names of the formats by suffix, without the import of a reader. `reading.READERS` has the same suffixes.
+#: Names of the formats by suffix, without the import of a reader. The table `reading.READERS` has the same suffixes.
 FORMATS = {
     ".csv": "CSV",
     ".parquet": "Parquet",

@@ -119,7 +119,7 @@ def split(line: str, separator: str) -> list[str]:
 def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, int]:
     """Return a sort key for the readings of the rows.
 
-    Several columns come before one column, then the part of fields with numbers counts, and then the number of lines.
+    The key prefers several columns to a single column, then a large part of fields with numbers, and then many lines.
     """
     fields = [field for row in rows for field in row]
     known = sum(_is_data_field(field, decimal) for field in fields)
@@ -144,7 +144,7 @@ def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[st
 
 
 def _numeric(fields: Sequence[str], decimal: str) -> bool:
-    """Return whether this is a line of data, which has a number and few words.
+    """Return whether a line with these fields is a line of data, which has a number and few words.
 
     A line of settings with a word before each number is no line of data.
     """
@@ -156,7 +156,7 @@ def _numeric(fields: Sequence[str], decimal: str) -> bool:
 
 
 def is_data(line: str) -> bool:
-    """Return whether this is a line of data without a word, however its fields are separated."""
+    """Return whether a line holds data without a word, however its fields are separated."""
     rows = ((split(line, separator), decimal) for separator, decimal in product(SEPARATORS, ".,"))
     return any(len(row) > 1 and all(_is_data_field(field, decimal) for field in row) for row, decimal in rows)
 
@@ -212,12 +212,12 @@ def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
 
 
 def are_units(fields: Sequence[str]) -> bool:
-    """Return whether this is a row with only units."""
+    """Return whether all fields of a row are units."""
     return all(_UNIT.fullmatch(field) for field in fields if field)
 
 
 def _fit_line(line: list[str], fields: Sequence[str]) -> list[str]:
-    """Return the line if it has the same number of fields, or an empty list.
+    """Return the line if its number of fields fits, or an empty list.
 
     A line may have one field less if the last field is empty.
     """

@@ -35,7 +35,8 @@ def parse_excel(data: bytes) -> NotedTable:
 
 
 def _sheet(book: fastexcel.ExcelReader, name: str, most: int) -> NotedTable:
-    # The text of the first lines, with the digits of numbers, shows the header. Then the numbers are read unchanged.
+    # The text of the first lines, with the digits of numbers, shows the header. After that, the numbers are read
+    # unchanged.
     head = book.load_sheet(name, header_row=None, skip_rows=0, n_rows=LOOKED_AT, dtypes="string")
     if head.width * head.total_height * CELL > most:
         raise UsageError("the sheet has more cells than the file can hold; delete rows and columns that are empty")

@@ -17,8 +17,8 @@ MAGIC = (b"MDF     ", b"UnFinMF ")
 def parse_mdf(data: bytes) -> ClockedSignals:
     """Return the channels of numbers by name, with their unit in brackets.
 
-    A repeated name contains the number of its group. Raises UsageError for a decompression bomb. `readable` turns
-    errors of asammdf into UsageError.
+    If a name is repeated, the column name contains the number of the group. Raises UsageError for a decompression bomb.
+    `readable` turns errors of asammdf into UsageError.
     """
     found: dict[str, Signal] = {}
     with require_extra("mdf4"):

@@ -19,8 +19,8 @@ ARRAY = b"\x93NUMPY"
 def parse_numpy(data: bytes) -> Table:
     """Return the arrays by name, and the columns of a matrix by name and number.
 
-    A single array has its fields or its columns as names. Raises UsageError for arrays of objects, which would need
-    unpickling, and ValueError for damage.
+    The columns of a single array have the names of its fields, or the numbers of its columns. Raises UsageError for
+    arrays of objects, which would need unpickling, and ValueError for damage.
     """
     if data.startswith(ARRAY):
         array = _array(data)

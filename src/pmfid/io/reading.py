@@ -42,7 +42,7 @@ READERS: dict[str, Callable[[bytes], Table]] = {
     ".mf4": parse_mdf,
     ".tdms": parse_tdms,
 }
-#: Other suffixes of the same formats. Text has many suffixes, and the file determines its layout.
+#: Other suffixes of the same formats. A text may have many suffixes, and the file itself shows the layout.
 ENDINGS = {
     **dict.fromkeys((".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".trc", ".gz", ".zst"), ".csv"),
     **dict.fromkeys((".hdf5", ".hdf", ".he5"), ".h5"),
@@ -52,7 +52,7 @@ ENDINGS = {
     ".mdf": ".mf4",
     ".xlsm": ".xlsx",
 }
-#: Formats by the first bytes of a file, without bytes at the beginning of a text or of several formats.
+#: Format for the first bytes of a file. Beginnings that several formats or a text may have are left out.
 OPENINGS: dict[bytes, str] = {
     b"PAR1": ".parquet",
     b"MATLAB 5.0 MAT-file": ".mat",

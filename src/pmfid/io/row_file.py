@@ -9,7 +9,7 @@ from pathlib import Path
 
 Tell = Callable[[dict[str, object]], None]
 
-#: Largest number of bytes that wait for space on the disk. Further lines are lost.
+#: Largest number of bytes that wait for space on the disk. If this space is full, further lines are lost.
 MOST_WAITING = 1 << 20
 
 

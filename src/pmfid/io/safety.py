@@ -12,7 +12,8 @@ from contextlib import contextmanager
 
 from pmfid.errors import UsageError
 
-#: Largest unpacked size of a file, as a multiple of its own size or as a number of bytes. The larger limit counts.
+#: Largest unpacked size of a file, as a multiple of its own size or as a number of bytes. The larger of the two limits
+#: counts.
 MOST_TIMES, MOST_BYTES = 20, 2**28
 
 
@@ -101,8 +102,8 @@ def unpack_file(data: bytes) -> bytes:
 
 
 def from_zstd(data: bytes, most: int, what: str) -> bytes:
-    """Return the unpacked bytes of one or more frames of zstd, at most `most` bytes. `what` is their name in
-    messages.
+    """Return the unpacked bytes of one or more frames of zstd, at most `most` bytes. `what` is the name of the data
+    in messages.
     """
     with require_extra("zst"):
         import zstandard

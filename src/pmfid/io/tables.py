@@ -115,9 +115,9 @@ def notes_of(table: Table) -> tuple[str, ...]:
 
 
 def whole_name(table: Table, name: str) -> str:
-    """Return the full name of a column, if the file adds a unit in brackets or a unique path.
+    """Return the full name of a column, because the file may add a unit in brackets or a unique path.
 
-    Examples are "t [ms]" and "/run.t" for "t".
+    Examples of full names are "t [ms]" and "/run.t" for the column "t".
     """
     if name in table:
         return name
@@ -133,7 +133,7 @@ def whole_name(table: Table, name: str) -> str:
 
 #: Largest number of bytes in a cell of text. A number or a time needs a tenth of this limit.
 LONGEST_CELL = 1000
-#: Suffix that polars gives to the repeated name of a column.
+#: Suffix of the second column with the same name in polars.
 TWICE = "_duplicated_0"
 
 
@@ -163,7 +163,9 @@ def _check_cells(label: str, series: pl.Series) -> None:
 
 
 def column(table: Table, key: str, name: str) -> Floats:
-    """Return the column `name` as numbers (n,) with NaN for empty cells. Raises UsageError if it is not numeric."""
+    """Return the column `name` as numbers (n,) with NaN for empty cells. Raises UsageError if the column is not
+    numeric.
+    """
     value = lookup(table, key, name)
     label = f"{key} column {name!r}"
     if isinstance(value, np.ndarray):

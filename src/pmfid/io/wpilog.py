@@ -46,7 +46,9 @@ def parse_wpilog(data: bytes) -> ClockedSignals:
 
 
 def _records(data: bytes, start: int) -> Iterator[tuple[int, int, bytes]]:
-    """Yield entry, stamp and payload of each record. The bits of its first byte contain the sizes of these numbers."""
+    """Yield entry, stamp and payload of each record. The bits of the first byte of a record contain the sizes of
+    these numbers.
+    """
     place, end = start, len(data)
     while place < end:
         bits = data[place]
@@ -88,7 +90,7 @@ def _signals(name: str, kind: str, log: _Log) -> Iterator[tuple[str, Signal]]:
     dtype = np.dtype(TYPES[kind.removesuffix("[]")])
     sizes = {len(payload) for payload in log.payloads} or {dtype.itemsize}
     if len(sizes) != 1 or (size := sizes.pop()) % dtype.itemsize or not size:
-        return  # varying lengths make no column
+        return  # values of varying length make no column
     rows = np.frombuffer(b"".join(log.payloads), dtype).reshape(-1, size // dtype.itemsize)
     time = np.array(log.times, np.float64) / SECOND
     if not kind.endswith("[]"):

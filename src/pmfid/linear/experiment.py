@@ -23,7 +23,8 @@ from pmfid.types import Floats
 class Grid:
     """The instants of one uninterrupted stretch of a record.
 
-    `steps` (N-1,) are the times between neighbouring instants, or one number for equal steps. `size` is N.
+    `steps` (N-1,) are the times between neighbouring instants, or one number for equal steps. `size` is the number N of
+    instants.
     """
 
     steps: Floats | float
@@ -54,7 +55,7 @@ class Grid:
 class Transition:
     """The transition x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]).
 
-    The arrays belong to one step (uniform grid) or to each step.
+    On a uniform grid, the arrays belong to every step. Otherwise they hold one entry for each step.
     """
 
     phi: Floats
@@ -213,7 +214,7 @@ class Experiment(Presentable):
         return found if self.reference is None else found | {"reference": self.reference}
 
     def to_dict(self) -> dict[str, object]:
-        """Return lists over the samples, and the settings."""
+        """Return the settings, and lists over the samples."""
         own = {"name": self.name, "hold": self.hold, "gap": self.gap, "dt": self.dt}
         return {key: plain(value) for key, value in (own | self.columns()).items()}
 
@@ -380,9 +381,9 @@ class RecordStretch:
     """An uninterrupted part of a record on a grid of M instants.
 
     `inputs` (1 or 2, M) holds the late input and, with a reference, the part of the input that the reference explains.
-    The output y (M,) follows a straight line between measured instants. `rows` are the measured instants, and `samples`
-    are their numbers in the record. `held` says whether the input is constant within a step. `record` is the number of
-    the record.
+    The output y (M,) follows a straight line between measured instants. `rows` are the numbers of the measured instants
+    on the grid, and `samples` are their numbers in the record. `held` says whether the input is constant within a step.
+    `record` is the number of the record.
     """
 
     grid: Grid

@@ -29,10 +29,10 @@ class OrderCandidate:
 
     The structure has the numbers n, m and delay [samples]. `bic` is Schwarz's criterion N log(error power) + p log(N)
     after the whitening filter of the noise, and less is better. `fit` is the part of the output's standard deviation
-    that the simulation explains [%]. `condition` is that of the scaled sensitivities, and is large if poles and zeros
-    nearly cancel. `settled` says whether the iteration converged. `white` says whether the filtered residual is white
-    noise. The parameters theta have shape (p,), and N is the number of samples. `refused` is the reason against an
-    estimate of this structure, if it was tried.
+    that the simulation explains [%]. `condition` is the condition number of the scaled sensitivities, which is large if
+    poles and zeros nearly cancel. `settled` says whether the iteration converged. `white` says whether the filtered
+    residual is white noise. The parameters theta have shape (p,), and N is the number of samples. `refused` is the
+    reason against an estimate of this structure, if it was tried.
     """
 
     n: int
@@ -52,8 +52,8 @@ class OrderCandidate:
 class Search:
     """The candidates, best first, with those that did not converge at the end.
 
-    `skipped` is the number of structures that cannot be best, according to models that contain them. `samples` is N,
-    equal for all delays.
+    `skipped` is the number of structures that are worse than the best structure for certain, because a larger model is
+    already worse. `samples` is the number N of samples, equal for all delays.
     """
 
     candidates: tuple[OrderCandidate, ...]
@@ -103,7 +103,7 @@ def search_structure(
         return bounds.get((n, delay), -math.inf) - (n - 1 - m) * math.log(samples)
 
     rest = sorted(((n, m, delay) for n, _, delay in places for m in range(n - 1)), key=least)
-    # The most promising structures come first, because a better best structure allows more skips.
+    # The most promising structures come first, because a better first result lets the search skip more structures.
     for count, place in enumerate(rest):
         best = min(candidate.bic for candidate in found)
         if least(place) <= best and (candidate := _try(trimmed, *place, cutoff, offset, colour)) is not None:
@@ -117,8 +117,8 @@ def search_structure(
 def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> Search:
     """Return the search with the first structure that is not refused at the front.
 
-    `refusal` returns the reason against an estimate of a structure, UNSTABLE, or an empty text. The structures that
-    were refused store the reason.
+    `refusal` returns the reason against an estimate of a structure, UNSTABLE, or an empty text. Each refused structure
+    stores the reason.
     """
     refused: list[OrderCandidate] = []
     rest = list(search.candidates)

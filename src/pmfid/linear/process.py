@@ -197,7 +197,7 @@ class Process(Presentable):
         """Return the response G (f,) at frequencies (f,) or at a single frequency [rad/s], and two standard deviations
         (f,).
 
-        The standard deviations are those of the relative magnitude and of the phase [rad].
+        The standard deviations belong to the relative magnitude and to the phase [rad].
         """
         s = 1j * np.atleast_1d(_real("frequencies", frequencies))
         A = np.polyval(np.r_[1.0, self.a[::-1]], s)
@@ -332,8 +332,8 @@ class Process(Presentable):
     def _root_std(self, coefficients: Floats, roots: Complex, part: slice) -> Floats:
         """Return the standard deviations (r, 2) of the roots.
 
-        The coefficients move by two standard deviations in the direction that moves a root most. Half of the motion of
-        the root is its standard deviation. For distant poles, the result equals that of the delta method. For
+        The coefficients move by two standard deviations in the direction that moves a root most. The standard deviation
+        of the root is half of its motion. For distant poles, the result equals that of the delta method. For
         neighbouring poles, the delta method would give nothing or far too little.
         """
         cov = self.cov[part, part]

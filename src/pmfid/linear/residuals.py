@@ -111,8 +111,8 @@ def _compute_fit_effect(noise: Noise, taken: Floats, place: Places, most: int) -
 def _correlate_over_gaps(error: Floats, place: Places, most: int) -> Floats:
     """Return the autocovariance (most + 1,) with straight lines over short gaps.
 
-    Sums over different pairs differ by more than the variance that a prediction of slow noise leaves. No model follows
-    from such sums.
+    With gaps, the sums for different lags have different pairs of samples. For slow noise, their difference exceeds the
+    variance of a prediction, so that no valid model follows.
     """
     line = np.arange(int(place[-1] - place[0]) + 1) + place[0]
     nearest = np.searchsorted(place, line)
@@ -125,7 +125,7 @@ def _correlate_over_gaps(error: Floats, place: Places, most: int) -> Floats:
 def _from_autocovariance(r: Floats, samples: int) -> Noise:
     """Return the noise model from an autocovariance by Levinson's recursion.
 
-    A reflection of 1 or more ends the recursion, because that order is invalid.
+    A reflection coefficient of 1 or more ends the recursion, because such an order is invalid.
     """
     a, variance = np.zeros(0), max(float(r[0]), 1e-300)
     best, least = Noise(a, variance, variance), samples * np.log(variance)
@@ -158,7 +158,7 @@ def _size(place: Places) -> int:
 
 
 def is_white(error: Floats) -> bool:
-    """Return whether chance explains the autocorrelations of a residual (n,) that are beyond their bounds."""
+    """Return whether a residual (n,) is white, up to a few autocorrelations that exceed their bounds by chance."""
     power = max(float(error @ error), 1e-300)
     auto = np.array([correlate_at_lag(error, error, lag) for lag in range(1, TUNING.residuals_lags + 1)]) / power
     return few_beyond(auto, TUNING.residuals_deviate / float(np.sqrt(max(error.size, 1))))
@@ -181,7 +181,7 @@ class Phases:
     """The rows (N,) of a residual by their place in the period of the input.
 
     `index` (N,) is the place of each row. `counts` (P,) is the number of rows at each place, at least 2. `kept` (N,)
-    marks the rows at such places.
+    marks the rows at places with two or more rows.
     """
 
     index: Places
@@ -246,7 +246,7 @@ def split(error: Floats, phases: Phases) -> tuple[Floats, Floats]:
 
 
 def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], phases: Phases, place: Places) -> bool:
-    """Return whether more of a residual (N,) is equal in every period than noise and parameter errors explain.
+    """Return whether a residual (N,) has a larger periodic part than noise and errors of the parameters explain.
 
     The residual has rising places (N,), and `known` (N, p) holds the effects of the parameters. Loud noise at one
     frequency causes errors of the parameters at other frequencies.
@@ -268,7 +268,7 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], ph
 
 
 def _evidence(stretch: RecordStretch, white: Floats) -> Floats:
-    """Return -2 log of the probability that noise has as much power, for each harmonic (K,)."""
+    """Return -2 log p for each harmonic (K,), where p is the probability that noise has at least its power."""
     period = period_of(stretch.inputs[0]) or stretch.grid.size
     times = stretch.grid.size // period
     line = np.zeros(stretch.grid.size)
@@ -340,7 +340,7 @@ def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -
     """Return the covariance (p, p) of the sum of zeta v, where v is the noise.
 
     The columns of zeta (N, p) have similar sizes. The error (N,) is the part of v that the fit along zeta leaves, at
-    places (N,). Without places, the samples follow one another.
+    places (N,). If `place` is None, the samples follow one another without gaps.
     """
     place = np.arange(error.size) if place is None else place
     Q, R = np.linalg.qr(zeta)

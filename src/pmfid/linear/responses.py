@@ -49,7 +49,7 @@ def _reverse_time(w: Floats, held: bool) -> Floats:
 class Late:
     """Late states (n, channels, N), late inputs (channels, N) and the slopes of the inputs.
 
-    All values are those one dead time before each instant. Values before the first instant are zero.
+    Each value belongs to the time one dead time before its instant. Values before the first instant are zero.
     """
 
     states: Floats
@@ -79,7 +79,7 @@ def delay_states(F: Floats, g: Floats, grid: Grid, w: Floats, states: Floats, de
 def _places(grid: Grid, t: Floats, steps: Floats, dead_time: float) -> tuple[NDArray[np.int64], Floats]:
     """Return the last instant (N,) at or before each reading, and the time from that instant to the reading.
 
-    The instant is negative if none exists.
+    The number of the instant is negative if no such instant exists.
     """
     if isinstance(grid.steps, float):
         whole = int(np.ceil(dead_time / grid.steps - TUNING.responses_same))
@@ -108,7 +108,7 @@ class Structure:
     """A transfer function with n poles and m zeros, with or without a constant output.
 
     `integrators` is the number of poles at 0. If `unstable`, poles may lie in the right half-plane. `dead_time` is the
-    part of the input's dead time that is not in the stretches, in their unit of time. `latest` is None for a known dead
+    dead time of the input that the stretches do not contain, in their unit of time. `latest` is None for a known dead
     time. Otherwise the dead time is the last parameter, between dead_time and `latest`.
     """
 
@@ -199,8 +199,8 @@ def companion(a: Floats) -> Floats:
 
 
 def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twice: bool) -> Channels:
-    """Return the channels for the denominator and the dead time in theta (p,). If `twice`, they contain s^j / (A
-    A').
+    """Return the channels for the denominator and the dead time in theta (p,). If `twice`, the channels contain s^j
+    / (A A').
     """
     n, free, size, late = structure.n, structure.free, stretch.grid.size, structure.lateness(theta)
     a = structure.denominator(theta)
@@ -285,7 +285,7 @@ def simulate(
 ) -> Floats:
     """Return the output (M,) from the initial conditions (n,) and one input.
 
-    `source` is the number of the input in the stretch. None takes the input that the instruments come from.
+    `source` is the number of the input in the stretch. If `source` is None, the input is that of the instruments.
     """
     _, b, offset = structure.split(theta)
     single = channels(structure, theta, stretch, twice=False).single
@@ -295,7 +295,9 @@ def simulate(
 
 
 def stable(a: Floats, duration: float) -> Floats:
-    """Return a with reflected poles from the right half-plane. Poles that hardly grow within the duration remain."""
+    """Return the coefficients a after a reflection of poles from the right half-plane. Poles whose response hardly
+    grows within the duration remain.
+    """
     poles = np.roots(np.r_[1.0, a[::-1]])
     bad = poles.real * duration > 1.0
     if not np.any(bad):
@@ -359,7 +361,7 @@ class Responses:
 def respond_exactly(A: Floats, terms: list[ExactTerm], signals: Floats, dt: float) -> Responses:
     """Return the responses from rest for A (n+1,), starting with the constant, and held signals (s, N).
 
-    All powers are below n.
+    The powers of all terms are below n.
     """
     n, size = A.size - 1, signals.shape[1]
     poles = np.roots(A[::-1])

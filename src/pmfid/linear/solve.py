@@ -33,7 +33,7 @@ class ProcessProblem:
 
     @property
     def without_reference(self) -> ProcessProblem:
-        """The problem with the inputs themselves in place of the parts that the reference explains."""
+        """The problem with the measured inputs in place of the parts that the reference explains."""
         return replace(self, stretches=tuple(replace(stretch, inputs=stretch.inputs[:1]) for stretch in self.stretches))
 
 
@@ -105,7 +105,9 @@ def step_from(point: ProcessPoint, phi: Floats) -> Floats:
 
 
 def movable(problem: ProcessProblem, point: ProcessPoint, step: Floats) -> Floats:
-    """Mark the parameters (p,) that may move. A dead time at its bound may not follow a step (p,) beyond the bound."""
+    """Mark the parameters (p,) that may move. A dead time at its bound may not move beyond the bound, as the step
+    (p,) would.
+    """
     free, latest = np.ones(step.size, bool), problem.structure.latest
     if latest is not None:
         free[-1] = not (point.theta[-1] <= 0.0 and step[-1] < 0.0) and not (
@@ -134,7 +136,7 @@ def filter_problem(problem: ProcessProblem, pole: float) -> ProcessPoint:
 
 
 def first_guess(problem: ProcessProblem, pole: float) -> ProcessPoint:
-    """Return the least squares with the filter 1/(s + pole)^n."""
+    """Return the least-squares solution with the filter 1/(s + pole)^n."""
     point = filter_problem(problem, pole)
     theta = point.theta
     size = np.linalg.norm(point.phi, axis=0)
@@ -230,7 +232,7 @@ def solve(problem: ProcessProblem) -> Solution:
     """Refine the solution of least squares.
 
     If the refinement does not converge, the function descends and tries other filters. With solve_several poles or
-    more, a filter may miss a resonance. Then the function tries all filters and returns the best solution.
+    more, a filter may miss a resonance. For such models, the function tries all filters and returns the best solution.
     """
     best: Solution | None = None
     every = problem.structure.free >= TUNING.solve_several and not problem.referenced
@@ -280,8 +282,8 @@ def _reason(problem: ProcessProblem) -> str:
 def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
     """Solve by instrumental variables with the fixed filter 1/(s + pole)^n and instruments from the simulated output.
 
-    The output is a straight line between its samples, which causes an error of order dt^2. Direct feedthrough (m = n)
-    jumps with the input and is treated separately.
+    The method takes the output as a straight line between samples, which causes an error of order dt^2. Direct
+    feedthrough (m = n) jumps with the input and is treated separately.
     """
     data, point = filter_problem(problem, pole), first_guess(problem, pole)
     theta, missed = point.theta, _missed_by_lines(problem, pole, data)
@@ -340,8 +342,8 @@ def _replace_output(stretch: RecordStretch, signal: Floats) -> RecordStretch:
 
 
 def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least: int) -> tuple[RecordStretch, ...]:
-    """Return the stretches with the outputs from `time` after the first instant on, because the late input is unknown
-    before.
+    """Return the stretches without outputs earlier than `time` after the first instant, because the late input is
+    unknown there.
 
     Stretches with fewer than `least` outputs are left out.
     """

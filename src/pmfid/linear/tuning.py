@@ -14,7 +14,7 @@ class LinearTuning:
     #: float64.
     series_terms: int = 14
     series_norm: float = 0.25
-    #: Columns in each block of a product of a small matrix and a long matrix.
+    #: Number of columns in each block of a product of a small matrix and a long matrix.
     experiment_block: int = 2048
     #: Relative deviation from an even spacing below which instants are evenly spaced. Clocks and decimals cause such
     #: deviations.
@@ -23,7 +23,8 @@ class LinearTuning:
     experiment_same: float = 1e-9
     #: Longest step without a gap, in median steps. The input within a gap is unknown.
     experiment_gap: float = 1.75
-    #: Samples of the response from reference to input, and samples of the record for each of them.
+    #: Largest number of samples in the response from reference to input. The next constant is the number of samples of
+    #: the record for each sample of the response.
     experiment_response: int = 200
     samples_per_coefficient: int = 10
 
@@ -31,7 +32,8 @@ class LinearTuning:
     #: Relative decrease of the sum of squares below which a step is unnecessary and a model is judged.
     order_settled: float = 1e-6
     order_passes: int = 10
-    #: Poles of the smaller of two models that determine the colour of the noise. The other model has the most poles.
+    #: Poles of the smaller of two models that determine the colour of the noise. A second model with the most poles
+    #: competes with this model.
     order_middle: int = 3
     #: Number of best structures that get more passes if they did not converge.
     order_retried: int = 8
@@ -59,7 +61,7 @@ class LinearTuning:
     #: Smallest number of steps between the end of a line and its beginning in a circular transform.
     residuals_round: int = 256
     residuals_lags: int = 25
-    #: Normal deviate of the bounds, which contain 99 % of independent residuals.
+    #: Normal deviate of the bounds that contain 99 % of the correlations of an independent residual.
     residuals_deviate: float = 2.576
     #: Relative difference of the inputs, in parts of their range, below which two periods are equal.
     residuals_same: float = 1e-6
@@ -72,11 +74,13 @@ class LinearTuning:
     residuals_around: int = 6
     #: Relative size below which the effect of a parameter is a combination of others.
     residuals_rcond: float = 1e-7
-    #: Probability of chance below which a residual repeats. This part of the right models is rejected by mistake.
+    #: Probability of chance below which a residual is periodic, and thus the part of the right models that the test
+    #: rejects.
     residuals_chance: float = 1e-4
-    #: Smallest part of the samples with a whole past for the filter. With fewer samples, the filter is not used.
+    #: Smallest part of the samples with a whole past for the whitening filter. If fewer samples have a whole past, the
+    #: filter is not used.
     residuals_kept: float = 0.6
-    #: Steps between the stretches on the line of all samples. Usual noise has a shorter memory.
+    #: Number of steps between the stretches on the line of all samples. The memory of usual noise is shorter.
     residuals_apart: int = 100
     #: Smallest number of degrees of freedom. The effective number of samples limits the accuracy of the noise power,
     #: and Student's t has a larger variance than a normal deviate.
@@ -89,7 +93,8 @@ class LinearTuning:
     # solve
     solve_refinements: int = 30
     solve_descents: int = 60
-    #: Relative decrease of the sum of squares below which an iteration has converged, 1e-4 standard deviations or less.
+    #: Relative decrease of the sum of squares below which an iteration has converged, to 1e-4 standard deviations or
+    #: less.
     solve_settled: float = 1e-12
     #: Decrease of the sum of squares, relative to that of the output, below which only rounding remains.
     solve_rounding: float = 1e-20
@@ -102,7 +107,8 @@ class LinearTuning:
     #: Poles of further start filters relative to the first filter, used if the first filter does not lead to
     #: convergence.
     solve_starts: tuple[float, ...] = (1.0, 3.0, 1 / 3, 10.0)
-    #: Passes for each whole number of samples, and number of best start values for complete iterations.
+    #: Number of passes for each whole number of samples. `solve_followed` is the number of best start values for
+    #: complete iterations.
     solve_passes: int = 2
     solve_followed: int = 2
     #: Largest distance of the dead time above the largest start value [samples].

@@ -33,7 +33,7 @@ from pmfid.pipeline.validation import Validation, validate_parameters
 from pmfid.records.joining import join_records
 from pmfid.records.record import Record, record_of
 
-#: Names of the two signals in messages.
+#: Names of input and output in messages.
 INPUT, OUTPUT = "u", "y"
 
 

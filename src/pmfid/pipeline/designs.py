@@ -77,7 +77,7 @@ class ExperimentSpec(FileSection):
 
 
 class MotionSpec(FileSection):
-    """[motion]: start, end and duration of the motion, which is always forward unless `directions` differs."""
+    """[motion]: start, end and duration of the motion, which is always forward without other `directions`."""
 
     duration: Positive = Field(le=1e6, description="the length of the motion in s, at most 1e6")
     intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
@@ -129,7 +129,9 @@ class PriorSpec(FileSection):
 
 
 class RobustSpec(FileSection):
-    """[robust]: the possible relative errors of the nominal values. The limits also hold for such errors."""
+    """[robust]: the possible relative errors of the nominal values. The limits of the machine also hold with wrong
+    nominal values.
+    """
 
     mass: Annotated[float, Field(ge=0, lt=1)] = Field(0.0, description="the part it may be wrong by, as 0.2")
     viscous_friction: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="the part it may be wrong by")

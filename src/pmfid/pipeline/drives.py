@@ -60,10 +60,10 @@ __all__ = ["check_direction"]
 
 
 def check_direction(record: Record, axis: Axis) -> str:
-    """Describe the mistake in an equation of first order with a direction if its output is a velocity.
+    """Describe the mistake in a first-order equation with a friction direction whose output is a velocity.
 
-    The text is empty for any other equation. The direction follows the change of the output. If the output is a
-    velocity, this is the direction of the acceleration.
+    The text is empty for any other equation. The kernel takes the direction from the change of the output. If the
+    output is a velocity, the change has the direction of the acceleration, which is wrong for friction.
     """
     model, config = axis.model.make(), axis.estimator
     above = _integrate_equation(model.equation)
@@ -245,7 +245,9 @@ def _construct(axis: Axis, record: Record) -> Estimator:
 
 
 def _check_known(result: DriveResult) -> None:
-    """Raise NotIdentifiableError for a mass below its standard deviation, or for a simulated motion that differs."""
+    """Raise NotIdentifiableError for a mass below its standard deviation, or for a simulated motion unlike the
+    measured motion.
+    """
     _check_sizes(result.estimator, result.theta, result.theta_std, advise(result.findings))
     if "not_followed" in result.status or not np.isfinite(result.relative_error):
         raise NotIdentifiableError(advise(result.findings))
@@ -265,7 +267,7 @@ def _check_sizes(estimator: Estimator, theta: Floats, theta_std: Floats, advice:
 def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> list[Finding]:
     """Return a note if the error of the filtered equation exceeds the input.
 
-    The steps of a coarse encoder in the acceleration cause such an error even at the right parameters. Raises
+    The steps of a coarse encoder in the acceleration can cause a large error even at the right parameters. Raises
     NotIdentifiableError if no simulated motion confirms the parameters.
     """
     if not relative > 1:
@@ -346,14 +348,14 @@ def _widen_errors(result: DriveResult, record: Record) -> Floats:
 
 
 def _collect_status(record: Record) -> int:
-    """Return the status bits of the gaps, which the record's notes explain."""
+    """Return the status bits that gaps of the record cause."""
     return int(Status.SAMPLE_REJECTED | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
-    """Return the adequacy of the model if it is known or needs a test.
+    """Return the adequacy of the model if an earlier test or a free lag provides it, and None otherwise.
 
-    Only a free lag needs a test here, because the lag from instrumental variables is not the best fit.
+    A free lag needs a further test, because the lag from instrumental variables is not the best fit.
     """
     if choice is not None:
         tested = choice.adequacy

@@ -48,7 +48,7 @@ def drive_estimator(
 def check_exportable(axis: Axis) -> EstimatorConfig:
     """Return [estimator] with the method that a drive runs if the configured method is "auto".
 
-    Raises UsageError for a method or data that a drive cannot have. The check needs no record.
+    Raises UsageError for a method or data that a drive cannot have. The function needs no record.
     """
     kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
     check_numbers_known(axis, "firmware")

@@ -56,7 +56,7 @@ def friction_curve(
     counts : array_like (n,)
         Counts of the encoder.
     model : Drive
-        A drive whose input_gain and dead_time are used. The function ignores the friction of the model.
+        The drive. The function uses its input_gain and dead_time, and ignores its friction.
     encoder : Encoder
     dt : float
         Sample period [s].

@@ -49,11 +49,11 @@ class Kind(ABC, Generic[Data]):
         """Read the records from a table of columns. Raises UsageError as `read` does."""
 
     def prepare_axis(self, data: Data, axis: Axis) -> Axis:
-        """Return the configuration with all settings that it leaves to the record."""
+        """Return the configuration with values for all settings that the record determines."""
         return axis
 
     def complete_record(self, data: Data, axis: Axis) -> Data:
-        """Return the records, where a complete configuration lets the model fill missing samples."""
+        """Return the records. With a complete configuration, the model fills missing samples."""
         return data
 
     @abstractmethod

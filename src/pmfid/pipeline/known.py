@@ -34,7 +34,7 @@ def set_gain(axis: Axis, gain: float) -> Axis:
 
 
 def set_any_gain(axis: Axis) -> Axis:
-    """Return the axis with a number as input gain, for uses that do not depend on the number."""
+    """Return the axis with some number as input gain, for uses that do not depend on its value."""
     return set_gain(axis, 1.0) if finds_gain(axis) else axis
 
 
@@ -110,7 +110,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
 def check_numbers_known(axis: Axis, what: str) -> None:
     """Raise UsageError if the input gain is not a number, or if the axis has prior information.
 
-    `what` names the user of the axis, who needs the number and does not support prior information.
+    `what` is the name of the function that needs the input gain and does not support prior information.
     """
     if finds_gain(axis):
         raise UsageError(

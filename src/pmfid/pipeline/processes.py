@@ -157,9 +157,9 @@ def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[
 
 
 def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandidate) -> str:
-    """Return the reason against a structure, or an empty text.
+    """Return the reason to refuse a structure, or an empty text.
 
-    The reason is a missing estimate or an estimate without recommendation.
+    A reason is a missing estimate, or an estimate that is not recommended.
     """
     places = {"n": candidate.n, "m": candidate.m, "delay": candidate.delay}
     model = axis.model.model_copy(update={"kind": "transfer_function", **places})

@@ -393,13 +393,14 @@ class ProcessResult(Result):
         }
 
 
-#: Masses as forces per acceleration; then lengths and angles, but not the metre of a torque.
+#: Patterns for units: masses become forces per acceleration, and then lengths and angles become counts. The metre of a
+#: torque remains.
 _MASSES = {"kg": "N s2/m", "kg m2": "N m s2/rad"}
 _LENGTH = re.compile(r"(?<=/)(?:m|rad)(?=\d|$)|^(?:m|rad)(?=/s|$)")
 
 
 def convert_to_counts(unit: str) -> str:
-    """The unit of a parameter where lengths and angles are in counts."""
+    """Return the unit of a parameter if lengths and angles are in counts."""
     return _LENGTH.sub("count", _MASSES.get(unit, unit))
 
 

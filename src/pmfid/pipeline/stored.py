@@ -1,6 +1,6 @@
 """RESULT.json: the parameters of an earlier identification, validated on load.
 
-Every value must be a number, and the model must be that of AXIS.toml.
+Every value in the file must be a number, and the model must be that of AXIS.toml.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ __all__ = ["Stored", "read_stored"]
 
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml that it was identified with"
-#: Prefixes of names that are not parameters of the motion: unknowns of a pre-filter, and an estimated input gain. The
-#: gain has its own check.
+#: Prefixes of names that are not parameters of the motion: unknowns of a pre-filter, and an estimated input gain. A
+#: separate function checks the gain.
 NOT_OF_MOTION = ("prefilter_", "input_gain")
 
 
@@ -91,7 +91,8 @@ class Stored:
     def check_equation(self, text: str) -> None:
         """Raise UsageError for parameters of another equation.
 
-        The names do not show a known dead time, the speed of a friction term or the pitch of a force.
+        The names of parameters alone do not show a known dead time, the speed of a friction term or the pitch of a
+        force.
         """
         if self.equation is not None and self.equation != text:
             stored = printable(" ".join(self.equation.split()))[: TUNING.stored_longest]

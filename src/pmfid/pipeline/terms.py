@@ -45,9 +45,9 @@ class NestedModel:
     """One of the compared models.
 
     `added` holds the keys of [model] that differ from the first model, with their values. `fit` is None without
-    standard errors. `error` is that of free runs over samples outside the fit [unit of y], or infinite without such
-    runs. `unexplained` holds two relative parts of friction and load that the model leaves, for the whole motion and
-    for its slow part. An unknown part is NaN.
+    standard errors. `error` is the error of free runs over samples outside the fit [unit of y], or infinity without
+    such runs. `unexplained` holds the relative parts of friction and load that the model leaves, for the whole motion
+    and for its slow part. An unknown part is NaN.
     """
 
     added: dict[str, object]
@@ -89,8 +89,9 @@ def _balance(bench: Bench, trial: Trial) -> Balance | None:
 def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
     """Return the parts of the resistance to the motion that a model leaves, for the whole motion and its slow part.
 
-    The motion is that of the chosen model. The unexplained resistance has two sources: the difference to the chosen
-    model, and the significant resistance in the force balance that the chosen model leaves.
+    The motion is that of the chosen model. The unexplained resistance has two sources. One is the difference between
+    the model and the chosen model. The other is the significant resistance that the chosen model leaves in the force
+    balance.
     """
     if balance is None or last is None or last.friction is None:
         return math.nan, math.nan
@@ -123,10 +124,10 @@ def finite(value: float) -> float | None:
 class WeighedTerm:
     """A term that was fitted.
 
-    `setting` holds its lines of [model]. `values` holds the name, value, standard error (NaN if unknown) and unit of
-    each parameter of the term. `kept` says whether the term is in the chosen model. `with_it` and `without` are errors
-    of free runs over samples outside the fits [unit of y]. Without such runs, the errors are not finite. `verdict` is
-    the decision on the term.
+    `setting` holds the lines of the term in [model]. `values` holds the name, value, standard error (NaN if unknown)
+    and unit of each parameter of the term. `kept` says whether the term is in the chosen model. `with_it` and `without`
+    are errors of free runs over samples outside the fits [unit of y]. Without such runs, the errors are not finite.
+    `verdict` is the decision on the term.
     """
 
     setting: str
@@ -162,7 +163,9 @@ def _setting(step: FittedCandidate) -> str:
 
 
 def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | None) -> WeighedTerm:
-    """Return the weighed term of a step. `first` is the first model, and `trial` has the term."""
+    """Return the weighed term of a step. `first` is the first model of the search, and `trial` is a fit with the
+    term.
+    """
     equation = trial.model.equation
     rest = change_arguments(trial.model, {key: getattr(first, key) for key in step.candidate.change}).equation
     names, units = (*equation.names, *dict(equation.further)), (*equation.units, *dict(equation.further).values())
@@ -391,7 +394,7 @@ def _judge_initial_model(data: Record, axis: Axis) -> Said | None:
 
 
 def round_up(number: float) -> float:
-    """Return the number, rounded up to three digits."""
+    """Return the number after rounding up to three digits."""
     digit = 10.0 ** (math.floor(math.log10(number)) - 2)
     return math.ceil(number / digit) * digit
 
@@ -399,7 +402,7 @@ def round_up(number: float) -> float:
 def _fast_enough(data: Record, axis: Axis) -> Axis:
     """Return the configuration with a cutoff.
 
-    If the configuration has none, the filters must be fast enough for the prediction of a part of the record.
+    A cutoff that the function chooses is high enough for the prediction of a part of the record.
     """
     found, least = (
         Drives().prepare_axis(data, axis),
@@ -460,7 +463,7 @@ def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> 
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
     said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
-    # The search itself has fitted, and kept or refused, the terms that such advice proposes for [model].
+    # Advice to set a term of [model] is omitted, because the search has already fitted such terms.
     own = [
         replace(one, sentence=UNEXPLAINED, remedy="") if one.code == UNMODELLED else one
         for one in said.judged

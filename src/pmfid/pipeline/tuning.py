@@ -12,7 +12,7 @@ class PipelineTuning:
     # checks.counter
     #: Limits for a column that changes only every k rows. `counter_most` is the largest k, and `counter_least` is the
     #: smallest number of changes. `in_step` is the smallest part of the changes in step with k. `counter_often` is the
-    #: smallest part of these rows with a change.
+    #: smallest part of every k-th row with a change.
     counter_most: int = 50
     counter_least: int = 30
     in_step: float = 0.98
@@ -40,8 +40,9 @@ class PipelineTuning:
     #: smooth the steps of an encoder [samples].
     force_reverses: float = 0.2
     force_widths: tuple[int, ...] = (3, 9, 27, 81)
-    #: Greatest unexplained part of an unsigned input with the best signs. `force_better` is its greatest ratio to the
-    #: part without signs. `force_turns` is the number of iterations in the search for the signs.
+    #: Greatest unexplained part of an unsigned input with the best signs. `force_better` is the greatest ratio of the
+    #: unexplained part with signs to that without signs. `force_turns` is the number of iterations in the search for
+    #: the signs.
     force_signed: float = 0.7
     force_better: float = 0.5
     force_turns: int = 10
@@ -53,12 +54,13 @@ class PipelineTuning:
     #: part to the part that the given reading leaves.
     readings_follows: float = 0.15
     readings_better: float = 0.3
-    #: Greatest unexplained part if a reading also leaves friction unexplained. The input must then have the clock of
-    #: the output, because an integral also follows an input with another clock.
+    #: Greatest unexplained part for a reading with friction that no model explains. Such a reading also requires a
+    #: common clock, because an integral also follows an input with another clock.
     readings_loosely: float = 0.3
     #: Unexplained part below which the check tries no other reading if the mass is significant.
     readings_clearly: float = 0.001
-    #: Standard deviations above which a sign is certain, and above which it is likely.
+    #: Number of standard deviations above which a sign is certain. `readings_likely` is the number above which a sign
+    #: is likely.
     readings_certain: float = 4.5
     readings_likely: float = 3.0
     #: Unexplained part above which a record says nothing about a sign.
@@ -100,7 +102,8 @@ class PipelineTuning:
     timing_astray: float = 0.5
     timing_counts: float = 10.0
     timing_rows: int = 12
-    #: Counts per sample below which most samples carry no information, and counts per sample that suffice.
+    #: Counts per sample below which most samples carry no information. `timing_plenty` is a sufficient number of counts
+    #: per sample.
     timing_idle: float = 0.02
     timing_plenty: float = 0.2
     #: Time constants of the filters that show a drift [samples]. `timing_drifted` is the smallest drift [samples], and
@@ -126,13 +129,14 @@ class PipelineTuning:
     one_way: float = 0.05
     #: Speed over which friction at rest falls, relative to the usual speed.
     view_slow: float = 0.1
-    #: Spans that show the edges of a stop [samples], and the least change of the motion at an abrupt edge [counts].
+    #: Spans that show the edges of a stop [samples]. `view_counts` is the smallest change of the motion at an abrupt
+    #: edge [counts].
     view_spans: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
     view_counts: int = 6
     #: Smallest ratio of the change of the motion at an abrupt stop to the largest change elsewhere.
     view_abrupt: float = 2.5
-    #: Factor of the limit for a stop that the axis leaves slowly or never. If the record has view_several stops, the
-    #: change must also exceed view_abrupt times the median of all stops.
+    #: Factor that raises the limit for a stop that the axis leaves slowly or never. If the record has view_several
+    #: stops, the change at such a stop must also exceed view_abrupt times the median of all stops.
     view_dead: float = 2.0
     view_several: int = 3
     #: Smallest part of the record outside of stops that allows a comparison of a stop with other rows.
@@ -158,7 +162,7 @@ class PipelineTuning:
     most_limit: float = 1e100
 
     # drives
-    #: Largest ratio of the unexplained part after integration to that before integration.
+    #: Largest ratio of the unexplained part after integration to the unexplained part before integration.
     drives_better: float = 0.5
     drives_chunk: int = 100_000
     #: Greatest part of the motion that a valid simulation leaves unexplained.
@@ -174,7 +178,7 @@ class PipelineTuning:
     axis_file_shortest: float = 1e-5
     axis_file_longest: float = 0.1
     axis_file_usual: float = 1e-3
-    #: Most characters of a list of columns in a message.
+    #: Largest number of characters of a list of columns in a message.
     axis_file_listed: int = 80
 
     # guess.columns
@@ -196,21 +200,23 @@ class PipelineTuning:
     most_pairs: int = 36
     #: Smallest travel of a joint, relative to the largest travel of any joint.
     least_travel: float = 0.05
-    #: Factor of the explained part for a joint that seems to move against its torque, because other joints drive it.
+    #: Factor that reduces the explained part for a joint that seems to move against its torque, because other joints
+    #: drive such a joint.
     turned_joint: float = 0.5
     #: Greatest ratio of the part of the input that a pendulum leaves unexplained to the part that a plain drive leaves.
     #: `hanging_likely` is the smallest gravity in standard deviations. A pendulum without gravity costs little, because
     #: its gravity is then estimated as zero.
     hanging_better: float = 0.8
     hanging_likely: float = 2.5
-    #: Largest travel of an angle without a unit [rad] for a pendulum. A column with a larger travel is no angle or no
-    #: pendulum.
+    #: Largest travel of an angle without a unit [rad] for a pendulum. A column with a larger travel is no angle, or the
+    #: angle of no pendulum.
     most_turned: float = 1000.0
     #: Smallest mass of a reading in standard deviations.
     columns_significant: float = 4.5
     #: Factor of the unexplained part for a reading that contradicts the column's name.
     columns_against: float = 3.0
-    #: Smallest part of usual steps in a time column, and largest relative deviation of a usual step from the median.
+    #: Smallest part of usual steps in a time column. `columns_even` is the largest relative deviation of a usual step
+    #: from the median.
     columns_mostly: float = 0.9
     columns_even: float = 0.2
     #: Smallest jump of a column that is no motion, relative to its range, and smallest number of jumps in each
@@ -222,7 +228,8 @@ class PipelineTuning:
     columns_same: float = 0.99
 
     # monitored.lines
-    #: Largest number of stored sets of field names for one axis. The names may have units in brackets.
+    #: Largest number of stored sets of field names for one axis. The limit is necessary, because names with different
+    #: units in brackets make different sets.
     most_readings: int = 16
     #: Largest number of letters in a message on a received value.
     most_letters: int = 200
@@ -245,15 +252,16 @@ class PipelineTuning:
     # monitored.stream
     #: Largest number of bytes in a line. A longer line counts as several bad lines.
     longest_line: int = 65536
-    #: Number of first and of last lines that must contain samples, and least number of samples among the first lines.
+    #: Number of first lines, and of last lines, that must contain samples. The second constant is the smallest number
+    #: of samples among the first lines.
     first_lines: int = 100
     least_samples: int = 10
     #: Largest number of repetitions of every line by a logger.
     most_repeated: int = 3
 
     # monitored.timeline
-    #: Steps from line to line in a group, and least relative difference of their mean from the sample period that
-    #: matters.
+    #: Number of steps from line to line in a group. The next constant is the smallest relative difference between the
+    #: mean step and the sample period that matters.
     timeline_steps: int = 25
     timeline_coarse: float = 0.05
     #: Longest step before a repeated line, which counts as no step [sample periods].
@@ -261,7 +269,8 @@ class PipelineTuning:
     #: Smallest part of regular steps in a group with a period, and largest distance of a regular step from their mean.
     timeline_regular: float = 0.8
     timeline_close: float = 0.25
-    #: Samples before the mean period is checked, and the largest relative error of the period.
+    #: Number of samples before the mean period is checked. The next constant is the largest relative error of the
+    #: period.
     timeline_long: int = 500
     timeline_fine: float = 0.005
     #: Largest deviation of the stamp of an expected sample [sample periods]. The limit is large because late stamps are
@@ -270,11 +279,12 @@ class PipelineTuning:
     #: Part of a stamp's deviation by which the grid moves.
     timeline_follow: float = 0.1
     #: Number of successive lines that reveal missing samples. `timeline_late` is the number of lines that reveal a
-    #: clock that was set back. This number is larger, because a logger that repeats its last lines resembles such a
-    #: clock.
+    #: clock that was set back. The number for a clock is larger, because a logger that repeats its last lines resembles
+    #: a clock that was set back.
     timeline_ahead: int = 2
     timeline_late: int = 5
-    #: Shortest and longest step from a held line to the next one [sample periods]. Lines between the two may be lost.
+    #: Shortest and longest step from a held line to the next line [sample periods]. Lines between two such lines may be
+    #: lost.
     timeline_soonest: float = 0.25
     timeline_latest: float = 10.0
     #: Longest gap [s]. A longer gap is taken for a clock that was set.

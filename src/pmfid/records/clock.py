@@ -84,7 +84,7 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     grid.
 
     An even grid has one sample for each of its points and meets three conditions. No stamp deviates by nearly a period,
-    as a duplicate does. The steps scatter more than the stamps, which is impossible if errors add up. No group of
+    as a duplicate does. The steps scatter more than the stamps, as independent errors of the stamps cause. No group of
     stamps deviates by a quarter of a period, as after a missing sample.
     """
     n = time.size
@@ -109,7 +109,9 @@ def even_grid(time: Floats) -> tuple[float, bool]:
 
 
 def _furthest(values: Floats, middle: float) -> float:
-    """Return the largest distance of the values (n,) from a middle, without a copy, because a record may be large."""
+    """Return the largest distance of the values (n,) from a given value. The function makes no copy, because a
+    record may be large.
+    """
     return max(float(np.max(values)) - middle, middle - float(np.min(values)))
 
 
@@ -122,7 +124,7 @@ def _counts_samples(time: Floats, config: RecordConfig) -> bool:
 def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
     """Return the unit that makes the first stamp a date of this century and the step a usual sample period.
 
-    The result is None without such a unit, or if the unit is known.
+    The result is None if no unit does so, or if the unit is known.
     """
     if config.time_unit or config.dt is not None or named_unit(config.time or ""):
         return None
@@ -205,8 +207,8 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
 
 
 def _back(k: int, median: float) -> str:
-    """Return the remedy for a time that decreases after step k. Usually the logger restarted, and rarely rows are
-    mixed.
+    """Return the remedy for a time that decreases after step k. The usual cause is a restart of the logger, and
+    rows are rarely mixed.
     """
     if median <= 0:
         return "most rows go back: sort them by time"
@@ -297,10 +299,10 @@ def is_steady(time: Floats) -> bool:
 def misses_lines(time: Floats, output: Floats) -> bool | None:
     """Return True if lines are missing and False if stamps are rounded.
 
-    The steps of the stamps (n,) are whole multiples of the median step. The result is None for fewer than long_steps
-    such steps, or if the output (n,) shows no difference. If lines are missing, the output changes over a step of k
-    periods by k times its usual change. If stamps are rounded, the output changes by its usual change. The usual change
-    is the mean over the two neighbouring steps.
+    The steps of the stamps (n,) are whole multiples of the median step. The result is None if fewer than long_steps
+    steps are multiples, or if the output (n,) shows no difference. If lines are missing, the output changes over a step
+    of k periods by k times its usual change. If stamps are rounded, the output changes by its usual change. The usual
+    change is the mean over the two neighbouring steps.
     """
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else 0.0
@@ -346,7 +348,7 @@ def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tupl
 def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the rows without the few rows that closely follow another row, as at the start of a logger.
 
-    A grid has no place for such rows.
+    A grid has no place for two rows close together.
     """
     steps = np.diff(_take_rows(time, rows))
     early = (
@@ -365,7 +367,8 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
     """Return the places (n,) of rising stamps (n,) on an even grid, starting at 0, and its period, or None without a
     grid.
 
-    Each step is nearly a whole number of periods. If the stamps scatter more, a line through all stamps gives the grid.
+    Each step of the stamps is nearly a whole number of periods. If the stamps scatter more, a line through all stamps
+    gives the grid.
     """
     steps = np.diff(time)
     if not (steps.size and np.min(steps) > 0):

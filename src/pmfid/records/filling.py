@@ -108,8 +108,8 @@ class FilledMachine(Body):
 def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
     """Return input and counts (n,) with missing samples filled by the motion.
 
-    The present values come from `fill_gaps`. An input that is NaN remains NaN, and an input that the motion should
-    determine becomes NaN. The result is None if the record identifies no motion.
+    The start values come from `fill_gaps`. A NaN input remains NaN. If the motion determines the input in a gap better
+    than interpolation, the input becomes NaN. The result is None if the record identifies no motion.
     """
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
@@ -165,7 +165,8 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
         at = np.searchsorted(events, gap.after)
         if held:
             _decide(machine, gap, u, found.size[at], found.variance[at])
-    by_motion = found.variance[at] < (machine.push * missed) ** 2 / 2  # the counts know better than interpolation
+    # In these gaps, the counts determine the input better than interpolation.
+    by_motion = found.variance[at] < (machine.push * missed) ** 2 / 2
     if held:
         gap, missed = Gap(none, none), missed[:0]
     position, velocity = machine.motion(u, speed)
@@ -229,7 +230,7 @@ def _deviation(
 def _decide(machine: FilledMachine, gap: Gap, u: Floats, steps: Floats, variance: Floats) -> None:
     """Set the input (n,) in gaps that hide a change.
 
-    The steps (g,) of the velocity in excess of those of the present input determine the instant of the change. An
+    The steps (g,) of the velocity that the present input does not explain determine the instant of the change. An
     uncertain instant lies between two samples.
     """
     before, change = u[gap.before], u[gap.after] - u[gap.before]

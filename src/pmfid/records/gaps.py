@@ -114,7 +114,7 @@ def fill_gaps(
     samples.
 
     In gaps that are too long, the input is NaN and the counts follow a straight line. `bridged` says whether the counts
-    determine the travel in a gap. The counts of a velocity do not, so that all its gaps are too long.
+    determine the travel in a gap. The counts of a velocity do not determine the travel, so that all gaps are too long.
     """
     grid, there = np.arange(places[-1] + 1), np.zeros(places[-1] + 1, bool)
     there[places] = True

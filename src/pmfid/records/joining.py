@@ -14,10 +14,10 @@ from pmfid.types import Counts, Flags, Floats
 
 
 def join_records(records: Sequence[Record], place_matters: bool) -> Record:
-    """Join the records, with the counts of each record continuing those of the previous record.
+    """Join the records, so that the counts of each record continue those of the previous record.
 
-    A counter may start anywhere. Raises UsageError for records with different sample periods, and for an axis with
-    forces that depend on the position.
+    The counter of a record may start anywhere. Raises UsageError for records with different sample periods, and for an
+    axis with forces that depend on the position.
     """
     if len(records) == 1:
         return records[0]
@@ -46,7 +46,7 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
 def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
     """Return the input, the counts from `start` on, and a mask of the measured samples of one record.
 
-    Each record except the first follows a gap.
+    A gap precedes each record except the first.
     """
     there = np.ones(record.u.size, bool) if record.there is None else record.there
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)

@@ -55,7 +55,8 @@ class Wrap:
 def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
     """Return the wrap of counts (n,), or None without a wrap.
 
-    The largest changes of a wrapping counter are all nearly its range. After unwrapping, they leave a smooth motion.
+    The largest changes of a wrapping counter are all nearly its range. After unwrapping, the largest changes fit a
+    smooth motion.
     """
     change, extent = np.diff(counts), int(np.ptp(counts))
     jumps = np.abs(change) > extent / 2
@@ -69,7 +70,7 @@ def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
         if not _smooth(change, undone, jumps, usual, span):
             continue
         found = Wrap(span, int(np.sum(undone != change)), int(np.argmax(undone != change)) + 2)
-        # one shift of a counter's zero has any size
+        # a single shift of a counter's zero may have any size
         return found if found.bits is not None or found.times > 1 else None
     return None
 
@@ -115,7 +116,7 @@ class RepairedRecord:
 
 @dataclass(frozen=True)
 class _WrongRun:
-    """Changes first to last - 1 of the counts, which are no motion. `moved` is the shift of the zero [counts]."""
+    """A run of wrong changes of the counts, from `first` to `last` - 1. `moved` is the shift of the zero [counts]."""
 
     first: int
     last: int
@@ -155,7 +156,7 @@ def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
 
 
 def _paces_of(record: Record) -> Floats:
-    """Return the step before each sample except the first, relative to the sample period (n - 1,)."""
+    """Return the time step (n - 1,) before each sample except the first, relative to the sample period."""
     return np.ones(record.counts.size - 1) if record.steps is None else record.steps.before[1:] / record.dt
 
 
@@ -200,7 +201,9 @@ def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
 
 
 def _split_runs(counts: Counts, paces: Floats, wild: NDArray[np.intp], limit: Floats) -> list[_WrongRun]:
-    """Return the runs of neighbouring changes `wild` (k,), or one run if the counts return after it."""
+    """Return the runs of neighbouring changes `wild` (k,), or a single run if the counts return after all of these
+    changes.
+    """
     whole = _run(counts, paces, int(wild[0]), int(wild[-1]) + 1, limit)
     if whole.moved == 0:
         return [whole]

@@ -72,7 +72,7 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
         if axis.record.output_kind == "position":
             _check_position(output, axis)
         # In binary, a decimal multiple of the resolution is often slightly too small, and a bare floor would lose a
-        # whole count. Hence the small tolerance.
+        # whole count. Therefore the floor has a small tolerance.
         counts = floor_counts(output, axis.encoder.resolution, 1e-6)
         return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
     counts = _whole(output)
@@ -156,8 +156,8 @@ class Record:
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
     samples, or is None if all were measured. `gaps` fills the other samples. `doubt` (p,) is the relative error of
     parameters that filled samples may cause, or None without an error. `jitter` is the root mean square deviation of
-    the steps of an uneven clock, relative to the period, before resampling. `own` is the record at its own uneven
-    instants, or None for even instants. A record at uneven instants has `steps`, the times between its samples.
+    the steps of an uneven clock, relative to the period, before resampling. `own` is the record at the uneven instants
+    of its clock, or None for even instants. A record at uneven instants has `steps`, the times between its samples.
     `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
     """
 
@@ -186,7 +186,7 @@ class Record:
 def read_experiment(path: Path, axis: Axis) -> Experiment:
     """Read the unchanged record of a transfer function, with any spacing, gaps and missing (empty) outputs.
 
-    Counts are converted to travel. Raises UsageError with the name of the file and the remedy.
+    The function converts counts to travel. Raises UsageError with the name of the file and the remedy.
     """
     try:
         return experiment_of(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, path.name)
@@ -366,15 +366,15 @@ def _resample(
 ) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
     """Return the columns of an uneven clock on an even grid, the resampled data, and notes.
 
-    The resampled data are None for an even clock. `y_scale` is the factor of the output. A record of a velocity, with a
-    range or with excluded rows keeps its clock.
+    The resampled data are None for an even clock. `y_scale` is the factor of the output. A record keeps its clock if
+    its output is a velocity or has a range, or if rows are excluded.
     """
     given, config, encoder = columns, axis.record, axis.encoder
     keeps = config.output_kind == "velocity" or config.mask or config.exclude
     if "time" not in columns or keeps or encoder.range is not None:
         return columns, None, ()
     if config.output_kind == "position":
-        _check_position(columns["output"], axis)  # the column still has the values of the file
+        _check_position(columns["output"], axis)  # this check needs the values of the file
     wraps = 0
     if config.output_kind == "counts" and encoder.bits is not None:
         columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}

@@ -43,8 +43,8 @@ def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[st
 def find_stale_rows(time: Floats, y: Floats) -> Flags:
     """Mark the rows (n,) that repeat the previous output and lie off the cubic through the neighbouring new values.
 
-    `y` is in steps of the encoder. No row is marked unless single rows stand still between changes of many steps, which
-    no motion does.
+    The output `y` is in steps of the encoder. The function marks rows only if single rows without a change lie between
+    rows with changes of many steps. No motion does so.
     """
     stale = np.zeros(y.size, bool)
     new = np.flatnonzero(np.diff(y, prepend=np.nan))

@@ -46,9 +46,10 @@ class OwnSamples:
 def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False) -> Resampled | None:
     """Return the record (N,) on an even grid, or None if its clock is even except for gaps, or is no clock.
 
-    A gap of more than clock_longest samples is shortened, because the motion restarts after it anyway. The input is
-    held from stamp to stamp and averaged over each interval of the grid, so that no impulse is lost. A monotone cubic
-    interpolates the output (Fritsch and Carlson 1980). `thinned` says whether rows with an old output were left out.
+    A gap of more than clock_longest samples is shortened, because the motion restarts after the gap anyway. The input
+    is held from stamp to stamp and averaged over each interval of the grid, so that no impulse is lost. A monotone
+    cubic interpolates the output (Fritsch and Carlson 1980). `thinned` says whether rows with an old output were left
+    out.
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
     stamps, u, y = time[known], u[known], y[known]
@@ -152,7 +153,7 @@ def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
 
     The part is 1 if the stamps are the instants of the samples, and 0 if an even clock samples before the stamps. The
     part is the slope of a regression. The regressor is the distance of the interpolated output from the mean of the two
-    neighbouring outputs. The target is this distance for the measured output.
+    neighbouring outputs. The target is the distance of the measured output from the same mean.
     """
     steps = np.diff(stamps)
     part = steps[:-1] / (steps[:-1] + steps[1:])

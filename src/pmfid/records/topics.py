@@ -15,8 +15,8 @@ __all__ = ["join_topics"]
 def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple[str, ...]]:
     """Return the columns of input, output and time at the rows of the output (m,), and notes for people.
 
-    The input holds from its stamp to the next, and its mean until the next output is taken. Therefore no time between
-    the two topics is lost. If the rows of the columns (n,) have both values, they remain unchanged.
+    The input holds from its stamp to the next stamp, and is averaged from one output to the next. Therefore no time
+    between the two topics is lost. If the rows of the columns (n,) have both values, the columns remain unchanged.
     """
     u, y = np.isfinite(columns["input"]), np.isfinite(columns["output"])
     if "time" not in columns or np.sum(u & y) > TUNING.most_together * min(np.sum(u), np.sum(y)):

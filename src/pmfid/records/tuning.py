@@ -24,7 +24,8 @@ class RecordTuning:
     clock_whole: float = 0.01
     #: Largest deviation of a stamp from an even grid by chance [sample periods].
     clock_furthest: float = 0.9
-    #: Number of averaged stamps that reveal a missing sample, and largest mean by chance in standard deviations.
+    #: Number of averaged stamps that reveal a missing sample. The next constant is the largest mean by chance, in
+    #: standard deviations.
     clock_group: int = 50
     most_by_chance: float = 5.0
     #: Relative difference within which a period and a time column agree.
@@ -37,17 +38,19 @@ class RecordTuning:
     clock_short: int = 5
     #: Relative accuracy of the period.
     clock_settled: float = 1e-9
-    #: Largest standard deviation of stamps around a grid [periods]. Random stamps have 0.29.
+    #: Largest standard deviation of stamps around a grid [periods]. Random stamps have a standard deviation of 0.29
+    #: periods.
     clock_scatter: float = 0.2
-    #: Time after another row within which a row is odd [periods], and the greatest part of odd rows.
+    #: Time after a row within which a following row is too early [periods]. `clock_rare` is the greatest part of such
+    #: early rows.
     clock_early: float = 0.3
     clock_rare: float = 0.001
     #: Largest number of iterations between grid and places.
     clock_turns: int = 5
     #: Smallest part of the steps of a grid that are single periods.
     clock_single: float = 0.3
-    #: Smallest number of long steps that distinguishes missing lines from rounded stamps. After one or two pauses the
-    #: output says too little.
+    #: Smallest number of long steps that distinguishes missing lines from rounded stamps. The output at only one or two
+    #: pauses says too little.
     long_steps: int = 5
     #: Longest gap on the grid [samples]. Longer gaps are shortened, because the motion restarts after any gap.
     clock_longest: int = 1000
@@ -55,7 +58,7 @@ class RecordTuning:
     # filling
     #: Variance of a count [counts^2].
     filling_count: float = 1 / 12
-    #: Information on position and velocity before the record [1/counts^2, s^2/counts^2], which is practically none.
+    #: Tiny information on position and velocity before the record [1/counts^2, s^2/counts^2].
     filling_nothing: float = 1e-12
     #: Number of right-hand sides that are solved together.
     filling_chunk: int = 256
@@ -68,7 +71,7 @@ class RecordTuning:
     filling_wrong: tuple[float, float] = (1e-2, 1e-3)
     #: Error of the position at an event by wrong parameters [counts].
     filling_shift: float = 0.1
-    #: Interval of further events, in filter time constants and in samples. A deviation is as smooth as the motion.
+    #: Interval between further events in filter time constants. `filling_fewest` is the least interval in samples.
     filling_often: float = 2.0
     filling_fewest: int = 8
     #: Seed of the samples that `doubt` removes.
@@ -79,7 +82,8 @@ class RecordTuning:
     filling_within: float = 1.0
 
     # gaps
-    #: Distance, in multiples of `half`, of samples beyond another gap, and the weight of such samples.
+    #: Distance, in multiples of `half`, beyond which samples lie after another gap. `far_weight` is the weight of such
+    #: samples.
     gaps_near: float = 3.0
     far_weight: float = 1e-6
     #: Largest and smallest number of samples that are omitted to measure the error. `gaps_chunk` is the number of
@@ -89,7 +93,7 @@ class RecordTuning:
     gaps_chunk: int = 20_000
     #: Smallest part of the samples in which a held input does not change.
     gaps_held: float = 0.5
-    #: Quantile of the times for which a held input keeps its values. Shorter gaps are filled.
+    #: Quantile of the times for which a held input keeps its values. Gaps shorter than this quantile are filled.
     gaps_shortest: float = 0.02
     #: Possible lengths of filled gaps [samples].
     gaps_lengths: tuple[int, ...] = (1, 2, 3, 5, 8, 12, 20, 30, 50, 100)
@@ -107,19 +111,20 @@ class RecordTuning:
     joining_same_period: float = 1e-3
 
     # outliers
-    #: Largest change after unwrapping relative to the range, and largest ratio of the roughness after unwrapping to
-    #: that before.
+    #: Largest change after unwrapping, relative to the range. `outliers_smoother` is the largest ratio of the roughness
+    #: after unwrapping to the roughness before.
     outliers_room: float = 0.25
     outliers_smoother: float = 0.1
     #: Largest relative difference between jumps of equal size.
     outliers_alike: float = 0.05
     #: Largest relative distance of a range from whole turns.
     whole_turns: float = 0.005
-    #: Largest width of a counter, and least range of the counts. With a smaller range, any motion may resemble a jump.
+    #: Largest width of a counter [bits]. `outliers_least` is the smallest range of the counts, because within a smaller
+    #: range any motion may resemble a jump.
     most_bits: int = 32
     outliers_least: int = 8
-    #: Changes of the counts in the window of the median that predicts one change. The median follows a step of the
-    #: velocity, and five successive wrong changes do not move it. A window of this length also reveals steps of the
+    #: Number of changes of the counts in the window of the median that predicts a change. The median follows a step of
+    #: the velocity, and five successive wrong changes do not move it. A window of this length also reveals steps of the
     #: velocity.
     outliers_around: int = 11
     #: Allowed deviation from the median in counts, and as a multiple of the usual deviation plus the step of the
@@ -132,7 +137,7 @@ class RecordTuning:
     outliers_pace: float = 0.25
     #: Largest number of passes. Several passes are necessary, because neighbouring wrong changes hide each other.
     outliers_passes: int = 4
-    #: Largest part of wrong changes. With more, the errors are not single samples.
+    #: Largest part of wrong changes. With more wrong changes, the errors are not single samples.
     most_changes: float = 0.04
     #: Smallest ratio of a spike to the quantile 1 - most_inputs of the input. The input is no spike if the velocity
     #: responds by more than a multiple of its usual change over answer_samples samples.
@@ -150,26 +155,27 @@ class RecordTuning:
     record_whole: float = 1e-3
     # Limit of counts, because neighbouring integers beyond 2**53 share one float64 and a count would be silently wrong.
     max_count: float = 2.0**53
-    #: Number of rows that are tested for counts. If all are whole numbers, and more than the second value are distinct,
-    #: the column holds counts.
+    #: Number of rows that are tested for counts. A column holds counts if all tested numbers are whole and more than
+    #: `most_whole` of them are distinct.
     record_distinct: int = 10_000
     most_whole: int = 20
     min_samples: int = 10
 
     # repeats
-    #: Counts in the rows before and after a row without counts. No motion stops and continues so suddenly.
+    #: Smallest number of counts in the rows before and after a row without counts. No motion stops and continues so
+    #: suddenly.
     repeats_sudden: float = 3.0
     #: Largest number of rows with one value. More rows are a stop or a stuck sensor. `repeats_longest_slow` is the
     #: limit if the next value does not catch up.
     repeats_longest: int = 8
     repeats_longest_slow: int = 4
     #: Smallest number of rows that repeat an output. `repeats_part` and `repeats_most` are the smallest and greatest
-    #: part of the fast rows. A single row is a wrong reading, and an output that is held in every second row has its
-    #: own remedy.
+    #: part of the fast rows. A single such row is a wrong reading, and an output that is held in every second row has
+    #: its own remedy.
     repeats_fewest: int = 5
     repeats_part: float = 0.005
     repeats_most: float = 0.5
-    #: Smallest error of an old value [steps of the encoder]. With a smaller error, the value is as good as a new one.
+    #: Smallest error of an old value [steps of the encoder]. A value with a smaller error is as good as a new value.
     repeats_off: float = 0.75
     #: Smallest jump of the input, relative to its range.
     repeats_jump: float = 0.2
@@ -190,8 +196,8 @@ class RecordTuning:
     #: Ratio of a record's length in median steps to its number of samples above which missing lines do not explain the
     #: length.
     most_missing: float = 2.0
-    #: Relative difference within which two halves of a record agree on the period. Half of this difference causes a
-    #: significant error of the mass.
+    #: Relative difference within which two halves of a record agree on the period. Even half of this difference causes
+    #: a significant error of the mass.
     resampling_same_period: float = 0.01
     #: Part of the period within which the next sample follows at once, so that the input of the first sample acts for
     #: no time. `resampling_fewest` is the smallest number of samples for a decision.

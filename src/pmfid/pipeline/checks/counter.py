@@ -19,8 +19,9 @@ __all__ = ["period_of"]
 def period_of(changes: NDArray[np.intp]) -> int:
     """Return the largest k for which the distances between the changes (m,) are multiples of k, or 1 if none exists.
 
-    The changes are numbers of rows. By chance, m changes are in step with probability k^(1 - m). A column with few
-    changes may be in step by chance or by design. Therefore the function ignores a column of long steps.
+    The changes are given as numbers of rows. By chance, m changes have distances that are multiples of k with the
+    probability k^(1 - m). A column with few changes may be in step by chance or by design. Therefore the function
+    ignores a column of long steps.
     """
     if changes.size < TUNING.counter_least:
         return 1

@@ -19,7 +19,7 @@ __all__ = ["find_command", "find_unsigned"]
 def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
     """Yield a finding if the input of a reversing axis never changes its sign.
 
-    The motion must explain the input if its sign changes.
+    The finding also requires that the motion explains the input after a change of its signs.
     """
     u = log.known.u[log.part]
     if not log.is_machine or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:
@@ -41,10 +41,10 @@ def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _measure_signs(u: Floats, position: Floats, width: int) -> tuple[float, float]:
-    """Return the unexplained parts of an input (n,) of one sign, without and with changing signs.
+    """Return the unexplained parts of an unsigned input (n,), first as it is and then with the best signs.
 
-    Acceleration, velocity, direction and load explain the input. The changing signs are those of the explained force.
-    All signals are means over `width` samples, which cause no delay.
+    Acceleration, velocity, direction and load explain the input. The best signs are those of the explained force. All
+    signals are means over `width` samples, which cause no delay.
     """
     smooth = uniform_filter1d(uniform_filter1d(position, width), width)
     velocity = np.gradient(smooth)

@@ -77,9 +77,9 @@ def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
 
 
 def _arcs(there: NDArray[np.bool_]) -> Floats:
-    """Return an array (n,) with an arc over each stretch of rows.
+    """Return an array (n,) with a parabola over each marked stretch of rows.
 
-    All arcs have the same curvature. The arcs approximate a smooth signal beyond a limit.
+    All parabolas have the same curvature, and approximate a smooth signal beyond a limit.
     """
     edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(np.int8)))
     first, last = (np.repeat(edges[side::2], edges[1::2] - edges[::2]) for side in (0, 1))

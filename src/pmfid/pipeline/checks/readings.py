@@ -55,7 +55,7 @@ def find_gravity(log: CheckedLog) -> Iterator[Finding]:
 
 
 def _other_reading(log: CheckedLog) -> Finding | None:
-    """Return the finding of exchanged columns or of a velocity if this reading explains the input much better."""
+    """Return a finding on exchanged columns or on a velocity if such a reading explains the input much better."""
     view = log.closest_view
     heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
     left = _measure_rest(view)
@@ -104,7 +104,7 @@ def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
 def is_turned(view: View) -> bool:
     """Return whether the mass is negative or friction drives the axis.
 
-    The record must determine both, and show neither with its proper sign.
+    The record must determine both signs, and neither sign may be the proper one.
     """
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return (
@@ -174,7 +174,7 @@ def convert_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Enco
     """Return a fine encoder and its counts (n,) for the integral of a velocity.
 
     The velocity is the product of counts (n,) and resolution. Count 0 means exactly zero velocity, and not the middle
-    of a step. Otherwise an axis at rest would drift, and its friction would have a direction.
+    of a step. With the middle of a step, an axis at rest would drift, and its friction would have a direction.
     """
     return fine_counts(integrate_velocity(np.float64(resolution) * counts.astype(np.float64), dt))
 

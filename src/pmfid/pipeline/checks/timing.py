@@ -22,8 +22,8 @@ class Drift:
     """A drift between the clocks of input and output.
 
     `samples` is the shift of the input against the output over `rows` rows. A positive shift means a later input.
-    `sure` is the shift in standard deviations. `less` is the ratio of the unexplained power with the drift to that
-    without it.
+    `sure` is the shift in standard deviations. `less` is the ratio of the unexplained power with drift to the
+    unexplained power without drift.
     """
 
     samples: float
@@ -167,7 +167,7 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
 def _drift(log: CheckedLog) -> float:
     """Return the most significant drift per row, or 0 if no drift is significant.
 
-    Large drifts need the corrections, which refine the drift.
+    Repeated corrections refine large drifts.
     """
     part = liveliest(log.known.counts, TUNING.timing_most_samples)
     u, counts = log.force[part], log.known.counts[part]

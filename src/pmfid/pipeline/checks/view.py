@@ -23,7 +23,7 @@ from pmfid.types import Counts, Floats
 
 __all__ = ["PARTS", "View", "best_view", "view", "with_friction"]
 
-#: Number of pieces of a record, whose differences give standard deviations, and least samples of a piece.
+#: Number of pieces of a record for standard deviations, and smallest number of samples in a piece.
 PARTS, SHORTEST = 8, 20
 MASS, VISCOUS, COULOMB, LOAD = range(4)
 #: Model of the first four columns.
@@ -89,7 +89,7 @@ class View:
 
     @property
     def moving(self) -> float:
-        """The effective number of moving rows, computed from the first two moments of their power."""
+        """The effective number of moving rows, computed from the first two moments of the power."""
         power = np.square(self.phi[:, VISCOUS])
         return float(power.sum() ** 2 / max(float(np.sum(power**2)), 1e-300))
 
@@ -102,7 +102,7 @@ class View:
 
 
 def solve_least_squares(phi: Floats, z: Floats) -> Floats:
-    """Return the least squares (p,) of z (n,) on phi (n, p)."""
+    """Return the least-squares solution (p,) of phi (n, p) theta = z (n,)."""
     size = np.linalg.norm(phi, axis=0)
     scale = np.where(size > 0, size, 1.0)
     return np.asarray(np.linalg.lstsq(phi / scale, z, rcond=1e-10)[0] / scale)
@@ -188,10 +188,11 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
 
 
 def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
-    """Return the stops at whose ends the motion changes far more abruptly (n,) than elsewhere."""
+    """Return the stops at whose ends the change of the motion (n,) is far larger than elsewhere."""
     limit = max(TUNING.view_abrupt * (elsewhere + 1), TUNING.view_counts)
     begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
-    # A counter that catches up jumps to its true value. The larger edge then says more than the smaller edge.
+    # A counter that catches up jumps to its true value. After such a jump, the larger edge of a stop says more than the
+    # smaller edge.
     both = (np.sqrt(begins * ends) >= limit) & (np.minimum(begins, ends) > elsewhere + 1)
     usual = float(np.median(begins)) if begins.size else 0.0
     dead = (begins >= TUNING.view_dead * limit) & (
@@ -235,7 +236,7 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
 
 
 def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
-    """Mark the marked samples (n,) and `span` samples on either side of them."""
+    """Mark also the neighbours of the marked samples (n,), within `span` samples on either side."""
     return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)
 
 
@@ -294,9 +295,9 @@ class CheckedLog:
 
     @cached_property
     def closest_view(self) -> View | None:
-        """The view that explains more of the input, either with the plain drive or with the configured drive.
+        """The view of the plain drive or of the configured drive, whichever explains more of the input.
 
-        The configured drive includes its gravity, spring and cogging.
+        The configured drive includes gravity, spring and cogging.
         """
         model = set_any_gain(self.axis).model.make()
         if self.view is None or not isinstance(model, Drive):

@@ -109,8 +109,8 @@ class Pair:
 def numeric(table: Table) -> dict[str, Floats]:
     """Return the columns of numbers that are not constant, by name.
 
-    If the topics of a table have separate rows, the rows are those of the position. Other missing values take the last
-    value, which suffices for a guess.
+    If the topics of a table have separate rows, the rows are those of the position. Other missing values take the
+    preceding value of the column, which suffices for a guess.
     """
     found: dict[str, Floats] = {}
     rows: Flags | None = None
@@ -154,7 +154,7 @@ def _even(values: Floats) -> bool:
 def pair_of(columns: Mapping[str, Floats], dt: float, output: str | None = None) -> Pair | None:
     """Return input and output among the columns (n,) with a sample period dt [s].
 
-    Names decide first: input and output of one joint have the same number, and a measured column is better than a
+    Names decide first. Input and output of one joint have the same number, and a measured column is better than a
     command. Among several pairs, the motion of the best pair explains most of the input. The result is None without two
     columns. `output` is the column of the output, or None for a guess.
     """
@@ -248,8 +248,8 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
 def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> bool:
     """Return whether a force in the sine of the output explains much of the input u (n,) that a plain drive leaves.
 
-    The force must also explain more than a spring does. `plain` is the part that the drive leaves. The answer is no if
-    the output y (n,) is no angle or turns little.
+    The force must also explain more than a spring does. `plain` is the part of the input that the drive leaves. The
+    function returns False if the output y (n,) is no angle or turns little.
     """
     angle = y * (unit.factor if unit else 1.0)
     if is_whole(y) if unit is None else unit.of != "angle":
@@ -282,18 +282,20 @@ def _is_rate(values: Floats, output: Floats) -> bool:
 
 
 def _is_set_point(values: Floats, output: Floats) -> bool:
-    """Return whether a column (n,) is nearly equal to the output, as its reference is."""
+    """Return whether a column (n,) is nearly equal to the output, as a set point is."""
     alike = float(np.std(values - output)) < TUNING.columns_set_point * float(np.std(output))
     return alike and abs(float(np.mean(values - output))) < float(np.std(output))
 
 
 def _cost(view: View) -> float:
-    """Return the unexplained part, or 1 without a significant mass, because a velocity explains its own column."""
+    """Return the unexplained part of a reading, or 1 without a significant mass. A velocity would always explain
+    its own column.
+    """
     return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.columns_significant else 1.0
 
 
 def _whole(name: str, output: Floats, kind: str) -> str:
-    """Return the kind of an output. Whole numbers are counts, unless the name has a unit of travel."""
+    """Return the kind of an output. An output of whole numbers is counts, unless its name has a unit of travel."""
     return "counts" if kind == "position" and is_whole(output) and column_unit(name, OUTPUTS) is None else kind
 
 

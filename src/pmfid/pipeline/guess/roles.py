@@ -10,7 +10,8 @@ from pmfid.records.clock import named_unit
 
 Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
 
-#: Role of a column, and the words of its name. A word is a whole word or the end of a word, and the first match counts.
+#: Role of a column for each word in its name. The pattern matches a whole word or the end of a word, and the first
+#: match counts.
 _WORDS: tuple[tuple[Role, str], ...] = (
     ("other", r"soll\w*|target|ref\w*|set\w*|desired|demand|goal|error|err|fehler|schleppfehler|status|temp\w*|"
               r"limit|fric\w*|rigid|enable\w*|mask"),
@@ -40,7 +41,7 @@ def role_of(name: str) -> Role:
     words = [word.rstrip("0123456789") or word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
     if len(words) > 1 and re.search(r"[\s_.,:/-][AVN]$", bare):
         words = words[:-1]  # "i_A", "u_V": the letter is a unit here, and "a" or "v" alone is not
-    if output is not None or driven is not None:  # a unit decides, except for set points
+    if output is not None or driven is not None:  # a unit decides on the role, except for set points
         set_point = any(re.fullmatch(_WORDS[0][1], word) for word in words)
         return "other" if set_point else "input" if output is None else _MEASURED[output.of]
     joined, long_words = "".join(words), [word for word in words if len(word) > 1]  # a letter may be a unit or an index
@@ -73,7 +74,7 @@ def is_commanded(name: str) -> bool:
 def is_position(name: str) -> bool:
     """Return whether a whole word of the name says that the column is a position.
 
-    The only such letter is q, the angle of a joint.
+    The only single letter for a position is q, the angle of a joint.
     """
     return role_of(name) in ("position", "counts") and any(len(word) > 1 or word == "q" for word in words_of(name))
 

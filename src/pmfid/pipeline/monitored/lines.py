@@ -19,12 +19,12 @@ from pmfid.records.clock import time_factor
 
 __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
 
-#: Limit of counts. A double cannot represent every larger whole number.
+#: Limit of counts, because a double cannot represent every larger whole number.
 MAX_COUNT = 2.0**53
-#: Largest time stamp [s], which a stamp in ns may be by mistake. Such a stamp must remain finite in samples.
+#: Largest time stamp [s]. The limit allows a stamp in ns by mistake, and keeps its number of samples finite.
 MOST_TIME = 1e30
 
-#: A value as text, or as JSON and line protocol give it.
+#: Value of a field as text or as a number.
 Value = float | str
 
 
@@ -104,7 +104,8 @@ class FieldReader:
     def __call__(self, fields: Mapping[str, object], stamp: float = math.nan) -> Line:
         """Return the line of some fields. An invalid field raises nothing, because the line stores the problem.
 
-        `stamp` is a time outside of the fields [s]. The stamp counts if [record] names a time that is not a field.
+        `stamp` is a time outside of the fields [s]. The function uses `stamp` if [record] names a time that is not a
+        field.
         """
         try:
             return self._line(fields, stamp)
@@ -218,7 +219,7 @@ class LineParser:
             return Line(math.nan, math.nan, 0, str(error))
 
     def _is_header(self, text: str) -> bool:
-        """Return whether a line has the columns, and then take the line as the header of the next lines."""
+        """Return whether a line has the columns of a header, and use such a line as the new header."""
         if not all(name in text for name in self._wanted):
             return False
         header = _likeliest(text, self._wanted)

@@ -108,7 +108,7 @@ class ParquetSink:
         self._rows.put(",".join(map(str, row)))
 
     def close(self) -> None:
-        """Make the Parquet file. If this fails, the rows remain in the CSV file and `tell` gets the error."""
+        """Make the Parquet file. After a failure, the rows remain in the CSV file and `tell` gets the error."""
         import polars as pl
 
         self._rows.close()
@@ -138,7 +138,7 @@ def _short(row: Row) -> str:
 def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink:
     """Open the sink for a path, where "-" means CSV on standard output.
 
-    An existing file remains, and the rows go to path-2, path-3 and so on.
+    If the file exists, the rows go to path-2, path-3 and so on.
 
     Raises UsageError for another kind of file.
     """

@@ -134,7 +134,7 @@ class Setup:
 
     @property
     def reported(self) -> Floats:
-        """The nominal values (q,). An estimated input gain comes last."""
+        """The nominal values (q,), with an estimated input gain at the end."""
         further = len(self.monitor.names) - len(self.monitor.estimator.names)
         return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * further])
 

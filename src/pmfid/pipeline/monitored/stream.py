@@ -20,7 +20,7 @@ from pmfid.records.record import Record
 
 
 class _InterruptedError(Exception):
-    """A signal that arrives while the run waits for input."""
+    """The error of a signal that arrives while the run waits for input."""
 
 
 @contextmanager
@@ -42,7 +42,7 @@ def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool 
 
 @dataclass
 class Stop:
-    """The end of a run on SIGINT, SIGTERM or SIGHUP.
+    """A handler that ends a run on SIGINT, SIGTERM or SIGHUP.
 
     The run ends after the present sample, or at once during the wait for a sample. An ignored SIGHUP, as under nohup,
     remains ignored.
@@ -157,8 +157,8 @@ class Beginning:
 
 @dataclass
 class _Tally:
-    """Totals of samples, bad lines, repeated lines and lines since the last sample. A run with too few samples is
-    refused.
+    """Totals of samples, bad lines, repeated lines and lines since the last sample. A run with too few samples ends
+    with an error.
     """
 
     samples: int = 0

@@ -12,7 +12,8 @@ import numpy as np
 from pmfid.errors import UsageError
 from pmfid.pipeline.tuning import TUNING
 
-#: Successive wrong groups that end the run, before and after a right group. A late logger writes many lines at once.
+#: Number of successive groups with a wrong period that end the run, before and after a right group. A late logger
+#: writes many lines at once, and thus several wrong groups.
 FIRST, LATER = 1, 3
 
 #: A state as an object for JSON.
@@ -149,7 +150,7 @@ Found = Sample | Skipped
 
 @dataclass
 class Metronome:
-    """A timeline for lines without a time, where each line is the next sample after dt [s]."""
+    """A timeline for lines without a time, where each line follows the preceding line after dt [s]."""
 
     dt: float
     _next: float = field(default=0.0, init=False)
@@ -164,7 +165,9 @@ class Metronome:
         self._next, self._counts = float(saved["next"]), int(saved["counts"])
 
     def take(self, line: Line) -> list[Found]:
-        """Return the sample of a line. The next line is one sample period later, even after an unusable line."""
+        """Return the sample of a line. Each line advances the time by one sample period, even if the line is
+        unusable.
+        """
         time, self._next = self._next, self._next + self.dt
         if line.problem:
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
@@ -238,7 +241,7 @@ class Timeline:
 
     def _place(self, time: float) -> int | None:
         """Return the place of a line, in samples after the expected sample. Unusable lines may take the places
-        before this line.
+        before the returned place.
         """
         offset = self._offset(time)
         place = min(max(0, round(offset)), self._unused + len(self._held))
