@@ -77,8 +77,8 @@ def design(
     """Find the input that tells most about an axis within its limits.
 
     With records of designed runs, or with --want or --truth, the command estimates from these runs and designs the next
-    run. Further rounds are unnecessary after the wanted deviation is reached. With such records or options, --certify
-    has no effect.
+    run. Further rounds are unnecessary after the wanted deviation is reached. If records, --want or --truth are given,
+    --certify has no effect.
 
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input identifies a parameter.
     """

@@ -58,7 +58,7 @@ def stream(
     """Watch the axes whose blocks arrive in the folder SOURCE until an interruption.
 
     SOURCE holds Parquet files with two columns: axis, the name, and block, the bytes of docs/wire.md. SOURCE may also
-    hold growing files of such blocks in sequence (.pmfb). A repeated block is ignored, an early block waits, and a late
+    hold growing files of blocks in sequence (.pmfb). A repeated block is ignored, an early block waits, and a late
     block is counted. A second call with the same folders continues where the first call ended, for whatever reason.
 
     Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
@@ -83,7 +83,7 @@ def stream(
 def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, master: str | None) -> None:
     """Write the states of axes in CHECKPOINT, written by `pmfid fleet stream`, as the checkpoint of a service.
 
-    `pmfid serve` with [service] state = FOLDER continues from these states, as does `pmfid fleet stream --state
+    `pmfid serve` with [service] state = FOLDER continues from the written states, as does `pmfid fleet stream --state
     FOLDER`.
 
     Exit code 0: written; 2: no states, states of another configuration, or no such axis.

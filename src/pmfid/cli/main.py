@@ -60,7 +60,7 @@ class CommandGroup(click.Group):
 def main() -> None:
     """Mass and friction of a drive, or a transfer function, from input and a coarse encoder."""
     _open_closed_streams()
-    for variable in THREADS:  # NumPy is loaded by the commands, and then reads these variables
+    for variable in THREADS:  # NumPy is loaded by the commands, and then reads the variables
         os.environ.setdefault(variable, "1")
 
 

@@ -78,7 +78,7 @@ def _end(event: Notice) -> str:
 
 
 def list_skipped(event: Notice) -> list[str]:
-    """Return texts on the lines that were no samples, from the totals."""
+    """Return texts with the numbers of skipped lines, from the totals."""
     parts = [
         f"{event[name]} {word}{'s' * (event[name] != 1)}"
         for name, word in (("bad_lines", "bad line"), ("repeated_lines", "repeated line"), ("comments", "comment"))

@@ -48,8 +48,8 @@ def print_json(content: Mapping[str, object]) -> None:
     click.echo(json.dumps(content, allow_nan=False))
 
 
-#: Time before the line appears on a terminal [s], because shorter work needs no line. `REFRESH` is the time between two
-#: updates [s].
+#: Time before a progress line appears on a terminal [s]. Shorter work needs no such line. `REFRESH` is the time between
+#: two updates [s].
 PATIENCE, REFRESH = 1.5, 0.25
 #: In other outputs, time before the first line and between two lines [s].
 EVERY = 9.0

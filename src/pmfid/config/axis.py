@@ -189,7 +189,7 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
 def _add_unit_encoder(raw: dict[str, object]) -> None:
     """Add [encoder] for a transfer function, which needs no encoder.
 
-    An unknown kind of model also gets this section, so that the error message names only the kind.
+    An unknown kind of model also gets the section [encoder], so that the error message names only the kind.
     """
     model = raw.get("model")
     if isinstance(model, dict) and model.get("kind", "drive") not in ("drive", "equation"):

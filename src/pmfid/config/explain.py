@@ -92,7 +92,9 @@ def entries() -> tuple[ReferenceEntry, ...]:
 
 
 def keys_in(section: str, annotation: object, what: str = _KEY) -> Iterator[ReferenceEntry]:
-    """Yield the entries of a section with this type, and of the tables inside it. `what` is the kind of the entries."""
+    """Yield the entries of a section with the given type, and of the tables inside the section. `what` is the kind
+    of the entries.
+    """
     for model in _models_in(annotation):
         for name, own in model.model_fields.items():
             described = own.description or ""

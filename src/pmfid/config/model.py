@@ -203,5 +203,5 @@ class ModelConfig(FileSection):
 
 
 def keys_of(model: type[Drive | TransferFunction]) -> tuple[str, ...]:
-    """Return the keys of [model] that make such a model, which are the names of its fields."""
+    """Return the keys of [model] for a class of models, which are the names of its fields."""
     return tuple(field.name for field in fields(model) if field.name not in NOT_IN_FILES)

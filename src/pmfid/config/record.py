@@ -159,7 +159,7 @@ class Conversion:
 
 
 def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
-    """Return the conversion of the columns with these names in the file to SI.
+    """Return the conversion of the named columns in the file to SI.
 
     Raises UsageError for a unit that the configuration contradicts, and for a configured number whose unit is
     ambiguous.

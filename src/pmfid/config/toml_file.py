@@ -41,8 +41,8 @@ def load_sections(
 
     The dotted keys of `overrides`, such as {"estimator.cutoff": 50.0}, replace the file's values. An override of None
     has no effect. `kind` names the file in the message on an unreadable file, such as "an AXIS.toml". `complete` adds
-    derived sections to those of the file.
-    Raises UsageError with all problems if the file cannot be read or a value is not allowed.
+    derived sections to the sections of the file. Raises UsageError with all problems if the file cannot be read or a
+    value is not allowed.
     """
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     raw = _read_toml(path, kind)

@@ -171,7 +171,7 @@ def gain(value: object) -> object:
 
 
 def known_unit(text: str, table: dict[str, Unit]) -> str:
-    """Return the unit with this name in a table. Raises ValueError for an unknown name."""
+    """Return the unit with the given name in a table. Raises ValueError for an unknown name."""
     unit = unit_named(text, table)
     if unit is None:
         raise ValueError(f"there is no such unit here; known are {', '.join(table)}")

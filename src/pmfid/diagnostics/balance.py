@@ -123,7 +123,7 @@ class Balance:
         return self.estimator.encoder.resolution * float(np.linalg.norm(encoder_response(self)[0])) / math.sqrt(12)
 
     def part(self, *roles: int) -> Floats:
-        """Return the force (n,) [N] of the parameters with these roles."""
+        """Return the force (n,) [N] of the parameters with the given roles."""
         chosen = self._parameters(*roles)
         return np.asarray(self.phi[:, chosen] @ self.theta[chosen])
 
@@ -175,8 +175,8 @@ class Balance:
 
     @cached_property
     def beside_velocity(self) -> Floats:
-        """The residual minus its mean at the same velocity [N]. The difference removes the effect of places that
-        the axis visits at different velocities.
+        """The residual minus its mean at the same velocity [N]. Without the mean, places that the axis visits at
+        different velocities are comparable.
         """
         return np.asarray(self.residual - np.interp(self.velocity, self.by_velocity.x, self.by_velocity.mean))
 

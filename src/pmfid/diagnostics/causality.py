@@ -29,7 +29,7 @@ class ResidualStretch:
     """One uninterrupted stretch of a record.
 
     The inputs (c, M) lie on the grid of the stretch, and the first input acts on the plant. The residual (N,) belongs
-    to the rows (N,) of this grid.
+    to the rows (N,) of the grid.
     """
 
     inputs: Floats
@@ -41,8 +41,8 @@ class ResidualStretch:
 class Evidence:
     """The result of one test.
 
-    `chance` is the probability that noise alone gives such a result. `share` is the explained part of the whitened
-    residual's power.
+    `chance` is the probability that noise alone explains at least as much of the residual. `share` is the explained
+    part of the whitened residual's power.
     """
 
     chance: float

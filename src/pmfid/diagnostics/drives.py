@@ -81,7 +81,7 @@ class Lateness:
     """A delay of the input that explains the counts better than the model does.
 
     `times` [s] have the names of the model's options. `gain` is the gain of the doubled log-likelihood. `follows` says
-    whether the motion with this delay explains the counts.
+    whether the motion with the delay explains the counts.
     """
 
     times: Mapping[str, float]
@@ -149,7 +149,7 @@ def _names(equation: Equation) -> tuple[str, ...]:
 def _prepare_fit(found: Adequacy, equation: Equation) -> tuple[Difference, Floats]:
     """Return the difference of another equation and its start values q (q,).
 
-    The start values are those of the model, except for the delay of the input.
+    The start values are the parameters of the model, except for the delay of the input.
     """
     own, q = found.difference, found.q
     values, sizes = (dict(zip(_names(own.equation), numbers, strict=False)) for numbers in (q * own.scale, own.scale))
@@ -313,7 +313,7 @@ def _bias(
     limit: float,
 ) -> Iterator[Finding]:
     """Compare the estimate with instrumental variables, which know the direction of motion between the counts."""
-    plain = isinstance(estimator, LS | RLS)  # these methods have the bias of a noisy output
+    plain = isinstance(estimator, LS | RLS)  # least squares have the bias of a noisy output
     if isinstance(estimator, Simulating) or (plain and estimator.zeros):
         return
     try:

@@ -52,7 +52,7 @@ class Hold:
 
 
 def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | None) -> Hold:
-    """Return whether the input has the other hold, and whether the hold matters.
+    """Return whether the input has another hold than the configured one, and whether the hold matters.
 
     `point` is the estimate. `noise` is the colour of the residual without the input. The function reports nothing if
     the spacing of the samples lets no filter whiten the noise. The function also reports nothing if a reference makes
@@ -299,7 +299,7 @@ def _doubts(
 def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]:
     """Return the least and the greatest part of the present input that a wrong hold leaves in the residual."""
     a, b, _ = problem.structure.split(point.theta)
-    if a.size == 0:  # a process of integrators has no such part
+    if a.size == 0:  # integrators alone get no allowance for a wrong hold
         return (0.0, 0.0)
     stretch = problem.stretches[0]
     grid = Grid(float(np.median(stretch.grid.steps)), 2)

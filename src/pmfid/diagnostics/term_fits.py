@@ -220,7 +220,7 @@ class Bench:
     def settle_fit(self, trial: Trial) -> Trial:
         """Return the trial, fitted to convergence if its motion is within the counts.
 
-        The simulation of such a fit is as fine as the counts require.
+        The simulation of a fit to convergence is as fine as the counts require.
         """
         best = trial.best
         if best.noise is None:

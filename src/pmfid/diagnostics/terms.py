@@ -78,7 +78,7 @@ class FittedCandidate:
 
     @property
     def explains_all(self) -> bool:
-        """Whether the model with this candidate explains every count. The scores of a model are meaningless if a
+        """Whether the model with the candidate explains every count. The scores of a model are meaningless if a
         candidate explains every count.
         """
         return self.trial is not None and self.trial.best.clean
@@ -105,9 +105,9 @@ UNCLEAR = "its pitch is unclear: give it"
 class Terms:
     """The result of a search.
 
-    `trials` lead from the first model to the chosen model. `errors` are the errors of these models in free runs over
+    `trials` lead from the first model to the chosen model. `errors` are the errors of the trials in free runs over
     other parts of the record [unit of y]. `steps` holds all candidates that each step has fitted. `without` holds one
-    fit of the chosen model without each added term. `adequacy` is that of the chosen model.
+    fit of the chosen model without each added term. `adequacy` is the adequacy of the chosen model.
     """
 
     trials: tuple[Trial, ...]
@@ -175,7 +175,7 @@ def search(
 class _Search:
     """A search in progress.
 
-    `trials` and `errors` are those of `Terms`. `done` is called with the completed part of the work.
+    `trials` and `errors` have the same meaning as in `Terms`. `done` is called with the completed part of the work.
     """
 
     bench: Bench

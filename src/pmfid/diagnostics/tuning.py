@@ -58,7 +58,7 @@ class DiagnosticTuning:
     causality_apart: float = 1e-7
 
     # drives
-    #: Factor by which a jump of the counts exceeds the usual changes. No motion explains such a jump.
+    #: Factor by which a jump of the counts exceeds the usual changes. No motion explains a change beyond this factor.
     drives_jump: int = 30
     #: Smallest delay [samples] in a report if no score supports the delay. A smaller delay resembles other effects,
     #: such as friction within a sample.
@@ -81,7 +81,7 @@ class DiagnosticTuning:
     most_runs: int = 200
     #: Greatest number whose square is still a finite float.
     beyond: float = 1e120
-    #: Smallest number of samples for each unknown in the start of a stretch.
+    #: Smallest number of samples for each unknown in the fit of a start.
     free_run_samples: int = 4
 
     # matter
@@ -109,7 +109,7 @@ class DiagnosticTuning:
     #: sample.
     wrong_hold: float = 2.0
     #: Relative standard deviation above which a pole is unknown. The relative standard deviation of a real pole is at
-    #: most half of this value, because bars of two standard deviations do not cross zero.
+    #: most half of the limit, because bars of two standard deviations do not cross zero.
     processes_unknown: float = 0.4
     #: Explained part of the output [%] below which a finding is due.
     poor_fit: float = 10.0
@@ -119,9 +119,9 @@ class DiagnosticTuning:
     processes_few: float = 0.01
 
     # term_fits
-    #: Largest number of parts of a sample in the simulations of a search. For a cart under a random binary input,
-    #: likelihoods with 2 parts deviate from those with 16 parts by at most 0.1. Likelihoods with a single part deviate
-    #: by up to 4.
+    #: Largest number of parts of a sample in the simulations of a search. For a cart under a random binary input, the
+    #: log-likelihoods with 2 and with 16 parts differ by at most 0.1. The log-likelihoods with 1 and with 16 parts
+    #: differ by up to 4.
     most_parts: int = 2
     #: Relative tolerance of intermediate least-squares fits.
     term_fits_roughly: float = 1e-4
@@ -167,8 +167,8 @@ class DiagnosticTuning:
     term_trials_hundred: float = 100.0
 
     # terms
-    #: Smallest score that deserves a trial if the model does not explain every count. In such a record, unmodelled
-    #: effects scatter the scores.
+    #: Smallest score that deserves a trial if the model does not explain every count, because unmodelled effects then
+    #: scatter the scores.
     terms_weak: float = 1.0
     #: Largest number of terms that a step fits if no term explains every count, and largest number of steps.
     most_tried: int = 4
@@ -189,7 +189,7 @@ class DiagnosticTuning:
     no_worse: float = 0.002
 
     # verdict
-    #: Prior odds that a machine has a plausible force, because every machine has some of these forces.
+    #: Prior odds that a machine has a plausible force. Every machine has some of the tested forces.
     verdict_odds: float = 10.0
     #: Greatest argument of the exponential function, because larger results are useless.
     most_evidence: float = 500.0

@@ -123,10 +123,10 @@ def _own_moves(found: Adequacy, twin: IV, columns: Columns, follows: bool) -> Fl
 def believed_squares(found: Adequacy) -> Floats:
     """Return the mean squares (k,) of the coefficients of the forces, given the record and plausible sizes in machines.
 
-    If the counts contradict the model, the weight of a force is the ratio of its explained part to that of the best
-    force. All weights are scaled by the part of the misfit that the best force explains. Random noise of the force has
-    no single cause, and is already in the standard deviation. A force without a plausible size counts only if it
-    explains nearly as much as the best force.
+    If the counts contradict the model, the weight of a force is its explained part, divided by the explained part of
+    the best force. All weights are scaled by the part of the misfit that the best force explains. Random noise of the
+    force has no single cause, and is already in the standard deviation. A force without a plausible size counts only if
+    it explains nearly as much as the best force.
     """
     prior = np.array([candidate.plausible for candidate in found.forces])
     squares = believed_square(found.size, found.size_std, prior)
@@ -140,7 +140,7 @@ def believed_squares(found: Adequacy) -> Floats:
 def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
     """Return the mean squares (k,) of coefficients with estimates `size` (k,) and standard deviations `std` (k,).
 
-    `plausible` (k,) is the usual size of each force. A machine may also have no such force.
+    `plausible` (k,) is the usual size of each force. In a given machine, a force may also be absent.
     """
     prior, variance = plausible**2, std**2
     share = prior / (prior + variance)
@@ -230,9 +230,10 @@ def verdict(
 def _estimate_shown_bias(found: Adequacy, theta: Floats, std: Floats, spread: Floats) -> Floats:
     """Return the shift (p,) that the visible effects in the record may cause in an estimate.
 
-    If the counts contradict the model, the shift excludes effects that no record of this input shows. A separate
-    finding reports such invisible effects. If the model is adequate, the shift contains forces that are nearly visible
-    and the distance to the best motion. Effects that do not show in the record are covered by the interval.
+    If the counts contradict the model, the shift excludes effects that no record with the same input shows. A separate
+    finding reports effects that do not show in a record. If the model is adequate, the shift contains forces that are
+    nearly visible and the distance to the best motion. Effects that do not show in the record are covered by the
+    interval.
     """
     p = theta.size
     if not found.adequate:

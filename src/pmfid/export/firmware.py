@@ -87,7 +87,7 @@ def _flat(row: Structured) -> str:
 
 #: Ends of the names that an export makes of its prefix for types.
 TYPES = ("_t", "_saved_t", "_alarm_t")
-#: Types of C99's library whose names have one of these ends.
+#: Types of C99's library whose names end in one of the `TYPES`.
 _PLAIN_TYPES = """
 size ptrdiff wchar wint wctrans wctype mbstate time clock div ldiv lldiv fpos float double fenv fexcept imaxdiv
 sig_atomic va_list intptr uintptr intmax uintmax ssize off

@@ -144,7 +144,7 @@ def _fields(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[st
 
 
 def _numeric(fields: Sequence[str], decimal: str) -> bool:
-    """Return whether a line with these fields is a line of data, which has a number and few words.
+    """Return whether the fields belong to a line of data, which has a number and few words.
 
     A line of settings with a word before each number is no line of data.
     """
@@ -172,7 +172,7 @@ def _is_data_field(field: str, decimal: str) -> bool:
 
 
 def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple[tuple[str, ...], bool]:
-    """Return the names of the columns with these fields, and whether the file has names.
+    """Return the names of the columns for the fields of the first line of data, and whether the file has names.
 
     The names come from the nearest line above with the same number of fields, which may be a comment. The units come
     from a row of units.
@@ -198,7 +198,7 @@ def _says_names(row: Sequence[str]) -> bool:
 def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return the names of an export of TwinCAT Scope, or an empty tuple for any other file.
 
-    In such an export, each line of settings repeats its key above each column of stamps [ms].
+    In an export of TwinCAT Scope, each line of settings repeats its key above each column of stamps [ms].
     """
     settings = {line[0]: line for line in lines if line.count(line[0]) * 2 <= len(line)}
     if not {"Name", "SampleTime[ms]"} <= set(settings):

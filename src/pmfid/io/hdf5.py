@@ -78,7 +78,7 @@ def parse_hdf5(data: bytes) -> Table:
 
 
 def _is_column(item: _Dataset) -> bool:
-    """Return whether a dataset holds numbers, or structures of numbers, in this file."""
+    """Return whether a dataset holds numbers, or structures of numbers, in the file itself."""
     kind = item.attrs.get("MATLAB_class", b"")
     return item.dtype.kind in "biufV" and not item.external and not item.is_virtual and kind not in (b"char", b"cell")
 
@@ -102,7 +102,7 @@ def parse_mat(data: bytes) -> Table:
     with warnings.catch_warnings(action="error", category=scipy.io.matlab.MatReadWarning):
         variables = scipy.io.loadmat(io.BytesIO(data))
     named = {name: value for name, value in variables.items() if not name.startswith("__")}
-    # A sparse matrix or another class is no column. An access to such a variable raises an error.
+    # A sparse matrix or an object of another class is no column, and raises an error on access.
     arrays = {name: value if isinstance(value, np.ndarray) else np.empty(0, object) for name, value in named.items()}
     return flatten_fields(arrays)
 

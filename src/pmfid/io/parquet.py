@@ -29,7 +29,8 @@ VALUE = 8
 
 
 def column_sizes(data: bytes) -> Mapping[str, int]:
-    """Return the bytes of each top-level column in memory, the larger size of its values and its unpacked pages.
+    """Return the size of each top-level column in memory [bytes]. The size is that of its values or of its unpacked
+    pages, whichever is larger.
 
     Raises ValueError, IndexError, KeyError or TypeError for a damaged footer.
     """
@@ -84,7 +85,7 @@ class _Compact:
         return (found >> 1) ^ -(found & 1)
 
     def _value(self, kind: int) -> Any:
-        if kind in (TRUE, FALSE, BYTE):  # a list has one byte for each such value
+        if kind in (TRUE, FALSE, BYTE):  # in a list, each of these values takes one byte
             return self._byte()
         if kind in INTEGERS:
             return self._integer()
@@ -114,7 +115,7 @@ class LazyColumns(Mapping[str, object], ABC):
 
     @abstractmethod
     def read(self, name: str) -> pl.Series:
-        """Return the column with this name in the file."""
+        """Return the column with the given name in the file."""
 
     def __getitem__(self, name: str) -> object:
         whole, _, part = (name, "", "") if name in self._names else name.rpartition(".")

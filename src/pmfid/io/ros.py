@@ -29,7 +29,8 @@ NANOSECOND = 1e-9
 def signals_of(messages: Iterable[tuple[str, int, object]]) -> ClockedSignals:
     """Return the signals of messages (topic, stamp [ns], message), such as "/joint_states.position.0".
 
-    Each signal has the stamps of its topic. A stamp within a message is relative to the first such stamp [s].
+    Each signal has the stamps of its topic. A stamp within a message is relative to the first stamp in the same field
+    [s].
     """
     stamps: dict[str, list[int]] = {}
     values: dict[str, list[float | int]] = {}

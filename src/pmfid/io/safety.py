@@ -49,7 +49,7 @@ def silent() -> Iterator[None]:
 
 @contextmanager
 def require_extra(extra: str) -> Iterator[None]:
-    """Import a library from an extra of the package inside this context.
+    """Guard the import of a library from an extra of the package.
 
     Raises UsageError with the command that installs the extra.
     """

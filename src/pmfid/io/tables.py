@@ -50,7 +50,9 @@ class ClockedSignals(Mapping[str, object]):
         self._stamps, self._held = stamps, dict[str, None]()
 
     def align(self, base: str, others: tuple[str, ...]) -> ClockedSignals:
-        """Return the signals on the clock of `base`, from the first stamp at which the others have begun."""
+        """Return the signals on the clock of `base`, from the first stamp at which all signals in `others` have
+        begun.
+        """
         return ClockedSignals(self._signals, base, others)
 
     @property
@@ -133,7 +135,7 @@ def whole_name(table: Table, name: str) -> str:
 
 #: Largest number of bytes in a cell of text. A number or a time needs a tenth of this limit.
 LONGEST_CELL = 1000
-#: Suffix of the second column with the same name in polars.
+#: Suffix that polars adds to the name of a second column with an equal name.
 TWICE = "_duplicated_0"
 
 
@@ -149,7 +151,7 @@ def lookup(table: Table, key: str, name: str) -> object:
 
 
 def _check_cells(label: str, series: pl.Series) -> None:
-    """Raise UsageError for texts that no number or time needs.
+    """Raise UsageError for texts that are too long for a number or a time.
 
     A packed file may repeat a long text in every row.
     """

@@ -50,7 +50,7 @@ class OrderCandidate:
 
 @dataclass(frozen=True)
 class Search:
-    """The candidates, best first, with those that did not converge at the end.
+    """The candidates, best first. Candidates whose fit did not converge come last.
 
     `skipped` is the number of structures that are worse than the best structure for certain, because a larger model is
     already worse. `samples` is the number N of samples, equal for all delays.
@@ -74,14 +74,15 @@ def search_structure(
     offset: bool = False,
     done: Callable[[float], None] | None = None,
 ) -> Search:
-    """Fit all structures with n in orders, m < n and the delays to the same samples by refined instrumental variables.
+    """Fit all structures to the same samples by refined instrumental variables.
 
-    Any criterion would take noise that is not white for dynamics. Therefore the search first estimates the colour from
-    the residuals of the largest and a middle order. Then the search compares all structures after the whitening filter
-    (`residuals.py`). `cutoff` is the pole of the first filters [rad/s]. The search skips a structure if a model that
-    contains it has too large a residual. The containing model has the same delay, and one zero less than poles. `done`
-    is called with the completed part. Raises UsageError without orders, delays or a usable record, and
-    NotIdentifiableError if no structure follows the record.
+    The structures have n poles for each n in `orders`, m < n zeros, and each delay. Any criterion would take noise that
+    is not white for dynamics. Therefore the search first estimates the colour from the residuals of the largest and a
+    middle order. Then the search compares all structures after the whitening filter (`residuals.py`). `cutoff` is the
+    pole of the first filters [rad/s]. The search skips a structure if a model that contains it has too large a
+    residual. The containing model has the same delay, and one zero less than poles. `done` is called with the completed
+    part. Raises UsageError without orders, delays or a usable record, and NotIdentifiableError if no structure follows
+    the record.
     """
     if not orders or not delays or min(orders) < 1 or min(delays) < 0:
         raise UsageError("give orders from 1 on and delays from 0 on")
@@ -135,7 +136,9 @@ def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> 
 def _finish(
     found: list[OrderCandidate], again: Callable[[int, int, int], OrderCandidate | None]
 ) -> list[OrderCandidate]:
-    """Repeat the fits that did not converge and may be best, with as many passes as an estimate has."""
+    """Repeat those fits that did not converge but may be the best. The repeated fit has as many passes as an
+    estimate.
+    """
     best = min((candidate.bic for candidate in found if candidate.settled), default=math.inf)
     contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[
         : TUNING.order_retried

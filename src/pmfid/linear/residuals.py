@@ -57,9 +57,9 @@ class Noise:
 def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Noise:
     """Return the noise model of a residual (N,) at rising places (N,).
 
-    Akaike's criterion with the correction of Hurvich and Tsai (1989) selects the order. `taken` holds orthonormal
-    columns (N, q), not necessarily all, that a fit removed from the noise. The function restores the expected part of
-    these columns in each autocovariance.
+    Akaike's criterion with the correction of Hurvich and Tsai (1989) selects the order. `taken` (N, q) holds some of
+    the orthonormal columns that a fit removed from the noise. The function restores the expected part of the removed
+    columns in each autocovariance.
     """
     most = min(TUNING.residuals_most, max(1, error.size // TUNING.residuals_part))
     laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))

@@ -18,8 +18,8 @@ from pmfid.types import Floats
 def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held: bool) -> Floats:
     """Return the states as `respond` does, but simulate fast unstable modes in reversed time.
 
-    Fast unstable modes grow by more than the factor e over the grid. The part of `start` for such modes belongs to the
-    last instant.
+    Fast unstable modes grow by more than the factor e over the grid. The part of `start` for fast unstable modes
+    belongs to the last instant.
     """
     n, limit = F.shape[0], 1 / max(grid.duration, 1e-300)
     T, Q, kept = schur(F - limit * np.eye(n), sort="lhp")
@@ -285,7 +285,7 @@ def simulate(
 ) -> Floats:
     """Return the output (M,) from the initial conditions (n,) and one input.
 
-    `source` is the number of the input in the stretch. If `source` is None, the input is that of the instruments.
+    `source` is the number of the input in the stretch. If `source` is None, the input is the one for the instruments.
     """
     _, b, offset = structure.split(theta)
     single = channels(structure, theta, stretch, twice=False).single

@@ -42,7 +42,7 @@ class ProcessPoint:
     """Parameters theta (p,) and initial conditions (stretches, n) with the linearisation at this point.
 
     The initial conditions are projected out of error (N,), phi (N, p) and zeta (N, p). `cost` is the sum of squares of
-    the error, and `power` is that of the output.
+    the error, and `power` is the sum of squares of the output.
     """
 
     theta: Floats
@@ -232,7 +232,8 @@ def solve(problem: ProcessProblem) -> Solution:
     """Refine the solution of least squares.
 
     If the refinement does not converge, the function descends and tries other filters. With solve_several poles or
-    more, a filter may miss a resonance. For such models, the function tries all filters and returns the best solution.
+    more, a filter may miss a resonance. From this number of poles on, the function tries all filters and returns the
+    best solution.
     """
     best: Solution | None = None
     every = problem.structure.free >= TUNING.solve_several and not problem.referenced
@@ -359,7 +360,7 @@ def solve_dead_time(
 ) -> tuple[ProcessProblem, Solution]:
     """Return the best solution of several start values for the dead time, and the problem that it solves.
 
-    The start values are the most promising whole samples. All solutions use the same outputs, as many as possible.
+    The start values are the most promising whole samples. For a comparison, all solutions use the same outputs.
     """
     structure, least = problem.structure, problem.structure.n + 2
     latest, step = structure.latest or 0.0, float(np.median(problem.stretches[0].grid.steps))
@@ -385,7 +386,7 @@ def solve_dead_time(
 
 
 def _cost(problem: ProcessProblem, dead_time: float) -> float:
-    """Return the remaining cost after a few passes with this dead time."""
+    """Return the remaining cost after a few passes with a given dead time."""
     fixed = replace(problem, structure=replace(problem.structure, dead_time=dead_time, latest=None))
     with np.errstate(all="ignore"):
         try:

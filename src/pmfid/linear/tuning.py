@@ -16,8 +16,8 @@ class LinearTuning:
     series_norm: float = 0.25
     #: Number of columns in each block of a product of a small matrix and a long matrix.
     experiment_block: int = 2048
-    #: Relative deviation from an even spacing below which instants are evenly spaced. Clocks and decimals cause such
-    #: deviations.
+    #: Relative deviation from an even spacing below which instants are evenly spaced. Clocks and rounded decimals cause
+    #: small deviations from an even spacing.
     experiment_even: float = 5e-3
     #: Distance, relative to the median step, below which two instants are equal.
     experiment_same: float = 1e-9
@@ -32,8 +32,8 @@ class LinearTuning:
     #: Relative decrease of the sum of squares below which a step is unnecessary and a model is judged.
     order_settled: float = 1e-6
     order_passes: int = 10
-    #: Poles of the smaller of two models that determine the colour of the noise. A second model with the most poles
-    #: competes with this model.
+    #: Poles of the smaller of two models that determine the colour of the noise. The other model has the most poles of
+    #: the search.
     order_middle: int = 3
     #: Number of best structures that get more passes if they did not converge.
     order_retried: int = 8

@@ -332,7 +332,7 @@ def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
 
 
 def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[str, object]) -> Axis:
-    """Return the configuration of these objects, as AXIS.toml describes it.
+    """Return the configuration that AXIS.toml would contain for the given objects.
 
     Raises UsageError for settings that contradict each other.
     """

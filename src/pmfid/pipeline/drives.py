@@ -464,7 +464,7 @@ def _run(
 ) -> tuple[Track, Track]:
     """Return the tracks of a run over the record, without and with prior information.
 
-    Several chunks give the same numbers as one run. In a gap the estimate does not change.
+    A run in several chunks gives the same numbers as a single run. In a gap the estimate does not change.
     """
     n, parts, reported = record.u.size, list[Track](), list[Track]()
     chunk = TUNING.drives_chunk if known is None else ESTIMATOR_TUNING.known_piece

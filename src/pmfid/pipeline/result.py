@@ -193,7 +193,7 @@ class Result(Presentable):
 
     @abstractmethod
     def particulars(self) -> dict[str, object]:
-        """The entries of `to_json` that only this kind of result has."""
+        """The entries of `to_json` that belong only to the present kind of result."""
 
     def __getitem__(self, name: str) -> float:
         """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""

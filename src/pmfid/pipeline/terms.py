@@ -89,9 +89,9 @@ def _balance(bench: Bench, trial: Trial) -> Balance | None:
 def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
     """Return the parts of the resistance to the motion that a model leaves, for the whole motion and its slow part.
 
-    The motion is that of the chosen model. The unexplained resistance has two sources. One is the difference between
-    the model and the chosen model. The other is the significant resistance that the chosen model leaves in the force
-    balance.
+    The parts refer to the motion of the chosen model. The unexplained resistance has two sources. One is the difference
+    between the model and the chosen model. The other is the significant resistance that the chosen model leaves in the
+    force balance.
     """
     if balance is None or last is None or last.friction is None:
         return math.nan, math.nan
@@ -126,8 +126,8 @@ class WeighedTerm:
 
     `setting` holds the lines of the term in [model]. `values` holds the name, value, standard error (NaN if unknown)
     and unit of each parameter of the term. `kept` says whether the term is in the chosen model. `with_it` and `without`
-    are errors of free runs over samples outside the fits [unit of y]. Without such runs, the errors are not finite.
-    `verdict` is the decision on the term.
+    are errors of free runs over samples outside the fits [unit of y]. Without free runs, `with_it` and `without` are
+    not finite. `verdict` is the decision on the term.
     """
 
     setting: str
@@ -456,14 +456,14 @@ def _assemble_search(
 
 
 def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:
-    """Judge the chosen model in the same way as an estimate."""
+    """Judge the chosen model, as `pmfid identify` judges an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
         return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),), True
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
     said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
-    # Advice to set a term of [model] is omitted, because the search has already fitted such terms.
+    # Findings omit advice to set a term of [model], because the search has already fitted the terms.
     own = [
         replace(one, sentence=UNEXPLAINED, remedy="") if one.code == UNMODELLED else one
         for one in said.judged

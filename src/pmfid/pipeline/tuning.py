@@ -50,8 +50,8 @@ class PipelineTuning:
     force_alike: float = 0.9
 
     # checks.readings
-    #: Greatest part of the input that a reading leaves unexplained. `readings_better` is the greatest ratio of this
-    #: part to the part that the given reading leaves.
+    #: Greatest part of the input that a reading leaves unexplained. `readings_better` is the greatest ratio of the part
+    #: that another reading leaves unexplained to the part that the given reading leaves.
     readings_follows: float = 0.15
     readings_better: float = 0.3
     #: Greatest unexplained part for a reading with friction that no model explains. Such a reading also requires a
@@ -65,8 +65,8 @@ class PipelineTuning:
     readings_likely: float = 3.0
     #: Unexplained part above which a record says nothing about a sign.
     readings_unseen: float = 0.5
-    #: Smallest time in which a mass reaches its speed [samples]. Without a mass, the reading as a velocity may leave
-    #: more of the input unexplained by the factor `readings_alike`.
+    #: Smallest time in which a mass reaches its speed [samples]. `readings_alike` is the factor by which a velocity may
+    #: leave more of the input unexplained, if the record shows no mass.
     readings_samples: float = 1.5
     readings_alike: float = 2.0
     #: Smallest duration of the motion in a reading, in time constants of the filters.
@@ -92,7 +92,7 @@ class PipelineTuning:
     timing_furthest: float = 30.0
     timing_step: float = 0.5
     #: Relative change of the velocity from sample to sample above which samples miss the motion. `timing_fine` is the
-    #: number of counts per sample above which the encoder does not cause such changes.
+    #: number of counts per sample above which the encoder itself does not change the velocity by so much.
     timing_hasty: float = 0.42
     timing_fine: float = 3.0
     #: Limits for records that are too short for filters. `timing_rather` is the relative change of the velocity.
@@ -114,7 +114,7 @@ class PipelineTuning:
     timing_sure: float = 4.5
     timing_less: float = 0.95
     #: Value of `timing_less` for the largest tried drift. The limit is stricter, because the motion of another joint
-    #: also suggests this drift.
+    #: also suggests a very large drift.
     timing_less_furthest: float = 0.5
     #: Largest number of further corrections of a drift, and largest corrected drift as a multiple of the first drift.
     timing_corrections: int = 3
@@ -283,8 +283,8 @@ class PipelineTuning:
     #: a clock that was set back.
     timeline_ahead: int = 2
     timeline_late: int = 5
-    #: Shortest and longest step from a held line to the next line [sample periods]. Lines between two such lines may be
-    #: lost.
+    #: Shortest and longest step from a held line to the next line [sample periods]. Lines between the held line and the
+    #: next line may be lost.
     timeline_soonest: float = 0.25
     timeline_latest: float = 10.0
     #: Longest gap [s]. A longer gap is taken for a clock that was set.

@@ -258,14 +258,14 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
         if found is not None:
             places, period = found
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
-    dt, notes = sample_period(stamps, config)  # this call refuses stamps without a grid
+    dt, notes = sample_period(stamps, config)  # `sample_period` refuses stamps without a grid
     counts = kept[rows]
     places = np.flatnonzero(counts) if places is None else places[counts]
     return PlacedRows(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
 
 
 def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:
-    """Return the values (N,) at rising rows (n,), without a copy if these are all rows."""
+    """Return the values (N,) at rising rows (n,), without a copy if all rows are used."""
     return values if rows.size == values.size else values[rows]
 
 

@@ -135,8 +135,8 @@ def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple
 def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     """Return the relative errors (p,) of the parameters by missing samples, or 1 if too few samples remain.
 
-    The function removes an equal part of the measured samples and fills them. The change of the parameters then
-    estimates the error by the samples that are really missing.
+    The function removes an equal part of the measured samples and fills them. The resulting change of the parameters
+    estimates the error that the missing samples cause.
     """
     chance, part = np.random.default_rng(TUNING.filling_again), 1 - float(np.mean(there[np.isfinite(u)]))
     fewer = there & (chance.random(u.size) >= part)

@@ -32,11 +32,11 @@ class Wrap:
 
     @property
     def bits(self) -> int | None:
-        """The width of a counter with this range, or None if the range is no power of two."""
+        """The width of the counter [bits], or None if its range is no power of two."""
         return self.span.bit_length() - 1 if self.span.bit_count() == 1 else None
 
     def describe_mistake(self, column: str, kind: str, resolution: float, unit: str) -> tuple[str, str]:
-        """Return the mistake and its remedy for an output column with this output_kind. `unit` is that of the
+        """Return the mistake and its remedy for an output column of the given kind. `unit` is the unit of the
         resolution.
         """
         size = self.span if kind == "counts" else self.span * resolution

@@ -35,8 +35,8 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
     """Return the position (n,) of a velocity (n,) that is sampled every dt [s], and a description of the method.
 
     The position starts at 0. A drive that differentiates its counts logs multiples of resolution / dt, which are means
-    over the preceding interval. The sum of these multiples gives the counts exactly. Any other velocity is taken as
-    linear between samples.
+    over the preceding interval. The sum of the logged multiples gives the counts exactly. Any other velocity is taken
+    as linear between samples.
     """
     steps = velocity * (dt / resolution)
     if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < TUNING.record_whole):
@@ -154,11 +154,11 @@ class Record:
     `u` (n,) is the scaled input, with NaN in gaps where the input is unknown. `counts` (n,) are the unwrapped encoder
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
-    samples, or is None if all were measured. `gaps` fills the other samples. `doubt` (p,) is the relative error of
-    parameters that filled samples may cause, or None without an error. `jitter` is the root mean square deviation of
-    the steps of an uneven clock, relative to the period, before resampling. `own` is the record at the uneven instants
-    of its clock, or None for even instants. A record at uneven instants has `steps`, the times between its samples.
-    `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
+    samples, or is None if all were measured. The module `gaps` fills samples that were not measured. `doubt` (p,) is
+    the relative error of parameters that filled samples may cause, or None without an error. `jitter` is the root mean
+    square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is the record at
+    the uneven instants of its clock, or None for even instants. A record at uneven instants has `steps`, the times
+    between its samples. `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
     """
 
     u: Floats
@@ -374,7 +374,7 @@ def _resample(
     if "time" not in columns or keeps or encoder.range is not None:
         return columns, None, ()
     if config.output_kind == "position":
-        _check_position(columns["output"], axis)  # this check needs the values of the file
+        _check_position(columns["output"], axis)  # the check needs the values of the file
     wraps = 0
     if config.output_kind == "counts" and encoder.bits is not None:
         columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}

@@ -19,7 +19,7 @@ def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[st
     The function returns the columns and the number of removed rows. `step` is the step of the encoder in the unit of
     the column. The function changes nothing unless all rows have numbers and the time rises. The input of a kept row is
     its mean until the next row, so that no impulse is lost. A row at which the input jumps remains, because a mean
-    would move the jump. The output of such a row comes from the cubic through the neighbouring rows.
+    would move the jump. The output of a row with a jump comes from the cubic through the neighbouring rows.
     """
     time, u, y = columns["time"], columns["input"], columns["output"]
     if not (np.all(np.isfinite(u + y + time)) and np.all(np.diff(time) > 0)):
@@ -69,8 +69,8 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
 
 
 def _cubic(time: Floats, y: Floats, place: NDArray[np.intp], at: Floats) -> Floats:
-    """Return the values at (m,) of the cubic polynomials through four neighbouring points, of which `place` (m,) is
-    the second.
+    """Return values of cubic polynomials at the times `at` (m,). Each polynomial passes through four neighbouring
+    points, and `place` (m,) is the second point.
     """
     values = np.zeros(at.size)
     for i in range(-1, 3):

@@ -87,7 +87,7 @@ def _drifts(steps: Floats) -> bool:
 
 
 def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float, longest: float) -> OwnSamples:
-    """Return the samples without those that the next sample follows at once, and with rows that fill the gaps evenly.
+    """Return the samples without those that another sample follows at once, and with even rows in the gaps.
 
     `longest` is the longest step that is not a gap.
     """
@@ -119,7 +119,7 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
 
 
 def _usual_step(steps: Floats) -> float:
-    """Return the mean of the steps (n,) without gaps. In bursts, most steps are shorter than this mean."""
+    """Return the mean of the steps (n,) without gaps. In a log with bursts, most steps are shorter than the mean."""
     mean = np.mean(steps[steps <= np.quantile(steps, TUNING.resampling_usual)])
     return float(np.mean(steps[steps <= TUNING.longest_step * mean]))
 

@@ -16,7 +16,8 @@ def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple
     """Return the columns of input, output and time at the rows of the output (m,), and notes for people.
 
     The input holds from its stamp to the next stamp, and is averaged from one output to the next. Therefore no time
-    between the two topics is lost. If the rows of the columns (n,) have both values, the columns remain unchanged.
+    between two stamps of the input is lost. If the rows of the columns (n,) have both values, the columns remain
+    unchanged.
     """
     u, y = np.isfinite(columns["input"]), np.isfinite(columns["output"])
     if "time" not in columns or np.sum(u & y) > TUNING.most_together * min(np.sum(u), np.sum(y)):

@@ -41,8 +41,8 @@ class RecordTuning:
     #: Largest standard deviation of stamps around a grid [periods]. Random stamps have a standard deviation of 0.29
     #: periods.
     clock_scatter: float = 0.2
-    #: Time after a row within which a following row is too early [periods]. `clock_rare` is the greatest part of such
-    #: early rows.
+    #: Time after a row within which a following row is too early [periods]. `clock_rare` is the greatest part of rows
+    #: that are too early.
     clock_early: float = 0.3
     clock_rare: float = 0.001
     #: Largest number of iterations between grid and places.
@@ -58,7 +58,8 @@ class RecordTuning:
     # filling
     #: Variance of a count [counts^2].
     filling_count: float = 1 / 12
-    #: Tiny information on position and velocity before the record [1/counts^2, s^2/counts^2].
+    #: Information on position and velocity before the record [1/counts^2, s^2/counts^2]. The value is nearly zero,
+    #: because both are unknown.
     filling_nothing: float = 1e-12
     #: Number of right-hand sides that are solved together.
     filling_chunk: int = 256
@@ -82,8 +83,8 @@ class RecordTuning:
     filling_within: float = 1.0
 
     # gaps
-    #: Distance, in multiples of `half`, beyond which samples lie after another gap. `far_weight` is the weight of such
-    #: samples.
+    #: Distance, in multiples of `half`, beyond which samples lie after another gap. `far_weight` is the weight of
+    #: samples after another gap.
     gaps_near: float = 3.0
     far_weight: float = 1e-6
     #: Largest and smallest number of samples that are omitted to measure the error. `gaps_chunk` is the number of
@@ -117,7 +118,7 @@ class RecordTuning:
     outliers_smoother: float = 0.1
     #: Largest relative difference between jumps of equal size.
     outliers_alike: float = 0.05
-    #: Largest relative distance of a range from whole turns.
+    #: Largest relative difference between a range and a whole number of turns.
     whole_turns: float = 0.005
     #: Largest width of a counter [bits]. `outliers_least` is the smallest range of the counts, because within a smaller
     #: range any motion may resemble a jump.
@@ -127,8 +128,8 @@ class RecordTuning:
     #: the velocity, and five successive wrong changes do not move it. A window of this length also reveals steps of the
     #: velocity.
     outliers_around: int = 11
-    #: Allowed deviation from the median in counts, and as a multiple of the usual deviation plus the step of the
-    #: velocity.
+    #: Allowed deviation of a change from the median [counts]. The next constant is the allowed deviation as a multiple
+    #: of two terms: the usual deviation and the step of the velocity.
     outliers_counts: float = 10.0
     outliers_times: float = 4.0
     #: Quantile of the deviations that counts as usual.
@@ -170,8 +171,8 @@ class RecordTuning:
     repeats_longest: int = 8
     repeats_longest_slow: int = 4
     #: Smallest number of rows that repeat an output. `repeats_part` and `repeats_most` are the smallest and greatest
-    #: part of the fast rows. A single such row is a wrong reading, and an output that is held in every second row has
-    #: its own remedy.
+    #: part of the fast rows. A single repeated row is a wrong reading, and an output that is held in every second row
+    #: has its own remedy.
     repeats_fewest: int = 5
     repeats_part: float = 0.005
     repeats_most: float = 0.5

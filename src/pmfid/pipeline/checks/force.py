@@ -43,8 +43,8 @@ def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
 def _measure_signs(u: Floats, position: Floats, width: int) -> tuple[float, float]:
     """Return the unexplained parts of an unsigned input (n,), first as it is and then with the best signs.
 
-    Acceleration, velocity, direction and load explain the input. The best signs are those of the explained force. All
-    signals are means over `width` samples, which cause no delay.
+    Acceleration, velocity, direction and load explain the input. The best signs are the signs of the explained force.
+    All signals are means over `width` samples, which cause no delay.
     """
     smooth = uniform_filter1d(uniform_filter1d(position, width), width)
     velocity = np.gradient(smooth)

@@ -109,8 +109,8 @@ class Pair:
 def numeric(table: Table) -> dict[str, Floats]:
     """Return the columns of numbers that are not constant, by name.
 
-    If the topics of a table have separate rows, the rows are those of the position. Other missing values take the
-    preceding value of the column, which suffices for a guess.
+    If the topics of a table have separate rows, the function returns the rows of the position. Other missing values
+    take the preceding value of the column, which suffices for a guess.
     """
     found: dict[str, Floats] = {}
     rows: Flags | None = None

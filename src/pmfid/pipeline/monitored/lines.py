@@ -115,7 +115,7 @@ class FieldReader:
     def rows(self, columns: Mapping[str, object], size: int) -> Iterator[Line]:
         """Yield the first `size` samples of columns by name, without an exception.
 
-        A value that is no list is the same in each sample.
+        A value that is not a list is repeated in each sample.
         """
         names = {whole_name(columns, name) for name in self._wanted}
         used = {name: columns[name] for name in names if name in columns}
@@ -227,7 +227,7 @@ class LineParser:
             return False
         try:
             self._read_header(header)
-        except UsageError:  # this header has other units or a repeated column, so the previous header remains valid
+        except UsageError:  # a header with other units or a repeated column leaves the previous header valid
             return False
         return True
 
@@ -260,9 +260,9 @@ def _text(line: bytes) -> str:
 
 
 def _are_units(fields: Sequence[str]) -> bool:
-    """Return whether this is a row of units with at least one real unit.
+    """Return whether the fields are a row of units with at least one real unit.
 
-    A row of empty cells and ones may be a damaged line of data.
+    A row with only empty cells and the unit 1 may be a damaged line of data.
     """
     return are_units(fields) and any(field.strip("-1%") for field in fields)
 

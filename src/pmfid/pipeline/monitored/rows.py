@@ -154,5 +154,5 @@ def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink:
             if kind == ".csv":
                 return CsvSink(out if is_stream(out) else fresh(out), header, tell)
             return ParquetSink(fresh(out, rows_path), header, tell)
-        except FileExistsError:  # another monitor has just taken this name
+        except FileExistsError:  # another monitor has just taken the name
             continue

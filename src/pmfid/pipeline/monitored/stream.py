@@ -27,7 +27,7 @@ class _InterruptedError(Exception):
 def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool = True) -> Iterator[None]:
     """Pass SIGINT, SIGTERM and SIGHUP to a handler inside the block.
 
-    SIGHUP needs `hangup` and a system with this signal.
+    SIGHUP is passed only if `hangup` is set and the system has the signal.
     """
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hangup and hasattr(signal, "SIGHUP"):

@@ -123,7 +123,7 @@ class Sample:
     """A sample on the regular grid.
 
     `time` is in s. `u` is NaN if the sample is lost, and `counts` then holds the last counts. `missing` is the number
-    of missing samples before this sample. `jump` is the change of the clock before this sample [s].
+    of missing samples just before. `jump` is the change of the clock just before [s].
     """
 
     time: float
