@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> None:
     """Explain KEY, which is a key of a file, a section, or a word of a status.
 
-    Examples of keys are record.time_unit in AXIS.toml, and service.window or sources.mqtt.qos in PLANT.toml. An example
-    of a status is poor_excitation. Without KEY, the command lists all keys of AXIS.toml and all words of a status.
+    Examples of keys are record.time_unit in AXIS.toml, service.window in PLANT.toml and sources.mqtt.qos in PLANT.toml.
+    An example of a status is poor_excitation. Without KEY, the command lists all keys of AXIS.toml and all words of a
+    status.
     """
     from pmfid.config.explain import entries, explain_entries, page
     from pmfid.service.plant import plant_entries, plant_page

@@ -170,7 +170,7 @@ def _late_by(found: Adequacy) -> float:
 
 
 def _gain(found: Adequacy, size: float, cost_there: float | None) -> float:
-    """Return the gain of the doubled log-likelihood by another fit.
+    """Return how much another fit increases the doubled log-likelihood.
 
     `size` is the root mean square difference of the other fit. `cost_there` is the negative log-likelihood of the other
     fit, if both fits are within the counts.
@@ -275,8 +275,8 @@ def judge(
     record, if known.
     """
     residual = [*_model(estimator, u, counts, theta, std, adequacy), *_feedback(estimator, u, counts, theta)]
-    # If the model is wrong, methods weigh its error differently. Therefore only large differences between methods count
-    # for a wrong model.
+    # Methods weigh the error of a wrong model differently. Therefore only large differences between methods count if
+    # the model is wrong.
     limit = 10 * TUNING.drives_biased if "unmodelled" in codes(residual) else 2 * TUNING.drives_biased
     return sort_findings(
         [

@@ -193,13 +193,14 @@ class Assessment:
 
     `fit` is 100 (1 - |y - simulated| / |y - mean y|) [%] with fitted initial conditions. `simulated` and `residual`
     hold one array for each stretch, at its measured samples. `samples` are the numbers of the measured samples in the
-    record, and `records` are the numbers of the records. `autocorrelation` (residuals_lags + 1,) belongs to the
-    residual, from lag 0. `cross` (2 residuals_lags + 1,) correlates the residual with the input, or with the reference
-    if one exists. The bounds of `autocorrelation` and `cross` hold 99 % of the correlations of an independent residual.
-    `unmodelled` says whether the present and past input explains the residual. `feedback` says whether future inputs
-    explain the residual, because a controller feeds the noise back (`causality.py`). `depends` says whether the output
-    depends on the input by more than chance. `second` is the result of a second examination, and `hold` is the result
-    of the test of the other hold. `repeats` says whether a part of the residual repeats in every period of the input.
+    record, and `records` are the numbers of the records. `autocorrelation` (residuals_lags + 1,) is the autocorrelation
+    of the residual, starting with lag 0. `cross` (2 residuals_lags + 1,) correlates the residual with the input, or
+    with the reference if one exists. The bounds of `autocorrelation` and `cross` hold 99 % of the correlations of an
+    independent residual. `unmodelled` says whether the present and past input explains the residual. `feedback` says
+    whether future inputs explain the residual, because a controller feeds the noise back (`causality.py`). `depends`
+    says whether the output depends on the input by more than chance. `second` is the result of a second examination,
+    and `hold` is the result of the test of the other hold. `repeats` says whether a part of the residual repeats in
+    every period of the input.
     """
 
     fit: float

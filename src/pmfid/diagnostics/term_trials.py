@@ -212,7 +212,7 @@ def scan_balance(method: LS, u: Floats, counts: NDArray[np.int64], numbers: Floa
     """Return the part (k,) of the residual that a periodic force explains, for each number of pitches in the travel.
 
     The residual is that of a filtered force balance, from u (n,) and counts (n,). The periodic force acts at the
-    measured position. The model's own terms are removed first.
+    measured position. The function first removes the effect of the model's own terms.
     """
     columns, y = method.columns(u, counts), method.encoder.resolution * (counts - counts[0])
     middle = y + np.diff(y, append=y[-1]) / 2

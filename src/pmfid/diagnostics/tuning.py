@@ -37,7 +37,8 @@ class DiagnosticTuning:
     filter_lags: float = 5.0
 
     # causality
-    #: Lags of the input: least and greatest number, samples for each further lag, and number of future lags.
+    #: Smallest number of lags of the input. The next constants are the largest number of lags, the samples for each
+    #: further lag, and the number of future lags.
     causality_least: int = 8
     causality_most: int = 40
     samples_per_lag: int = 15
@@ -105,8 +106,8 @@ class DiagnosticTuning:
     processes_elsewhere: float = 1e-3
     #: Greatest part of the right models in open loop that a test of unmodelled effects or of feedback rejects.
     false_alarm: float = 1e-4
-    #: Greatest residual of a wrong hold, as a multiple of the difference between the two responses at their first
-    #: sample.
+    #: Greatest residual that a wrong hold causes. Its unit is the difference between the responses with both holds at
+    #: their first sample.
     wrong_hold: float = 2.0
     #: Relative standard deviation above which a pole is unknown. The relative standard deviation of a real pole is at
     #: most half of the limit, because bars of two standard deviations do not cross zero.

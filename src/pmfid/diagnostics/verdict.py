@@ -112,7 +112,7 @@ def _contradictions(twin: IV, columns: Columns, velocity: Floats) -> Iterator[Fl
 def _own_moves(found: Adequacy, twin: IV, columns: Columns, follows: bool) -> Floats:
     """Return the shift of the estimate (p, k) for a unit of each force.
 
-    The shift is computed from the best motion of the model or from the instruments.
+    The shift follows from the best motion of the model or from the instruments.
     """
     if not follows:
         with suppress(NotIdentifiableError):

@@ -133,7 +133,7 @@ def whole_name(table: Table, name: str) -> str:
     return name
 
 
-#: Largest number of bytes in a cell of text. A number or a time needs a tenth of this limit.
+#: Largest number of bytes in a cell of text. A number or a time needs a tenth of the limit.
 LONGEST_CELL = 1000
 #: Suffix that polars adds to the name of a second column with an equal name.
 TWICE = "_duplicated_0"

@@ -238,7 +238,7 @@ class Experiment(Presentable):
         1993).
 
         The signal resembles the input without the noise that the controller feeds back. Schwarz's criterion selects the
-        length of the impulse response, because each further coefficient returns some of that noise.
+        length of the impulse response, because each further coefficient restores some of the noise.
         """
         if self.reference is None:
             return None

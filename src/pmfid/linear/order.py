@@ -116,7 +116,7 @@ def search_structure(
 
 
 def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> Search:
-    """Return the search with the first structure that is not refused at the front.
+    """Return the search after a move of the first acceptable structure to the front.
 
     `refusal` returns the reason against an estimate of a structure, UNSTABLE, or an empty text. Each refused structure
     stores the reason.

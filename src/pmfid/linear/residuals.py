@@ -92,7 +92,7 @@ def whiten_columns(noise: Noise, columns: Floats, place: Places) -> Floats:
 
 
 def _compute_fit_effect(noise: Noise, taken: Floats, place: Places, most: int) -> Floats:
-    """Return the expected decrease (most + 1,) of sum e[t] e[t+k] of a residual relative to its noise.
+    """Return by how much (most + 1,) a fit is expected to decrease the sums e[t] e[t+k] of the noise.
 
     With the projection 1 - Q Q^T and the shift S, the decrease is the trace of 2 Q^T S R Q - Q^T S Q Q^T R Q.
     """
@@ -111,8 +111,8 @@ def _compute_fit_effect(noise: Noise, taken: Floats, place: Places, most: int) -
 def _correlate_over_gaps(error: Floats, place: Places, most: int) -> Floats:
     """Return the autocovariance (most + 1,) with straight lines over short gaps.
 
-    With gaps, the sums for different lags have different pairs of samples. For slow noise, their difference exceeds the
-    variance of a prediction, so that no valid model follows.
+    With gaps, the sums for different lags have different pairs of samples. For slow noise, the sums differ by more than
+    the variance of a prediction, so that no valid model follows.
     """
     line = np.arange(int(place[-1] - place[0]) + 1) + place[0]
     nearest = np.searchsorted(place, line)
@@ -337,7 +337,7 @@ def residual_noise(problem: ProcessProblem, point: ProcessPoint) -> Noise:
 
 
 def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -> Floats:
-    """Return the covariance (p, p) of the sum of zeta v, where v is the noise.
+    """Return the covariance (p, p) of zeta^T v, where v is the noise.
 
     The columns of zeta (N, p) have similar sizes. The error (N,) is the part of v that the fit along zeta leaves, at
     places (N,). If `place` is None, the samples follow one another without gaps.
@@ -350,7 +350,7 @@ def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -
 
 
 def covariance(point: ProcessPoint, problem: ProcessProblem) -> Floats:
-    """Return the covariance (p, p) of theta at a point of convergence, in the problem's units."""
+    """Return the covariance (p, p) of theta after convergence, in the problem's units."""
     size = np.linalg.norm(point.zeta, axis=0)
     zeta = point.zeta / size
     inverse = np.linalg.inv(zeta.T @ (point.phi / size))

@@ -94,7 +94,7 @@ def _regular(R: Floats) -> Floats:
 
 
 def step_from(point: ProcessPoint, phi: Floats) -> Floats:
-    """Return (zeta^T phi)^-1 zeta^T error, with columns scaled to equal size."""
+    """Return the step (zeta^T phi)^-1 zeta^T error, computed from columns of equal size."""
     size = np.linalg.norm(point.zeta, axis=0)
     size = np.where(size > 0, size, 1.0)
     normal = (point.zeta / size).T @ (phi / size)
@@ -208,8 +208,7 @@ def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = TUNIN
                 break
             damping *= 4
         else:
-            # No step decreases the sum of squares, because of rounding or because the way leads beyond the stable
-            # models.
+            # If no step decreases the sum of squares, the cause is rounding or a descent toward unstable models.
             return Solution(point, not _has_pole_at_edge(problem, point.theta), passes)
     return Solution(point, False, TUNING.solve_descents)
 

@@ -45,15 +45,15 @@ class LinearTuning:
     process_interval: float = 2.0
 
     # residuals
-    #: Largest tried order, and least number of samples for each order.
+    #: Largest order in the search for a noise model. `residuals_part` is the smallest number of samples for each order.
     residuals_most: int = 40
     residuals_part: int = 8
     #: Passes that restore the part of the noise that the fit removed. `residuals_largest` is the largest ratio of the
     #: restored power to the power of the residual.
     residuals_passes: int = 3
     residuals_largest: float = 3.0
-    #: Greatest part of the samples without a successor. `residuals_soon` limits the lags that show whether the noise is
-    #: white.
+    #: Greatest part of the samples without a successor. `residuals_soon` is the number of lags in a test whether the
+    #: noise is white.
     residuals_gaps: float = 0.02
     residuals_soon: int = 11
     #: Number of frequencies in the mean of a spectrum.

@@ -46,7 +46,7 @@ def drive_estimator(
 
 
 def check_exportable(axis: Axis) -> EstimatorConfig:
-    """Return [estimator] with the method that a drive runs if the configured method is "auto".
+    """Return [estimator] with the on-line method of the plant in place of "auto".
 
     Raises UsageError for a method or data that a drive cannot have. The function needs no record.
     """

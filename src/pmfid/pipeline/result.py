@@ -292,7 +292,7 @@ class DriveResult(Result):
 
     `relative_error` belongs to the filtered equation at theta. `fit` or `track` holds details of an off-line or a
     recursive method, without prior information. `known` is the prior information. `matter` says how far unmodelled
-    effects may move the parameters, and it decides the status.
+    effects may move the parameters, which decides the status.
     """
 
     record: Record

@@ -89,9 +89,8 @@ def _balance(bench: Bench, trial: Trial) -> Balance | None:
 def _measure_unexplained(balance: Balance | None, last: Balance | None, chosen: Trial) -> tuple[float, float]:
     """Return the parts of the resistance to the motion that a model leaves, for the whole motion and its slow part.
 
-    The parts refer to the motion of the chosen model. The unexplained resistance has two sources. One is the difference
-    between the model and the chosen model. The other is the significant resistance that the chosen model leaves in the
-    force balance.
+    The parts refer to the motion of the chosen model. The unexplained resistance combines the difference to the chosen
+    model with the significant rest in the force balance of the chosen model.
     """
     if balance is None or last is None or last.friction is None:
         return math.nan, math.nan

@@ -11,8 +11,8 @@ class PipelineTuning:
 
     # checks.counter
     #: Limits for a column that changes only every k rows. `counter_most` is the largest k, and `counter_least` is the
-    #: smallest number of changes. `in_step` is the smallest part of the changes in step with k. `counter_often` is the
-    #: smallest part of every k-th row with a change.
+    #: smallest number of changes. `in_step` is the smallest part of the changes in step with k. Among the rows that are
+    #: multiples of k, at least the part `counter_often` has a change.
     counter_most: int = 50
     counter_least: int = 30
     in_step: float = 0.98
@@ -57,7 +57,7 @@ class PipelineTuning:
     #: Greatest unexplained part for a reading with friction that no model explains. Such a reading also requires a
     #: common clock, because an integral also follows an input with another clock.
     readings_loosely: float = 0.3
-    #: Unexplained part below which the check tries no other reading if the mass is significant.
+    #: Unexplained part of the input below which a reading with a significant mass is accepted at once.
     readings_clearly: float = 0.001
     #: Number of standard deviations above which a sign is certain. `readings_likely` is the number above which a sign
     #: is likely.
@@ -91,8 +91,8 @@ class PipelineTuning:
     #: Largest drift over the whole record in either direction, and distance between tried drifts [samples].
     timing_furthest: float = 30.0
     timing_step: float = 0.5
-    #: Relative change of the velocity from sample to sample above which samples miss the motion. `timing_fine` is the
-    #: number of counts per sample above which the encoder itself does not change the velocity by so much.
+    #: Relative change of the velocity from sample to sample above which the sample period is too long. `timing_fine` is
+    #: the number of counts per sample above which the encoder itself does not change the velocity by so much.
     timing_hasty: float = 0.42
     timing_fine: float = 3.0
     #: Limits for records that are too short for filters. `timing_rather` is the relative change of the velocity.
@@ -127,7 +127,7 @@ class PipelineTuning:
     view_enough: float = 60.0
     #: Smallest part of the travel in either direction if the motion has both directions.
     one_way: float = 0.05
-    #: Speed over which friction at rest falls, relative to the usual speed.
+    #: Range of speeds in which static friction falls, relative to the usual speed.
     view_slow: float = 0.1
     #: Spans that show the edges of a stop [samples]. `view_counts` is the smallest change of the motion at an abrupt
     #: edge [counts].
@@ -208,8 +208,8 @@ class PipelineTuning:
     #: its gravity is then estimated as zero.
     hanging_better: float = 0.8
     hanging_likely: float = 2.5
-    #: Largest travel of an angle without a unit [rad] for a pendulum. A column with a larger travel is no angle, or the
-    #: angle of no pendulum.
+    #: Largest travel of a pendulum whose angle has no unit [rad]. A column with a larger travel is not the angle of a
+    #: pendulum.
     most_turned: float = 1000.0
     #: Smallest mass of a reading in standard deviations.
     columns_significant: float = 4.5
@@ -279,8 +279,8 @@ class PipelineTuning:
     #: Part of a stamp's deviation by which the grid moves.
     timeline_follow: float = 0.1
     #: Number of successive lines that reveal missing samples. `timeline_late` is the number of lines that reveal a
-    #: clock that was set back. The number for a clock is larger, because a logger that repeats its last lines resembles
-    #: a clock that was set back.
+    #: clock that was set back. `timeline_late` is larger, because a logger that repeats its last lines resembles a
+    #: clock that was set back.
     timeline_ahead: int = 2
     timeline_late: int = 5
     #: Shortest and longest step from a held line to the next line [sample periods]. Lines between the held line and the

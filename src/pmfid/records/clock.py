@@ -46,8 +46,8 @@ def named_unit(name: str) -> str | None:
 def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tuple[str, ...]]:
     """Return the sample period [s] of an axis' record with the time column (n,), and notes for people.
 
-    Raises UsageError without a period, for uneven steps, and if [record] dt differs from the period. The error also
-    occurs for a period that is unusual for an axis, unless the configuration confirms the period.
+    Raises UsageError if no period is known, if the steps are uneven, or if [record] dt differs from the period. The
+    error also occurs for a period that is unusual for an axis, unless the configuration confirms the period.
     """
     if time is None:
         if config.dt is None:
@@ -237,7 +237,7 @@ class PlacedRows:
 
 
 def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig, output: Floats) -> PlacedRows:
-    """Place the rows `kept` (N,) on a grid, by the time (N,) in the unit of its column or at a constant period.
+    """Place the rows `kept` (N,) on a grid, according to the time (N,) or to a constant period.
 
     `repeated` (N,) marks rows with the values of the previous row. The output (N,) distinguishes missing lines from
     rounded stamps. Raises UsageError for a time without an even grid.
@@ -346,7 +346,7 @@ def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tupl
 
 
 def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Return the rows without the few rows that closely follow another row, as at the start of a logger.
+    """Return the rows without the few rows that follow another row too early, as at the start of a logger.
 
     A grid has no place for two rows close together.
     """

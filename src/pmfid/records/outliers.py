@@ -78,7 +78,7 @@ def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
 def _smooth(
     change: NDArray[np.int64], undone: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, span: int
 ) -> bool:
-    """Return whether the unwrapped changes give a motion in which the former jumps resemble the other changes."""
+    """Return whether the motion after unwrapping is smooth, and whether its former jumps resemble the other changes."""
     rough, smooth = (float(np.sum(np.diff(series.astype(np.float64)) ** 2)) for series in (change, undone))
     alike = np.max(np.abs(undone[jumps])) <= 2 * usual + 2
     return bool(
@@ -125,7 +125,7 @@ class _WrongRun:
     def rows(self, samples: int) -> NDArray[np.intp]:
         """Return the rows with wrong readings in a record of `samples` samples.
 
-        The rows lie between the changes, or between the changes and an end of the record.
+        The wrong rows lie between two changes, or between a change and an end of the record.
         """
         return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
 
@@ -237,7 +237,9 @@ def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
 
 
 def _stack_neighbours(values: Floats) -> Floats:
-    """Return a window around each of the values (n,), mirrored at the ends (n, outliers_around)."""
+    """Return windows (n, outliers_around), one around each of the values (n,). At the ends, the windows mirror the
+    values.
+    """
     half = min(TUNING.outliers_around // 2, values.size - 1)
     return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
 

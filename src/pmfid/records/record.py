@@ -80,7 +80,7 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
 
 
 def _check_position(output: Floats, axis: Axis) -> None:
-    """Raise UsageError for whole numbers as a position with a resolution below 1, because such a column holds
+    """Raise UsageError if a position with a resolution below 1 has only whole numbers, because such a column holds
     counts.
     """
     whole = (

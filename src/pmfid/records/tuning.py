@@ -125,8 +125,8 @@ class RecordTuning:
     most_bits: int = 32
     outliers_least: int = 8
     #: Number of changes of the counts in the window of the median that predicts a change. The median follows a step of
-    #: the velocity, and five successive wrong changes do not move it. A window of this length also reveals steps of the
-    #: velocity.
+    #: the velocity, and five successive wrong changes do not move it. A window of the same length also reveals steps of
+    #: the velocity.
     outliers_around: int = 11
     #: Allowed deviation of a change from the median [counts]. The next constant is the allowed deviation as a multiple
     #: of two terms: the usual deviation and the step of the velocity.
@@ -163,8 +163,8 @@ class RecordTuning:
     min_samples: int = 10
 
     # repeats
-    #: Smallest number of counts in the rows before and after a row without counts. No motion stops and continues so
-    #: suddenly.
+    #: Smallest number of counts in the rows before and after a row without counts. No real motion has such a sudden
+    #: stop.
     repeats_sudden: float = 3.0
     #: Largest number of rows with one value. More rows are a stop or a stuck sensor. `repeats_longest_slow` is the
     #: limit if the next value does not catch up.
@@ -184,21 +184,22 @@ class RecordTuning:
     # resampling
     #: Relative deviation of steps from their median below which the steps are even.
     even_steps: float = 0.02
-    #: Standard errors by which the output must show whether stamps are the instants of the samples. `resampling_plain`
-    #: is the part of the rows in this test, because the other rows may be wrong readings.
+    #: Number of standard errors for a decision whether stamps are the instants of the samples. `resampling_plain` is
+    #: the part of the rows in this test, because the other rows may be wrong readings.
     resampling_errors: float = 2.0
     resampling_plain: float = 0.99
     #: Longest step in usual steps. A longer step is a gap without interpolation.
     longest_step: float = 3.5
-    #: Longest step in usual steps if rows with an old output were left out, as their input is known.
+    #: Longest step in usual steps after rows with an old output were left out. The limit is larger, because the input
+    #: of these rows is known.
     longest_between_repeats: float = 8.5
     #: Part of the steps, the shortest ones, whose mean is the usual step.
     resampling_usual: float = 0.98
     #: Ratio of a record's length in median steps to its number of samples above which missing lines do not explain the
     #: length.
     most_missing: float = 2.0
-    #: Relative difference within which two halves of a record agree on the period. Even half of this difference causes
-    #: a significant error of the mass.
+    #: Relative difference within which two halves of a record agree on the period. Even half of the limit causes a
+    #: significant error of the mass.
     resampling_same_period: float = 0.01
     #: Part of the period within which the next sample follows at once, so that the input of the first sample acts for
     #: no time. `resampling_fewest` is the smallest number of samples for a decision.

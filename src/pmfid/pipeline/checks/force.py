@@ -19,7 +19,7 @@ __all__ = ["find_command", "find_unsigned"]
 def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
     """Yield a finding if the input of a reversing axis never changes its sign.
 
-    The finding also requires that the motion explains the input after a change of its signs.
+    The finding also requires that the motion explains the input with corrected signs.
     """
     u = log.known.u[log.part]
     if not log.is_machine or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:

@@ -34,8 +34,8 @@ PLAIN = Drive(1.0, offset=True)
 class View:
     """Filtered columns of motion and the filtered input of a record.
 
-    The columns phi (n, p) begin with those of the plain drive. The input z has shape (n,). The filters have a time
-    constant of `time` samples.
+    The first columns of phi (n, p) are the columns of the plain drive. The input z has shape (n,). The filters have a
+    time constant of `time` samples.
     """
 
     time: float

@@ -246,9 +246,10 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
 
 
 def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> bool:
-    """Return whether a force in the sine of the output explains much of the input u (n,) that a plain drive leaves.
+    """Return whether gravity in the sine of the output explains much of the input u (n,) that a plain drive leaves
+    unexplained.
 
-    The force must also explain more than a spring does. `plain` is the part of the input that the drive leaves. The
+    Gravity must also explain more than a spring does. `plain` is the part of the input that the drive leaves. The
     function returns False if the output y (n,) is no angle or turns little.
     """
     angle = y * (unit.factor if unit else 1.0)

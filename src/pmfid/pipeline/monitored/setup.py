@@ -143,8 +143,8 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     """Return the monitor of AXIS.toml in `folder` for a record, or for a pipe if `record` is None.
 
     Without a reference, the record's own input calibrates the monitor, with the encoder as the only noise. Raises
-    UsageError without reference and record, or without nominal values. Raises NotIdentifiableError if the reference
-    cannot identify the nominal values.
+    UsageError if both reference and record are missing, or if the nominal values are missing. Raises
+    NotIdentifiableError if the reference cannot identify the nominal values.
     """
     config, notes = axis.monitor, []
     check_monitored(axis)

@@ -44,7 +44,7 @@ def catch_signals(handle: Callable[[int, FrameType | None], None], hangup: bool 
 class Stop:
     """A handler that ends a run on SIGINT, SIGTERM or SIGHUP.
 
-    The run ends after the present sample, or at once during the wait for a sample. An ignored SIGHUP, as under nohup,
+    The run ends after the present sample, or at once if no sample is in progress. An ignored SIGHUP, as under nohup,
     remains ignored.
     """
 

@@ -13,7 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.pipeline.tuning import TUNING
 
 #: Number of successive groups with a wrong period that end the run, before and after a right group. A late logger
-#: writes many lines at once, and thus several wrong groups.
+#: writes many lines at once, which causes several wrong groups.
 FIRST, LATER = 1, 3
 
 #: A state as an object for JSON.
