@@ -33,7 +33,7 @@ class DiagnosticTuning:
     above_encoder: float = 3.0
     #: Correlation above which the residual depends on its past at lags that the filter does not explain.
     balance_correlated: float = 0.2
-    #: Filter time constants after which the filter alone leaves no correlation.
+    #: Number of filter time constants after which the filter alone leaves no correlation.
     filter_lags: float = 5.0
 
     # causality
@@ -53,7 +53,7 @@ class DiagnosticTuning:
     robust_passes: int = 4
     causality_block: int = 500
     causality_jump: float = 4.5
-    #: Passes of the noise fit and the regression.
+    #: Number of alternations between the noise fit and the regression.
     causality_passes: int = 3
     #: Relative size of a remainder below which the other columns explain a column up to rounding.
     causality_apart: float = 1e-7
@@ -74,8 +74,8 @@ class DiagnosticTuning:
     drives_biased: float = 0.01
 
     # free_run
-    #: Lengths of the free runs [s], and the least ratio of a run to the stretch that determines its start. Shorter or
-    #: longer records use the same lengths, scaled by powers of ten.
+    #: Lengths of the free runs [s]. `free_run_worth` is the smallest ratio of a run to the stretch that determines its
+    #: start. Shorter or longer records use the same lengths, scaled by powers of ten.
     free_run_horizons: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)
     free_run_worth: float = 4.0
     #: Largest number of runs for each horizon.
@@ -164,7 +164,8 @@ class DiagnosticTuning:
     #: Cutoffs of the balance relative to the cutoff of the filters. With fast filters the encoder's error hides a slow
     #: force. With slow filters friction hides a fast force.
     term_trials_slower: tuple[float, float] = (1.0, 1 / 3)
-    #: Divisor of the number of pitches in a fit, so that a step changes the number by a hundredth of a pitch.
+    #: Factor between the number of pitches and its scaled value in a fit. A step of the fit then changes the number by
+    #: a hundredth of a pitch.
     term_trials_hundred: float = 100.0
 
     # terms

@@ -132,7 +132,7 @@ def remark(text: str) -> str:
 
 
 SAMPLES = 800
-#: Samples between the changes of the made-up input, and samples of rest.
+#: Number of samples between changes of the made-up input, and number of samples at rest.
 CLOCK, REST = 23, 150
 
 

@@ -12,7 +12,7 @@ from pmfid.io.tables import NotedTable
 if TYPE_CHECKING:
     import fastexcel
 
-#: Bytes of a cell.
+#: Number of bytes in a cell.
 CELL = 8
 
 

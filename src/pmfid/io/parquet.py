@@ -19,12 +19,12 @@ __all__ = ["column_sizes"]
 
 #: Types in the compact protocol of Apache Thrift.
 TRUE, FALSE, BYTE, INTEGERS, DOUBLE, BINARY, LISTS, STRUCT = 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
-#: Bytes of the length of the footer and of the magic word at the end of the file.
+#: Number of bytes at the end of the file, which hold the length of the footer and the magic word.
 TAIL = 8
 #: Identifiers of fields in FileMetaData, RowGroup and ColumnChunk.
 ROW_GROUPS, COLUMNS, META_DATA = 4, 1, 3
 PATH, VALUES, UNCOMPRESSED = 3, 5, 6
-#: Bytes of a value in memory.
+#: Number of bytes of a value in memory.
 VALUE = 8
 
 

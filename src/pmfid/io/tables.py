@@ -97,7 +97,7 @@ Table = Mapping[str, object]
 #: Remedies for a cell that is no number.
 NUMBERS = "write numbers like 0.25, remove lines that are no data, or name another column"
 DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
-#: Seconds of a day.
+#: Length of a day [s].
 DAY = 86_400.0
 #: A unit in brackets at the end of a name.
 _UNIT = re.compile(r"\s*[\[(][^\])]*[\])]$")

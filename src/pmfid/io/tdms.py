@@ -12,7 +12,7 @@ from pmfid.io.safety import check_unpacked, require_extra
 from pmfid.io.tables import ClockedSignals, Signal, Table
 
 MAGIC = b"TDSm"
-#: Bytes before a segment, and size of a segment that the writer did not finish.
+#: Number of bytes before a segment, and declared size of a segment that the writer did not finish.
 LEAD_IN, UNFINISHED = 28, 2**64 - 1
 
 

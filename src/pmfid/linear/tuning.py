@@ -10,8 +10,8 @@ class LinearTuning:
     """Thresholds and counts of `pmfid.linear`, grouped by module."""
 
     # experiment
-    #: Terms of the exponential series for an argument below series_norm. Further terms are below the accuracy of
-    #: float64.
+    #: Number of terms of the exponential series for an argument below series_norm. Further terms are below the accuracy
+    #: of float64.
     series_terms: int = 14
     series_norm: float = 0.25
     #: Number of columns in each block of a product of a small matrix and a long matrix.
@@ -41,15 +41,15 @@ class LinearTuning:
     order_exact: float = 1e-7
 
     # process
-    #: Standard deviations of the coefficients over which the spread of a root is measured.
+    #: Number of standard deviations of the coefficients that determine the spread of a root.
     process_interval: float = 2.0
 
     # residuals
     #: Largest order in the search for a noise model. `residuals_part` is the smallest number of samples for each order.
     residuals_most: int = 40
     residuals_part: int = 8
-    #: Passes that restore the part of the noise that the fit removed. `residuals_largest` is the largest ratio of the
-    #: restored power to the power of the residual.
+    #: Number of passes that restore the part of the noise that the fit removed. `residuals_largest` is the largest
+    #: ratio of the restored power to the power of the residual.
     residuals_passes: int = 3
     residuals_largest: float = 3.0
     #: Greatest part of the samples without a successor. `residuals_soon` is the number of lags in a test whether the

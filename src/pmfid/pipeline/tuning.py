@@ -182,8 +182,8 @@ class PipelineTuning:
     axis_file_listed: int = 80
 
     # guess.columns
-    #: Largest number of examined values, smallest part of the steps that are whole multiples, and largest distance from
-    #: a multiple.
+    #: Largest number of examined values. `columns_part` is the smallest part of the steps that are whole multiples, and
+    #: `columns_exact` is the largest distance of a step from a multiple.
     columns_most: int = 20_000
     columns_part: float = 0.98
     columns_exact: float = 0.02
@@ -213,7 +213,7 @@ class PipelineTuning:
     most_turned: float = 1000.0
     #: Smallest mass of a reading in standard deviations.
     columns_significant: float = 4.5
-    #: Factor of the unexplained part for a reading that contradicts the column's name.
+    #: Factor that increases the unexplained part for a reading that contradicts the column's name.
     columns_against: float = 3.0
     #: Smallest part of usual steps in a time column. `columns_even` is the largest relative deviation of a usual step
     #: from the median.

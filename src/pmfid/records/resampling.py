@@ -149,11 +149,11 @@ def _are_late(stamps: Floats, y: Floats) -> bool:
 
 
 def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
-    """Return the part of the effect of stamps (n,) that the output shows, and its standard error.
+    """Return how far the output agrees with the stamps (n,), from 0 to 1, and the standard error of this number.
 
-    The part is 1 if the stamps are the instants of the samples, and 0 if an even clock samples before the stamps. The
-    part is the slope of a regression. The regressor is the distance of the interpolated output from the mean of the two
-    neighbouring outputs. The target is the distance of the measured output from the same mean.
+    The number is 1 if the stamps are the instants of the samples, and 0 if an even clock samples before the stamps. The
+    number is the slope of a regression. The regressor is the distance of the interpolated output from the mean of the
+    two neighbouring outputs. The target is the distance of the measured output from the same mean.
     """
     steps = np.diff(stamps)
     part = steps[:-1] / (steps[:-1] + steps[1:])

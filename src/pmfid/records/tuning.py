@@ -104,7 +104,7 @@ class RecordTuning:
     #: gaps, no motion could restart.
     gaps_always: int = 8
     gaps_scattered: float = 0.02
-    #: Samples without input between two joined records.
+    #: Number of samples without input between two joined records.
     gaps_apart: int = 20
 
     # joining

@@ -19,9 +19,9 @@ __all__ = ["period_of"]
 def period_of(changes: NDArray[np.intp]) -> int:
     """Return the largest k for which the distances between the changes (m,) are multiples of k, or 1 if none exists.
 
-    The changes are given as numbers of rows. The distances of m random changes are all multiples of k with the
-    probability k^(1 - m). A column with few changes may be in step by chance or by design. Therefore the function
-    ignores a column of long steps.
+    The array of changes holds the row number of each change. The distances of m random changes are all multiples of k
+    with the probability k^(1 - m). A column with few changes may be in step by chance or by design. Therefore the
+    function ignores a column of long steps.
     """
     if changes.size < TUNING.counter_least:
         return 1

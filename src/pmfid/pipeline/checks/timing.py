@@ -192,7 +192,7 @@ def _resample_input(u: Floats, rate: float) -> Floats:
 def _is_better(drift: Drift) -> bool:
     """Return whether the drift explains the record better than no drift.
 
-    The largest tried drift may stand for an even larger drift, and therefore must explain more.
+    The true drift may exceed the largest tried drift. Therefore the largest tried drift must explain more than others.
     """
     furthest = abs(drift.samples) >= TUNING.timing_furthest
     return drift.less < (TUNING.timing_less_furthest if furthest else TUNING.timing_less)
