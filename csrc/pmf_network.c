@@ -6,6 +6,9 @@
  */
 #include "pmf_internal.h"
 
+#define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];
+#define TAP(c, t, from) column[c] += tap[t].weight * node[from];
+
 #if PMF_STEPS
 #if PMF_LAYOUT != 0U /* an export has just what it needs */
 #define RATES(config) PMF_MAX_RATES
@@ -26,11 +29,27 @@ static real_t mean_square(pmf_network_state_t *state)
     return state->cubes / state->time;
 }
 
-/* The trapezoidal rule over a step, h: pole times half the step. `memory` has the source of the step before. */
+/* A stage: by the trapezoidal rule, with its zero cancelled, a delay, or what the auxiliary model wrote there. `memory`
+ * has the source of the step before. */
+#define FOLLOW(k, from, rate) \
+    STEPPED(k, from, gain[rate] * (stage[k].b0 * w + stage[k].b1 * memory[k]) + keep[rate] * *y)
+#define CANCELLED(k, from, rate) STEPPED(k, from, gain[rate] * (stage[k].b0 * w) + keep[rate] * *y)
+#define DELAYED(k, from) STEPPED(k, from, memory[k])
+#define WRITTEN(k, from) memory[k] = node[from];
+#define STEPPED(k, from, value)                               \
+    {                                                         \
+        real_t w = node[from], *y = &node[PMF_SIGNALS + (k)]; \
+        *y = value;                                           \
+        memory[k] = w;                                        \
+    }
+
+/* The trapezoidal rule over a step, h: pole times half the step. */
 static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_rates_t *rates = &config->rates;
+    const pmf_stage_t *stage = config->stage;
     real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES], square = mean_square(state);
+    real_t *node = state->node, *memory = state->memory;
     uint32_t i;
     for (i = 0; i < RATES(config); ++i) {
         real_t step = rates->now[i] * state->ratio + rates->before[i] * state->ratio_before;
@@ -38,12 +57,22 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
         keep[i] = (rates->keep[i] - h) * inverse;
         gain[i] = (rates->gain[i] + rates->growth[i] * step + rates->square[i] * square) * inverse;
     }
+#ifdef PMF_STEPPED_STAGES
+    PMF_STEPPED_STAGES(FOLLOW, CANCELLED, DELAYED, WRITTEN)
+#else
     for (i = 0; i < STAGES(config); ++i) {
-        const pmf_stage_t *stage = &config->stage[i];
-        real_t w = state->node[stage->source], *y = &state->node[PMF_SIGNALS + i];
-        *y = gain[stage->rate] * (stage->b0 * w + stage->b1 * state->memory[i]) + keep[stage->rate] * *y;
-        state->memory[i] = w;
+        uint32_t from = stage[i].source, rate = stage[i].rate;
+        if (rate != 0U && stage[i].b1 != PMF_SCALAR(0.0)) {
+            FOLLOW(i, from, rate)
+        } else if (rate != 0U) {
+            CANCELLED(i, from, rate)
+        } else if (stage[i].b1 != PMF_SCALAR(0.0)) {
+            DELAYED(i, from)
+        } else {
+            WRITTEN(i, from)
+        }
     }
+#endif
 }
 #endif
 
@@ -61,8 +90,6 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
         node[PMF_SIGNALS + (k)] = memory[k]; \
         memory[k] = w;                       \
     }
-#define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];
-#define TAP(c, t, from) column[c] += tap[t].weight * node[from];
 
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
@@ -70,6 +97,15 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
     const pmf_tap_t *tap = config->tap;
     real_t *node = state->node, *memory = state->memory, *column = state->column;
     PMF_NETWORK(STAGE, DELAY, COLUMN, TAP)
+}
+#elif defined(PMF_STEPPED_STAGES) /* of an export */
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
+{
+    const pmf_tap_t *tap = config->tap;
+    const real_t *node = state->node;
+    real_t *column = state->column;
+    follow_steps(config, state);
+    PMF_STEPPED_COLUMNS(COLUMN, TAP)
 }
 #else
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)

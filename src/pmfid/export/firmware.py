@@ -387,6 +387,7 @@ def _context(
         "equation": estimator.equation.text,
         "macros": shape.macros(),
         "fixed": fixed_recursion(config),
+        "stepped": list_network(config) if shape.with_steps else None,
         "layout": layout_number(types["pmf_state_t"]),
         "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", "".join(map(header, HEADERS))))),
         "sizes": {name: types[f"pmf_{name}_t"].itemsize for name in ("state", "config", "saved")},
@@ -395,6 +396,22 @@ def _context(
         "theta": samples.theta.tolist(),
         "recorded": record is not None,
     }
+
+
+def list_network(config: Structured) -> tuple[str, str]:
+    """Return the stages, and the columns with their taps, as calls of the macros of pmf_network.c."""
+    network = config["network"]
+    listed = list[str]()
+    for k, stage in enumerate(network["stage"][: int(network["n_stages"])]):
+        kind = ("FOLLOW", "CANCELLED") if stage["rate"] else ("DELAYED", "WRITTEN")
+        rate = f", {int(stage['rate'])}" * bool(stage["rate"])
+        listed.append(f"{kind[int(stage['b1'] == 0)]}({k}, {int(stage['source'])}{rate})")
+    taps, first = list[str](), 0
+    for column, end in enumerate(network["tap_end"][: int(network["n_columns"])].tolist()):
+        for tap in range(first, end):
+            taps.append(f"{'TAP' if tap > first else 'COLUMN'}({column}, {tap}, {int(network['tap'][tap]['node'])})")
+        first = end
+    return " ".join(listed), " ".join(taps)
 
 
 def fixed_recursion(config: Structured) -> tuple[int, int, int] | None:
