@@ -19,7 +19,7 @@ from pmfid.estimators.ls import BCLS, LS
 from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.recursive import BCRLS
 from pmfid.estimators.results import Fit
-from pmfid.models.equation import ESTIMATE
+from pmfid.models.equation import ESTIMATE, Equation
 from pmfid.status import Status
 
 AUTO = "auto"
@@ -71,8 +71,8 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     for cls, reason in _CANDIDATES:
         if issubclass(cls, Simulating) and not simulates:
             continue
-        if not issubclass(cls, Simulating) and ESTIMATE in (configured.equation.dead_time, configured.equation.lag):
-            continue  # such a method has no dead time or lag, so its estimate would be off by their effect
+        if not issubclass(cls, Simulating) and _needs_motion(configured.equation):
+            continue  # such a method has no such parameter, so its estimate would be off by the effect
         if cls is IV and configured.equation.searched:  # it is linear
             continue
         candidate = _candidate(cls, configured, u, counts)
@@ -119,6 +119,12 @@ class _Sharp:
 
     def make_choice(self, reason: str) -> MethodChoice:
         return MethodChoice(self.method, f"{self.method.method}: {reason}", self.fit, self.adequacy)
+
+
+def _needs_motion(equation: Equation) -> bool:
+    """Whether a parameter is estimated that only a simulated motion has: a dead time, a lag, the speed of Stribeck
+    friction."""
+    return ESTIMATE in (equation.dead_time, equation.lag) or bool(equation.searched)
 
 
 def _find_best(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list[str]) -> Best | None:

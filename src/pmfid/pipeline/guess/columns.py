@@ -234,15 +234,21 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
     seen = [(kind, view) for kind, view in found if view is not None]
     if not seen:
         return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0)
-    # A column whose name contradicts a velocity must explain far more as a velocity.
-    kind, view = min(
-        seen, key=lambda pair: _cost(pair[1]) * (TUNING.columns_against if role and pair[0] != role else 1.0)
-    )
+    kind, view = min(seen, key=lambda pair: _cost_of_kind(role, *pair))
     explained = max(0.0, 1 - _cost(view))
     if kind == "velocity":
         return Pair(name, output, kind, is_turned(view), explained)
     gravity = _hangs(columns[name], columns[output], column_unit(output, OUTPUTS), dt, view.unexplained)
     return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, gravity=gravity)
+
+
+def _cost_of_kind(role: Role, kind: str, view: View) -> float:
+    """Return the unexplained part of a reading. A reading that contradicts the column's name must explain far more,
+    and the mass of one that agrees with the name need not be significant.
+    """
+    if kind == role:
+        return view.unexplained
+    return _cost(view) * (TUNING.columns_against if role else 1.0)
 
 
 def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> bool:
