@@ -77,6 +77,7 @@ PUBLIC = [
     "BCLS",
     "BCRLS",
     "Drive",
+    "EdgeFit",
     "Encoder",
     "Equation",
     "EquationModel",

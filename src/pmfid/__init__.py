@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pmfid.errors import NotIdentifiableError as NotIdentifiableError
     from pmfid.errors import PmfidError as PmfidError
     from pmfid.errors import UsageError as UsageError
+    from pmfid.estimators.edges import EdgeFit as EdgeFit
     from pmfid.estimators.fleet import Fleet as Fleet
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
@@ -59,6 +60,7 @@ _PUBLIC = {
     "BCLS": "pmfid.estimators.ls",
     "BCRLS": "pmfid.estimators.recursive",
     "Drive": "pmfid.models.drive",
+    "EdgeFit": "pmfid.estimators.edges",
     "Encoder": "pmfid.encoder",
     "Equation": "pmfid.models.equation",
     "EquationModel": "pmfid.models.drive",

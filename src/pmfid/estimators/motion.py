@@ -484,6 +484,11 @@ class Difference:
         return replace(self, parts=2 * self.parts)
 
     @property
+    def rows(self) -> int:
+        """The number of values of the difference."""
+        return self.y.size
+
+    @property
     def restarts(self) -> bool:
         """Does the motion have more than one start?"""
         return bool(self.breaks)
@@ -600,7 +605,7 @@ def _damped_steps(
 def try_steps(difference: Difference, q: Floats, trials: Floats) -> Floats:
     """The differences (k, n) at trials (k, q), infinite if the step from q is too long: what hardly acts runs away."""
     near = np.max(np.abs(trials - q), axis=1) <= TUNING.longest_step
-    found = np.full((len(trials), difference.y.size), np.inf)
+    found = np.full((len(trials), difference.rows), np.inf)
     if np.any(near):
         found[near] = difference.differences(trials[near])
     return found

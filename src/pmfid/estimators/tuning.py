@@ -395,5 +395,36 @@ class EstimatorTuning:
     #: Places of the lattice at which the top of the likelihood is looked for.
     uncertainty_tops: int = 16
 
+    # edges
+    #: An age may exceed the step of the clock by this part.
+    edges_late: float = 1e-6
+    #: Poles of the high-passes that the search passes, in parts of the cutoff; 0: none.
+    edges_slower: tuple[float, ...] = (1.0, 0.1, 0.0)
+    #: Fewest edges for each unknown.
+    edges_fewest: int = 5
+    #: Turns of variances and least squares. The variances settle to a few percent within three.
+    edges_passes: int = 3
+    #: Smallest standard deviation of an edge [counts]: the simulation is no better.
+    edges_finest: float = 1e-6
+    #: The simulation is right to this part of each parameter.
+    edges_exact: float = 1e-6
+    #: An edge that is further from each line is of no line [counts].
+    edges_between: float = 0.35
+    #: An edge this many standard deviations of its instant before or after a sample may be of another one.
+    edges_truncated: float = 4.0
+    #: Parts of the edges that no motion explains, and of edges of another line than that of their count: more is a
+    #: wrong model, and far more no estimate.
+    edges_few: float = 0.02
+    edges_moved: float = 0.1
+    edges_most_dropped: float = 0.25
+    #: Lines are cut more evenly than this [counts, root mean square]: the rest is a wrong model.
+    edges_rough: float = 0.15
+    #: A smaller spread of the lines is not reported [counts].
+    edges_told: float = 0.002
+    #: Lines that come this often have places of their own in the first least squares.
+    edges_repeated: float = 5.0
+    #: Variance of sums of errors over blocks, over that of errors without correlation. Chance makes less than 3.
+    edges_correlated: float = 4.0
+
 
 TUNING = EstimatorTuning()

@@ -10,6 +10,7 @@ from pmfid.simulation.drive import (
     position_control,
     simulate_drive,
 )
+from pmfid.simulation.edges import capture_edges
 from pmfid.simulation.encoder import Faults, quantize
 from pmfid.simulation.scenarios import (
     CART,
@@ -43,6 +44,7 @@ __all__ = [
     "Scenario",
     "Schedule",
     "axis_toml",
+    "capture_edges",
     "change_parameters",
     "control_machine",
     "drive_machine",

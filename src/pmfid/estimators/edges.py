@@ -1,0 +1,345 @@
+"""Least squares of the simulated motion at the instants of the encoder's edges, off-line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.configuration import check_arrays, hold_last_input, like
+from pmfid.estimators.motion import Difference, invert_information, least, rms
+from pmfid.estimators.output_error import OE, Following
+from pmfid.estimators.results import Fit
+from pmfid.estimators.tuning import TUNING
+from pmfid.estimators.uncertainty import block_scatter, scatter
+from pmfid.models.equation import ESTIMATE
+from pmfid.status import Status
+from pmfid.types import Counts, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """The last edge of each sample: instants (m,) [s] since the first sample, and lines (m,) in counts."""
+
+    instants: Floats
+    lines: Counts
+
+
+def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
+    """Return the edges of counts (n,) at times t (n,) [s], whose ages (n,) [s] are NaN where no edge came.
+
+    An axis that turns between two samples may leave an edge without a change of the counts. The line of such an edge is
+    not known, and the edge is left out. Raises UsageError for ages that do not fit the counts.
+    """
+    given = np.asarray(ages, np.float64)
+    if given.shape != counts.shape:
+        raise UsageError(f"ages must be an array (n,) as counts, got {given.shape} for {counts.shape}")
+    step = np.diff(t, prepend=t[0])
+    wrong = np.isfinite(given) & ~((given >= 0) & (given <= step * (1 + TUNING.edges_late)))
+    wrong[0] = False
+    if np.any(wrong):
+        row = int(np.argmax(wrong))
+        raise UsageError(
+            f"the age in row {row + 1} is {given[row]:g} s, and the sample is {step[row]:g} s after the one before: "
+            "an age is the time from the last edge to the sample, NaN without an edge since the sample before"
+        )
+    change = np.diff(counts, prepend=counts[:1])
+    there = np.isfinite(given) & (change != 0)
+    lines = np.where(change > 0, counts, counts + 1)
+    return Edges((t - given)[there], lines[there])
+
+
+@dataclass(frozen=True)
+class EdgeDifference(Difference):
+    """A `Difference` at the edges alone, in their standard deviations.
+
+    The samples (n,) of `u` and `y` are the instants of the record and of the edges. `at` (m,) has the places of the
+    edges among them, and `line` (m,) the number of the line of each. `deviation` (m,) is the standard deviation of each
+    edge [counts], and `spread` is that of the lines around their even places [counts]. The error of a line is the same
+    at each of its edges: the difference is whitened for that (Fuller and Battese 1974).
+
+    All instants may be late by the same time, as those of an interrupt are. `late` (m,) is the effect of such a time,
+    scaled to length 1; the difference is without it. `margin` (m,) is the time between an edge and the nearest sample
+    [s], and `age` (m,) the time to the next sample [s]. `scatter` is the standard deviation of the instants [s].
+    `moved` counts the corrections of lines.
+    """
+
+    at: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    line: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    deviation: Floats = field(default_factory=lambda: np.ones(0))
+    spread: float = 0.0
+    late: Floats | None = None
+    margin: Floats = field(default_factory=lambda: np.zeros(0))
+    age: Floats = field(default_factory=lambda: np.zeros(0))
+    scatter: float = 0.0
+    moved: int = 0
+
+    @property
+    def rows(self) -> int:
+        return self.at.size
+
+    @property
+    def explained(self) -> float:
+        return 0.0
+
+    def differences(self, qs: Floats) -> Floats:
+        left = (self.y[self.at] - self.motions(qs)[0][:, self.at]) / self.resolution
+        white = np.array([self.whiten(self.filter_signal(row)) for row in left])
+        return white if self.late is None else white - np.outer(white @ self.late, self.late)
+
+    def left_at(self, q: Floats) -> Floats:
+        """Return the position of each edge minus the simulated position (m,) [counts], not whitened."""
+        return np.asarray((self.y[self.at] - self.motion(q)[0][self.at]) / self.resolution)
+
+    def whiten(self, left: Floats) -> Floats:
+        """Return errors (m,) [counts] of the edges in their standard deviations, without the share of the lines."""
+        z, weight = left / self.deviation, 1 / self.deviation
+        if not self.spread:
+            return np.asarray(z)
+        power = np.bincount(self.line, weight**2)
+        mean = np.bincount(self.line, weight * z) / np.where(power > 0, power, 1.0)
+        part = 1 - 1 / np.sqrt(1 + self.spread**2 * power)
+        return np.asarray(z - (part * mean)[self.line] * weight)
+
+    def with_variances(self, q: Floats) -> EdgeDifference:
+        """Return the difference with the variances that its edges show at q (q,).
+
+        The variance of an edge is that of its place plus that of its instant times the square of the velocity. The
+        spread of the lines is what the means of the lines have beyond that.
+        """
+        left, speed = self.left_at(q), self.speed(q)
+        count = np.bincount(self.line)
+
+        def mean_of(values: Floats) -> Floats:
+            return np.asarray(np.bincount(self.line, values) / np.maximum(count, 1))
+
+        lateness = _ratio(left - mean_of(left)[self.line], speed - mean_of(speed)[self.line])
+        left = left - lateness * speed
+        mean = mean_of(left)
+        within, often = left - mean[self.line], count[self.line] > 1
+        shrink = 1 - 1 / np.maximum(count, 2)[self.line]
+        squares, columns = within[often] ** 2 / shrink[often], np.c_[np.ones(left.size), speed**2][often]
+        place, instant = _fit_variances(squares, columns)
+        deviation = np.sqrt(np.maximum(place + instant * speed**2, TUNING.edges_finest**2))
+        used = count > 0
+        noise = np.mean(np.bincount(self.line, deviation**2)[used] / count[used] ** 2)
+        spread = np.sqrt(max(0.0, float(np.var(mean[used])) - float(noise)))
+        scatter = float(np.sqrt(instant))
+        found = replace(self, deviation=deviation, spread=float(spread), late=None, scatter=scatter)
+        if ESTIMATE in (self.equation.dead_time, self.equation.lag):
+            return found
+        effect = found.whiten(speed)
+        return replace(found, late=effect / np.linalg.norm(effect))
+
+    def speed(self, q: Floats) -> Floats:
+        """Return the simulated velocity (m,) at the edges [counts per s], under one input on both sides of an edge."""
+        mean, steps = self.motion(q)[1], np.broadcast_to(self.intervals, self.y.size)
+        before, after = steps[self.at - 1], steps[self.at]
+        found = (after * mean[self.at - 1] + before * mean[self.at]) / (before + after)
+        return np.asarray(found / self.resolution)
+
+    def select(self, kept: NDArray[np.bool_]) -> EdgeDifference:
+        """Return the difference with the edges alone that `kept` (m,) marks."""
+        own = {name: getattr(self, name)[kept] for name in ("at", "line", "deviation", "margin", "age")}
+        return replace(self, **own, late=None)
+
+    def correct_lines(self, q: Floats, turn: int | None) -> EdgeDifference:
+        """Return the difference with the lines that the motion at q (q,) passes.
+
+        Where an axis turns within a sample, the last edge may be of the line next to that of the count. Where a count
+        was lost, all later edges are of other lines. Each such line makes a step by a whole count from edge to edge,
+        which no slow drift makes. The lines repeat after `turn` counts.
+        """
+        wrong = np.append(0.0, np.cumsum(np.rint(np.diff(self.left_at(q)))))
+        wrong -= np.rint(np.median(wrong))
+        y, line = self.y.copy(), self.line - wrong.astype(np.intp)
+        y[self.at] -= wrong * self.resolution
+        line = line - line.min() if turn is None else line % turn
+        return replace(self, y=y, line=line, moved=self.moved + int(np.count_nonzero(np.diff(wrong))))
+
+    def drop_far(self, q: Floats) -> EdgeDifference:
+        """Return the difference without the edges that are far from each line at q (q,)."""
+        left = self.left_at(q)
+        return self.select(np.abs(left - np.median(left)) < TUNING.edges_between)
+
+    def drop_truncated(self, q: Floats) -> EdgeDifference:
+        """Return the difference without the edges whose place in their sample depends on how late they are, at q (q,).
+
+        An instant that comes late may miss its sample, and so may that of the next edge. An edge just before a sample,
+        or just after one, or nearly a step before the sample, is the last of its sample only if it is early or late.
+        """
+        spacing = 1 / np.maximum(np.abs(self.speed(q)), TUNING.tiny)
+        margin = np.minimum(self.margin, np.abs(spacing - self.age))
+        return self.select(margin >= TUNING.edges_truncated * self.scatter)
+
+
+def _ratio(values: Floats, columns: Floats) -> float:
+    power = float(columns @ columns)
+    return float(values @ columns) / power if power > 0 else 0.0
+
+
+def _fit_variances(squares: Floats, columns: Floats) -> tuple[float, float]:
+    """Return the two variances, not negative, of least squares of squared errors (k,) by columns (k, 2)."""
+    from scipy.optimize import nnls
+
+    if squares.size == 0:
+        return 1.0, 0.0
+    place, instant = 0.0, 0.0
+    weight = np.ones(squares.size)
+    for _ in range(TUNING.edges_passes):  # the variance of a squared error is twice the square of its mean
+        place, instant = nnls(columns * weight[:, None], squares * weight)[0].tolist()
+        weight = 1 / np.maximum(columns @ [place, instant], TUNING.edges_finest**2)
+    return place, instant
+
+
+@dataclass(frozen=True)
+class EdgeFit(Following):
+    """Output error at the instants of the encoder's edges, off-line.
+
+    Parameters
+    ----------
+    model, encoder, dt, cutoff
+        As of `IV`.
+    turn : int, optional
+        Counts after which the lines repeat, as those of a revolution. None: no line comes twice, as on a scale.
+    tick : float
+        Period of the timer that takes the instants [s]. An instant may be late by as much.
+    initial : mapping, optional
+        Parameters by name to start from.
+
+    Notes
+    -----
+    At the instant of an edge the position is known as well as the lines are cut. `fit` takes the age of the last edge
+    in each sample, in addition to the counts. The least squares of the difference from the simulated position have two
+    variances: that of the instant, and that of the lines. Each line has one error, at all of its edges.
+
+    Where the errors of the edges are correlated in time, the model lacks a force, or the lines repeat otherwise than
+    `turn` says. The fit then has `Status.UNMODELLED`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, EdgeFit, Encoder
+    >>> from pmfid.simulation import CART, capture_edges, prbs, simulate_drive
+    >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> motion = simulate_drive(CART, np.repeat(u, 10), 1e-3)
+    >>> counts, ages = capture_edges(motion, 0.0058, every=10, tick=1e-6)
+    >>> method = EdgeFit(Drive(CART.input_gain), Encoder(0.0058), 0.01, 20.0, turn=16, tick=1e-6)
+    >>> method.fit(u, counts, ages).theta.round(4)
+    array([ 1.07, 12.8 ,  0.8 ])
+    """
+
+    method: ClassVar[str] = "edges"
+    turn: int | None = field(default=None, kw_only=True)
+    tick: float = field(default=0.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.turn is not None and (isinstance(self.turn, bool) or int(self.turn) != self.turn or self.turn < 1):
+            raise UsageError(f"turn must be a whole number of counts, got {self.turn!r}; None: no line comes twice")
+        if not 0 <= self.tick < self.dt:
+            raise UsageError(f"tick must be the period of the timer in s, below dt = {self.dt:g}, got {self.tick!r}")
+
+    def fit(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> Fit:
+        """Return the estimate from the input u (n,), counts (n,) and ages of the last edges (n,) [s].
+
+        An age is NaN where no edge came since the sample before. Raises UsageError for arrays that do not fit each
+        other, and NotIdentifiableError where the record cannot identify every parameter.
+        """
+        if ages is None:
+            raise UsageError("EdgeFit needs the age of the last edge of each sample; without ages use IntervalML")
+        known, whole = check_arrays(u, counts)
+        if not np.all(np.isfinite(known)):
+            raise UsageError("EdgeFit takes no gaps in u yet; cut the record at the gap")
+        theta, status = self._start(known, whole)
+        difference, q = self._begin(theta, known, whole, ages)
+        found = difference.rows
+        try:
+            for part in TUNING.edges_slower:
+                q = least(replace(difference, pole=part * self.cutoff), q)
+                difference = difference.correct_lines(q, self.turn)
+            difference = replace(difference, pole=0.0).drop_far(q)
+            dropped = found - difference.rows
+            if dropped <= TUNING.edges_most_dropped * found:
+                return self._conclude(*_settle(difference, q), status, dropped)
+        except NotIdentifiableError:
+            pass
+        fallback = like(OE, self).fit(u, counts)
+        note = "the simulated motion does not pass the edges: this is output error of the counts"
+        status |= fallback.status | int(Status.FALLBACK | Status.UNMODELLED)
+        return replace(fallback, status=status, notes=(note,))
+
+    def _begin(self, theta: Floats, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats]:
+        """Return the difference at the edges, not yet whitened, and q (q,) to start from."""
+        y = self.position(counts)
+        own, q = self._prepare_difference(theta, u, y)
+        steps = own.intervals if isinstance(own.intervals, np.ndarray) else np.full(u.size, self.dt)
+        t = np.append(0.0, np.cumsum(steps[:-1]))
+        edges = read_edges(t, counts, ages)
+        if edges.lines.size < TUNING.edges_fewest * q.size:
+            raise NotIdentifiableError(
+                f"the record has {edges.lines.size} edges for {q.size - 2} parameters: record a longer motion"
+            )
+        instants = edges.instants + 0.5 * self.tick  # the timer rounds down
+        grid = np.unique(np.r_[t, instants])
+        held = hold_last_input(u)[np.searchsorted(t, grid, side="right") - 1]
+        places = edges.lines * self.encoder.resolution
+        at = np.searchsorted(grid, instants)
+        line = edges.lines - edges.lines.min() if self.turn is None else edges.lines % self.turn
+        values = {item.name: getattr(own, item.name) for item in fields(Difference)}
+        values |= {"u": held, "y": np.interp(grid, instants, places), "dt": float(grid[-1]) / at.size}
+        values["uneven"] = np.append(np.diff(grid), self.dt)
+        after = t[np.searchsorted(t, edges.instants)]
+        before = t[np.searchsorted(t, edges.instants) - 1]
+        margin = np.minimum(after - edges.instants, edges.instants - before)
+        return EdgeDifference(
+            **values, at=at, line=line, deviation=np.ones(at.size), margin=margin, age=after - edges.instants
+        ), q
+
+    def _conclude(self, difference: EdgeDifference, q: Floats, status: int, dropped: int) -> Fit:
+        error = difference(q)
+        sensitivity = difference.own_sensitivity(q)
+        moves = sensitivity @ invert_information(sensitivity, self.names)
+        covariance = scatter(moves * error[:, None])
+        if difference.equation.shaped or difference.equation.lag:
+            change = moves.T @ (difference.finer(q) - error)
+            covariance = covariance + np.outer(change, change)
+        left = difference.left_at(q)
+        correlated = block_scatter(moves * error[:, None]) / np.sum((moves * error[:, None]) ** 2, axis=0)
+        steady = np.diagonal(covariance) < (TUNING.edges_exact * q[: len(self.names)]) ** 2
+        unlikely = max(dropped / TUNING.edges_few, difference.moved / TUNING.edges_moved) > left.size
+        rough = unlikely or np.std(left) > TUNING.edges_rough
+        if rough or np.any((correlated > TUNING.edges_correlated) & ~steady):
+            status |= int(Status.UNMODELLED)
+        scale = difference.scale[: len(self.names)]
+        relative = rms(left) * self.encoder.resolution / float(np.std(difference.y))
+        notes = [f"{dropped} edges that no motion explains were left out"] if dropped else []
+        if self.turn is not None and difference.spread > TUNING.edges_told:
+            notes.append(_describe_lines(difference, left, self.turn))
+        covariance = covariance + np.diag((TUNING.edges_exact * q[: len(self.names)]) ** 2)
+        theta, cov = q[: scale.size] * scale, covariance * np.outer(scale, scale)
+        left *= self.encoder.resolution
+        return Fit(self.names, self.units, theta, cov, left.size, left, relative, status, notes=tuple(notes))
+
+
+def _describe_lines(difference: EdgeDifference, left: Floats, turn: int) -> str:
+    """Return a sentence on the line that is furthest from its even place; left: (m,) [counts]."""
+    count = np.bincount(difference.line, minlength=turn)
+    places = np.bincount(difference.line, -left, turn) / np.maximum(count, 1)
+    away = np.where(count > 0, places - np.mean(places[count > 0]), 0.0)
+    worst = int(np.argmax(np.abs(away)))
+    return f"line {worst} of {turn} is off by {100 * away[worst]:+.2g} % of a step, the most of all"
+
+
+def _settle(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floats]:
+    """Return the whitened difference at its least squares, and q (q,)."""
+    repeated = difference.rows / np.unique(difference.line).size
+    if repeated > TUNING.edges_repeated:  # each line is a place of its own, until the others are known
+        q = least(replace(difference, spread=1 / TUNING.edges_finest), q)
+    for _ in range(TUNING.edges_passes):
+        difference = difference.with_variances(q).drop_truncated(q).with_variances(q)
+        q = least(difference, q)
+    return difference, q

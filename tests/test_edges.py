@@ -1,0 +1,136 @@
+"""Simulated ages of edges, against instants by a formula."""
+
+import numpy as np
+import pytest
+
+from pmfid import Drive, EdgeFit, Encoder, NotIdentifiableError, Status, UsageError
+from pmfid.simulation import CART, capture_edges, prbs, quantize, simulate_drive
+
+DT, EVERY, RESOLUTION = 1e-3, 10, 1e-4
+FORCE = 3.0 * CART.input_gain - CART.coulomb_friction
+
+
+def find_instant(place: float) -> float:
+    """Instant [s] at which the cart, from rest under 3 V, passes a place, by Newton's method."""
+    settling, speed = CART.mass / CART.viscous_friction, FORCE / CART.viscous_friction
+    t = place / speed + settling
+    for _ in range(50):
+        gone = np.exp(-t / settling)
+        t -= (speed * (t - settling * (1.0 - gone)) - place) / (speed * (1.0 - gone))
+    return t
+
+
+def test_ages_agree_with_the_formula() -> None:
+    motion = simulate_drive(CART, np.full(501, 3.0), DT)
+    counts, ages = capture_edges(motion, RESOLUTION, every=EVERY)
+    assert np.array_equal(counts, quantize(motion.x[::EVERY], RESOLUTION))
+    moved = np.flatnonzero(np.diff(counts)) + 1
+    assert moved.size > 40
+    expected = [k * EVERY * DT - find_instant(counts[k] * RESOLUTION) for k in moved]
+    np.testing.assert_allclose(ages[moved], expected, rtol=0.0, atol=1e-9)
+
+
+def test_way_back_passes_the_same_lines() -> None:
+    voltage = np.where(np.arange(1001) < 500, 3.0, -3.0)
+    motion = simulate_drive(CART, voltage, DT)
+    counts, ages = capture_edges(motion, RESOLUTION)
+    back = np.flatnonzero(np.diff(counts) < 0) + 1
+    assert back.size > 100
+    places = np.interp(motion.t[back] - ages[back], motion.t, motion.x)
+    np.testing.assert_allclose(places, (counts[back] + 1) * RESOLUTION, rtol=0.0, atol=5e-6)
+
+
+def test_sample_without_an_edge_has_no_age() -> None:
+    motion = simulate_drive(CART, np.zeros(20), DT)
+    assert np.isnan(capture_edges(motion, RESOLUTION)[1]).all()
+
+
+def test_age_is_a_whole_number_of_ticks() -> None:
+    motion = simulate_drive(CART, np.full(501, 3.0), DT)
+    exact = capture_edges(motion, RESOLUTION, every=EVERY)[1]
+    ages = capture_edges(motion, RESOLUTION, every=EVERY, tick=1e-5)[1]
+    assert np.array_equal(np.isnan(ages), np.isnan(exact))
+    ticks = ages[~np.isnan(ages)] / 1e-5
+    np.testing.assert_allclose(ticks, np.round(ticks), rtol=0.0, atol=1e-6)
+    assert np.nanmax(np.abs(ages - exact)) <= 1.001e-5
+
+
+@pytest.mark.parametrize(("argument", "value"), [("every", 0), ("tick", -1e-6), ("tick", np.nan)])
+def test_wrong_argument_is_named(argument, value) -> None:
+    motion = simulate_drive(CART, np.zeros(5), DT)
+    with pytest.raises(ValueError, match=argument):
+        capture_edges(motion, RESOLUTION, **{argument: value})
+
+
+def swing(
+    turn: int, tick: float = 1e-6, off: float = 0.0, asymmetry: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Encoder]:
+    """Return input, counts and ages of 20 s of the cart on a wheel with `turn` lines."""
+    rng = np.random.default_rng(11)
+    u = prbs(2000, clock=10, amplitude=4.0, rng=rng)
+    driven = u + asymmetry * (u > 0)
+    motion = simulate_drive(CART, np.repeat(driven, EVERY), DT)
+    step = 0.0931 / turn
+    errors = off * step * rng.uniform(-1.0, 1.0, turn)
+    counts, ages = capture_edges(motion, step, 0.3 * step, every=EVERY, tick=tick, line_errors=errors)
+    return u, counts, ages, Encoder(step)
+
+
+TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+
+
+@pytest.mark.parametrize(("turn", "off"), [(16, 0.0), (16, 0.03), (64, 0.1)])
+def test_sixteen_lines_give_a_mass_to_a_millionth(turn: int, off: float) -> None:
+    u, counts, ages, encoder = swing(turn, off=off)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=turn, tick=1e-6).fit(u, counts, ages)
+    np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-5)
+    assert np.all(np.abs(fit.theta - TRUTH) < 3 * fit.theta_std)
+    assert np.all(fit.theta_std < 2e-5 * TRUTH)
+    assert fit.status == 0
+    assert bool(fit.notes) == (off > 0)
+
+
+def test_the_worst_line_is_named() -> None:
+    u = prbs(2000, clock=10, amplitude=4.0, rng=np.random.default_rng(2))
+    step = 0.0931 / 16
+    errors = np.where(np.arange(16) == 7, 0.03 * step, 0.0)
+    motion = simulate_drive(CART, np.repeat(u, EVERY), DT)
+    counts, ages = capture_edges(motion, step, every=EVERY, line_errors=errors)
+    fit = EdgeFit(Drive(CART.input_gain), Encoder(step), 0.01, 20.0, turn=16).fit(u, counts, ages)
+    assert fit.notes == ("line 7 of 16 is off by +2.8 % of a step, the most of all",)
+
+
+def test_instants_that_all_come_late_move_nothing() -> None:
+    u, counts, ages, encoder = swing(16)
+    rng = np.random.default_rng(3)
+    late = np.maximum(ages - 2e-5 * np.abs(rng.standard_normal(ages.size)), 0.0)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16).fit(u, counts, late)
+    np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-4)
+    assert np.all(np.abs(fit.theta - TRUTH) < 3.5 * fit.theta_std)
+
+
+def test_a_count_that_is_lost_costs_nothing() -> None:
+    u, counts, ages, encoder = swing(16, off=0.01)
+    counts = counts - (np.arange(counts.size) > 900)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16, tick=1e-6).fit(u, counts, ages)
+    np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-5)
+
+
+def test_a_wrong_model_is_flagged() -> None:
+    u, counts, ages, encoder = swing(16, asymmetry=0.2)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16, tick=1e-6).fit(u, counts, ages)
+    assert np.any(np.abs(fit.theta - TRUTH) > 3e-4 * TRUTH)
+    assert fit.status & Status.UNMODELLED
+
+
+def test_ages_that_cannot_be_are_refused() -> None:
+    u, counts, ages, encoder = swing(16)
+    method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16)
+    with pytest.raises(UsageError, match="needs the age of the last edge"):
+        method.fit(u, counts)
+    with pytest.raises(UsageError, match="ages must be an array"):
+        method.fit(u, counts, ages[1:])
+    with pytest.raises(UsageError, match=r"the age in row \d+ is 5 s"):
+        method.fit(u, counts, np.where(np.isfinite(ages), 5.0, np.nan))
+    with pytest.raises(NotIdentifiableError, match="the record has 0 edges"):
+        method.fit(u, counts, np.full(counts.size, np.nan))
