@@ -1,9 +1,14 @@
 """Simulated ages of edges, against instants by a formula."""
 
+from pathlib import Path
+
 import numpy as np
+import polars as pl
 import pytest
 
 from pmfid import Drive, EdgeFit, Encoder, NotIdentifiableError, Status, UsageError
+from pmfid.config.axis import load_axis
+from pmfid.pipeline.identify import identify, kind_of
 from pmfid.simulation import CART, capture_edges, prbs, quantize, simulate_drive
 
 DT, EVERY, RESOLUTION = 1e-3, 10, 1e-4
@@ -134,3 +139,32 @@ def test_ages_that_cannot_be_are_refused() -> None:
         method.fit(u, counts, np.where(np.isfinite(ages), 5.0, np.nan))
     with pytest.raises(NotIdentifiableError, match="the record has 0 edges"):
         method.fit(u, counts, np.full(counts.size, np.nan))
+
+
+def test_a_record_with_ages_is_identified_by_them(tmp_path: Path) -> None:
+    u, counts, ages, encoder = swing(16, off=0.01)
+    table = {"t": 0.01 * np.arange(u.size), "u": u, "counts": counts, "age_us": pl.Series(1e6 * ages).fill_nan(None)}
+    pl.DataFrame(table).write_csv(tmp_path / "log.csv")
+    (tmp_path / "axis.toml").write_text(
+        f'[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ntime = "t"\n[encoder]\nresolution = '
+        f'{encoder.resolution!r}\nedge_age = "age_us"\nlines = 16\ntick = 1e-6\n'
+        f"[model]\ninput_gain = {CART.input_gain}\n",
+        encoding="utf-8",
+    )
+    axis = load_axis(tmp_path / "axis.toml")
+    kind = kind_of(axis)
+    result = identify(kind.read([tmp_path / "log.csv"], axis), axis)
+    assert result.estimator.method == "edges"
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=1e-5)
+    coarser = kind.read([tmp_path / "log.csv"], axis, 2 * encoder.resolution)
+    assert coarser.ages is None
+    assert any("are not used, because the position is quantised again" in note for note in coarser.notes)
+
+
+def test_an_unmodelled_force_is_named_by_the_edges() -> None:
+    u, counts, ages, encoder = swing(16, asymmetry=0.002)
+    method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16, tick=1e-6)
+    found = method.examine(u, counts, ages)[1]
+    assert found is not None
+    assert found.follows
+    assert not found.adequate

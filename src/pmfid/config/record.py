@@ -111,6 +111,13 @@ class EncoderConfig(FileSection):
         None, description='the highest possible speed in unit of y per s, or as "3000 rpm"'
     )
     guard: bool = Field(True, description="true, or false to keep samples that no motion explains")
+    edge_age: Name | None = Field(
+        None, description="the column with the time from the last edge to the sample, empty without an edge"
+    )
+    lines: int | None = Field(
+        None, ge=1, description="the counts after which the lines of the encoder repeat, for example 64 of a revolution"
+    )
+    tick: float = Field(0.0, ge=0, description="the period in s of the timer of edge_age, for example 1e-6")
 
     def make_encoder(self, resolution: float) -> Encoder:
         """Return the encoder of the estimators with steps of `resolution` [unit of y per count]."""

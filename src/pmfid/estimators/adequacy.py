@@ -270,9 +270,7 @@ class Adequacy:
     @property
     def left(self) -> float:
         """Part of the motion, 0 to about 1, that neither the model nor the encoder explains."""
-        found, motion = self.difference, self.difference.filter_signal(self.difference.y - np.mean(self.difference.y))
-        excess = max(float(np.mean(found(self.q) ** 2)) - found.explained**2, 0.0)
-        return float(np.sqrt(excess)) * found.resolution / max(rms(motion), TUNING.tiny)
+        return self.difference.unexplained(self.q)
 
     @property
     def described(self) -> tuple[str, ...]:
@@ -405,7 +403,7 @@ def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
 
 def _effects(difference: Difference, q: Floats, candidates: Sequence[CandidateForce]) -> Floats:
     """(n, k) by how much the simulated position moves [counts] for a unit of each of k forces."""
-    effects = np.zeros((difference.y.size, len(candidates)))
+    effects = np.zeros((difference.rows, len(candidates)))
     fineness = [candidate.force.size for candidate in candidates]
     for size in dict.fromkeys(fineness):
         alike = [k for k, own in enumerate(fineness) if own == size]
@@ -425,8 +423,8 @@ def _effects_alike(difference: Difference, q: Floats, candidates: Sequence[Candi
     forces = sizes[:, None] * np.array([candidate.force for candidate in candidates])
     found = difference.motions(np.tile(q, (2 * sizes.size, 1)), np.concatenate([-forces, forces]))[0]
     more, less = np.split(found, 2)
-    signals = [difference.filter_signal(row) for row in more - less]
-    return np.asarray(np.array(signals).T / (2 * sizes * difference.resolution))
+    signals = [difference.observe(row) for row in more - less]
+    return np.asarray(np.array(signals).T / (2 * sizes))
 
 
 def is_contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.adequacy import Adequacy, weigh
 from pmfid.estimators.configuration import check_arrays, hold_last_input, like
+from pmfid.estimators.likelihood import Best
 from pmfid.estimators.motion import Difference, invert_information, least, rms
 from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.results import Fit
@@ -85,10 +87,12 @@ class EdgeDifference(Difference):
     def explained(self) -> float:
         return 0.0
 
-    def differences(self, qs: Floats) -> Floats:
-        left = (self.y[self.at] - self.motions(qs)[0][:, self.at]) / self.resolution
-        white = np.array([self.whiten(self.filter_signal(row)) for row in left])
-        return white if self.late is None else white - np.outer(white @ self.late, self.late)
+    def observe(self, signal: Floats) -> Floats:
+        white = self.whiten(self.filter_signal(signal[self.at] / self.resolution))
+        return white if self.late is None else white - (white @ self.late) * self.late
+
+    def unexplained(self, q: Floats) -> float:
+        return rms(self.left_at(q)) * self.resolution / max(float(np.std(self.y)), TUNING.tiny)
 
     def left_at(self, q: Floats) -> Floats:
         """Return the position of each edge minus the simulated position (m,) [counts], not whitened."""
@@ -251,6 +255,13 @@ class EdgeFit(Following):
         """
         if ages is None:
             raise UsageError("EdgeFit needs the age of the last edge of each sample; without ages use IntervalML")
+        return self.examine(u, counts, ages)[0]
+
+    def examine(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> tuple[Fit, Adequacy | None]:
+        """Return the estimate of `fit`, and what the edges say on the model.
+
+        The second is None if the simulated motion does not pass the edges.
+        """
         known, whole = check_arrays(u, counts)
         if not np.all(np.isfinite(known)):
             raise UsageError("EdgeFit takes no gaps in u yet; cut the record at the gap")
@@ -270,7 +281,7 @@ class EdgeFit(Following):
         fallback = like(OE, self).fit(u, counts)
         note = "the simulated motion does not pass the edges: this is output error of the counts"
         status |= fallback.status | int(Status.FALLBACK | Status.UNMODELLED)
-        return replace(fallback, status=status, notes=(note,))
+        return replace(fallback, status=status, notes=(note,)), None
 
     def _begin(self, theta: Floats, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats]:
         """Return the difference at the edges, not yet whitened, and q (q,) to start from."""
@@ -299,7 +310,7 @@ class EdgeFit(Following):
             **values, at=at, line=line, deviation=np.ones(at.size), margin=margin, age=after - edges.instants
         ), q
 
-    def _conclude(self, difference: EdgeDifference, q: Floats, status: int, dropped: int) -> Fit:
+    def _conclude(self, difference: EdgeDifference, q: Floats, status: int, dropped: int) -> tuple[Fit, Adequacy]:
         error = difference(q)
         sensitivity = difference.own_sensitivity(q)
         moves = sensitivity @ invert_information(sensitivity, self.names)
@@ -322,7 +333,9 @@ class EdgeFit(Following):
         covariance = covariance + np.diag((TUNING.edges_exact * q[: len(self.names)]) ** 2)
         theta, cov = q[: scale.size] * scale, covariance * np.outer(scale, scale)
         left *= self.encoder.resolution
-        return Fit(self.names, self.units, theta, cov, left.size, left, relative, status, notes=tuple(notes))
+        fit = Fit(self.names, self.units, theta, cov, left.size, left, relative, status, notes=tuple(notes))
+        found = weigh(Best(difference, q, q, None, status))
+        return fit, found if rough else replace(found, noise=1.0)  # the motion is within the noise of the edges
 
 
 def _describe_lines(difference: EdgeDifference, left: Floats, turn: int) -> str:

@@ -327,7 +327,11 @@ class Difference:
 
     def differences(self, qs: Floats) -> Floats:
         """(m, n) at each of the qs (m, q), computed side by side."""
-        return np.array([self.filter_signal(self.y - x) / self.resolution for x in self.motions(qs)[0]])
+        return np.array([self.observe(self.y - x) for x in self.motions(qs)[0]])
+
+    def observe(self, signal: Floats) -> Floats:
+        """What the difference sees of a position (n,) [counts]."""
+        return self.filter_signal(signal) / self.resolution
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
         """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
@@ -429,6 +433,12 @@ class Difference:
         ]
         uneven = None if self.uneven is None else self.uneven[first:last]
         return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past, uneven=uneven)
+
+    def unexplained(self, q: Floats) -> float:
+        """The part of the motion, 0 to about 1, that neither the model at q (q,) nor the encoder explains."""
+        motion = self.filter_signal(self.y - np.mean(self.y))
+        excess = max(float(np.mean(self(q) ** 2)) - self.explained**2, 0.0)
+        return float(np.sqrt(excess)) * self.resolution / max(rms(motion), TUNING.tiny)
 
     def filter_signal(self, signal: Floats) -> Floats:
         """The high-pass, from rest: white noise on top of a random walk leaves it white."""

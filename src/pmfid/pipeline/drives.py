@@ -25,6 +25,7 @@ from pmfid.estimators.batch import BatchEstimator, check_identifiable
 from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import construct_estimator, like
 from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
+from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.ls import LS
@@ -187,13 +188,26 @@ def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progres
     """Return the result of the method in `axis`. The configured axis `asked` contains the prior information."""
     estimator, reason, choice = make_estimator(axis, data), "", None
     if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
-        choice = first_choice(estimator, data.u, data.counts)
+        choice = _choose_edges(estimator, data, axis) or first_choice(estimator, data.u, data.counts)
         estimator, reason = choice.estimator, choice.reason
     elif axis.estimator.method == AUTO:
         estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
     result = _estimate(estimator, data, asked, progress, choice)
     _check_known(result)
     return result.with_findings(*make_notes("method", [f"auto chose {reason}"])) if reason else result
+
+
+def _choose_edges(estimator: Estimator, data: Record, axis: Axis) -> MethodChoice | None:
+    """Return the fit of the edges, or None if the record has no ages or its motion does not pass the edges."""
+    if data.ages is None or data.ages.size != data.u.size or EdgeFit.refuses(estimator.equation):
+        return None
+    method = like(EdgeFit, estimator, prefilter_zeros=None, turn=axis.encoder.lines, tick=axis.encoder.tick)
+    with suppress(NotIdentifiableError):
+        fit, adequacy = method.examine(data.u, data.counts, data.ages)
+        if adequacy is not None:
+            fit = replace(fit, status=fit.status & ~int(Status.UNMODELLED))  # the adequacy says more
+            return MethodChoice(method, "edges: the record has the ages of edges", fit, adequacy)
+    return None
 
 
 def match_kind(record: Record, axis: Axis) -> Axis:

@@ -18,6 +18,7 @@ from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
+from pmfid.records.edge_ages import read_edge_ages
 from pmfid.records.gaps import describe_missing, fill_gaps, is_held
 from pmfid.records.repeats import drop_stale_rows
 from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
@@ -159,6 +160,7 @@ class Record:
     square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is the record at
     the uneven instants of its clock, or None for even instants. A record at uneven instants has `steps`, the times
     between its samples. `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
+    `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN without an edge, or None.
     """
 
     u: Floats
@@ -174,6 +176,7 @@ class Record:
     steps: SampleSteps | None = None
     own: Record | None = None
     in_counts: bool = False
+    ages: Floats | None = None
 
     @property
     def times(self) -> Floats:
@@ -316,8 +319,21 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         before = found.own.before * (rows.dt / found.own.before[0])
         own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, quantize, axis)
         own = replace(own, notes=notes, name=name, rotary=rotary, in_counts=in_counts)
+    obstacle = (
+        "the steps of the clock vary"
+        if found is not None
+        else "rows are missing"
+        if not rows.whole
+        else "the position is quantised again"
+        if quantize is not None
+        else ""
+    )
+    ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
+    notes += age_notes
     if rows.whole:
-        return Record(u, counts, rows.dt, resolution, notes, name, rotary, jitter=jitter, own=own, in_counts=in_counts)
+        return Record(
+            u, counts, rows.dt, resolution, notes, name, rotary, jitter=jitter, own=own, in_counts=in_counts, ages=ages
+        )
     u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
     notes = (*notes, describe_missing(u, there))
     return Record(
