@@ -198,7 +198,7 @@ def test_several_problems_come_in_one_error_in_the_order_of_the_sections(tmp_pat
 
 def test_a_misspelt_key_comes_before_the_missing_one(tmp_path: Path) -> None:
     first, second = changed(tmp_path, "resolution = 1e-3", "resolutio = 1e-3").split("\n  ")
-    assert first.endswith("max_speed, guard; did you mean 'resolution'?")
+    assert first.endswith("guard, edge_age, lines, tick; did you mean 'resolution'?")
     assert second.startswith("[encoder] resolution is missing")
 
 
