@@ -270,7 +270,7 @@ class Adequacy:
     @property
     def left(self) -> float:
         """Part of the motion, 0 to about 1, that neither the model nor the encoder explains."""
-        return self.difference.unexplained(self.q)
+        return self.difference.measure_misfit(self.q)
 
     @property
     def described(self) -> tuple[str, ...]:

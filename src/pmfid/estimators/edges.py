@@ -91,7 +91,7 @@ class EdgeDifference(Difference):
         white = self.whiten(self.filter_signal(signal[self.at] / self.resolution))
         return white if self.late is None else white - (white @ self.late) * self.late
 
-    def unexplained(self, q: Floats) -> float:
+    def measure_misfit(self, q: Floats) -> float:
         return rms(self.left_at(q)) * self.resolution / max(float(np.std(self.y)), TUNING.tiny)
 
     def left_at(self, q: Floats) -> Floats:

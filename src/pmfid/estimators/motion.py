@@ -434,7 +434,7 @@ class Difference:
         uneven = None if self.uneven is None else self.uneven[first:last]
         return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past, uneven=uneven)
 
-    def unexplained(self, q: Floats) -> float:
+    def measure_misfit(self, q: Floats) -> float:
         """The part of the motion, 0 to about 1, that neither the model at q (q,) nor the encoder explains."""
         motion = self.filter_signal(self.y - np.mean(self.y))
         excess = max(float(np.mean(self(q) ** 2)) - self.explained**2, 0.0)
