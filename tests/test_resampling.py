@@ -11,6 +11,7 @@ import pytest
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
+from pmfid.records.clock import slope_below
 from pmfid.records.resampling import resample_uneven
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
@@ -161,3 +162,18 @@ def test_a_counter_wraps_on_an_uneven_clock(tmp_path: Path) -> None:
     result = identified(tmp_path, time, u, counts % 2**12, encoder="bits = 12\n")
     np.testing.assert_array_equal(result.theta, identified(tmp_path, time, u, counts).theta)
     assert any("counter wrapped" in finding.sentence for finding in result.findings)
+
+
+@pytest.mark.parametrize(("delay", "part"), [(0.2, 0.2), (1.0, 0.3)])
+def test_the_period_of_late_stamps_is_that_of_the_line_below_them(delay: float, part: float) -> None:
+    """A delay never makes a stamp early; errors in both directions keep the line through the stamps."""
+    rng, n = np.random.default_rng(7), 3000
+    through, below, both = [], [], []
+    for _ in range(20):
+        late = np.sort(np.arange(n) + delay * np.abs(rng.standard_normal(n))) - np.arange(n)
+        slope, start = np.polyfit(np.arange(n), late, 1)
+        through.append(slope)
+        below.append(slope + slope_below(late - start - slope * np.arange(n)))
+        both.append(slope_below(delay * rng.standard_normal(n)))
+    assert np.linalg.norm(below) < part * np.linalg.norm(through)
+    assert not np.any(both)

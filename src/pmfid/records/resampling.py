@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.records.clock import even_grid, find_places, is_steady, misses_lines
+from pmfid.records.clock import even_grid, find_places, is_steady, misses_lines, slope_below
 from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
 
@@ -108,6 +108,7 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
     """
     k = np.arange(stamps.size, dtype=np.float64)
     period, start = np.polyfit(k, stamps, 1)
+    period *= 1 + slope_below((stamps - start - period * k) / period)
     half = stamps.size // 2
     halves = [np.polyfit(k[part], stamps[part], 1)[0] for part in (slice(half), slice(half, None))]
     jitter = (

@@ -41,6 +41,12 @@ class RecordTuning:
     #: Largest standard deviation of stamps around a grid [periods]. Random stamps have a standard deviation of 0.29
     #: periods.
     clock_scatter: float = 0.2
+    #: Largest distance of the earliest stamp from the mean of late stamps, in standard deviations. A half-normal delay
+    #: has 1.3. Sorted stamps with a delay of 2 periods have 2.2, from where on both lines are alike. Errors in both
+    #: directions have more than 3.
+    clock_lowest: float = 2.3
+    #: Largest number of lines that are tried below all stamps. A few suffice.
+    clock_bridge_turns: int = 50
     #: Time after a row within which a following row is too early [periods]. `clock_rare` is the greatest part of rows
     #: that are too early.
     clock_early: float = 0.3
