@@ -1,5 +1,5 @@
 """Every method on clocks that are not even, at true stamps, against an even clock of the same mean rate: errors and
-coverage. `python -m studies.uneven_clocks --seeds 3 [--held-back]`."""
+coverage. `python -m studies.uneven_clocks --seeds 3 [--held-back] [--judged]`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pmfid import BCRLS, IV, OE, RIV, RLS, Drive, Encoder
+from pmfid.diagnostics.verdict import verdict
 from pmfid.errors import PmfidError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.motion import simulate_motion
@@ -25,6 +26,7 @@ METHODS: Mapping[str, type[Estimator]] = {
     "iv": IV, "interval": IntervalML, "output-error": OE, "riv": RIV, "bcrls": BCRLS, "rls": RLS
 }  # fmt: skip
 INCREMENTS, MOTIONS, SAMPLES = (1024, 128), ("prbs", "stop-and-go"), 3000
+TOLERANCE = 0.01  # of a parameter, as [estimator] tolerance
 #: The bench of each machine, and the gravity of a pendulum on top of it [N m].
 MACHINES = {"cart": ("cart", 0.0), "rotary": ("rotary", 0.0), "40 kg": ("gantry", 0.0), "pendulum": ("rotary", 0.15)}
 #: On which nothing was tuned.
@@ -84,23 +86,25 @@ def move(plant: Plant, motion: str, resolution: float, steps: Floats, seed: int)
 
 
 def estimate(
-    method: str, plant: Plant, resolution: float, record: tuple[Floats, Counts], before: Floats | None
+    method: str, plant: Plant, resolution: float, record: tuple[Floats, Counts], before: Floats | None, judged: bool
 ) -> Floats:
     """(2, 3): errors of the body's parameters over the parameters, and over their standard deviations; before (n,): the
-    step before each sample, None: an even clock."""
+    step before each sample, None: an even clock; judged: the deviations have the model spread, as of `identify`."""
     axis, cls = plant.axis, METHODS[method]
-    setup = plant.model, Encoder(resolution, guard=False), axis.dt, 0.2 / axis.dt
-    if issubclass(cls, RecursiveEstimator):
-        track = cls(*setup, steps=None if before is None else "given").run(*record, before)
+    estimator = cls(plant.model, Encoder(resolution, guard=False), axis.dt, 0.2 / axis.dt, steps=before)
+    if isinstance(estimator, RecursiveEstimator):
+        track = estimator.run(*record, before)
         theta, std = track.theta[-1], track.theta_std[-1]
     else:
-        fit = cls(*setup, steps=before).fit(*record)  # type: ignore[attr-defined]
+        fit = estimator.fit(*record)  # type: ignore[attr-defined]
         theta, std = fit.theta, fit.theta_std
+    if judged:
+        std = np.hypot(std, verdict(estimator, *record, theta, std, None, TOLERANCE).spread)
     error = theta[:3] - plant.truth[:3]
     return np.array([error / plant.truth[:3], error / np.asarray(std)[:3]])
 
 
-def measure(machines: Mapping[str, tuple[str, float]], seeds: range) -> None:
+def measure(machines: Mapping[str, tuple[str, float]], seeds: range, judged: bool) -> None:
     """Prints, by method and clock, the ratio of errors to those of an even clock, coverage, and refusals."""
     found, refused = defaultdict[tuple[str, ...], list[Floats]](list), defaultdict[tuple[str, str], int](int)
     cells = [(name, motion, inc) for name in machines for motion in MOTIONS for inc in INCREMENTS]
@@ -114,7 +118,7 @@ def measure(machines: Mapping[str, tuple[str, float]], seeds: range) -> None:
                 before = None if clock == "even" else np.append(plant.axis.dt, after[:-1])
                 for method in METHODS:
                     try:
-                        one = estimate(method, plant, resolution, record, before)
+                        one = estimate(method, plant, resolution, record, before, judged)
                         found[method, clock, name, motion, str(increments)].append(one)
                     except PmfidError:
                         refused[method, clock] += 1
@@ -147,5 +151,7 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--held-back", action="store_true")
+    parser.add_argument("--judged", action="store_true", help="standard deviations with the model spread")
     options = parser.parse_args()
-    measure(HELD_BACK if options.held_back else MACHINES, range(options.first, options.first + options.seeds))
+    seeds = range(options.first, options.first + options.seeds)
+    measure(HELD_BACK if options.held_back else MACHINES, seeds, options.judged)

@@ -315,7 +315,9 @@ class RLS(RecursiveEstimator):
 
     Notes
     -----
-    The estimate is biased where the output is noisy or coarse.
+    The estimate is biased where the output is noisy or coarse, and its standard errors do not contain this bias. Those
+    of `BCRLS` do not contain the bias from the direction of coarse counts. `identify` reports both as a model spread
+    and as findings.
 
     Examples
     --------
