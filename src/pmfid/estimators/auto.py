@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -77,7 +78,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
             continue
         candidate = _candidate(cls, configured, u, counts)
         try:
-            fit = _fit_candidate(candidate, best, u, counts)
+            fit = _fit_candidate(candidate, best, sharp, refused, u, counts)
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
@@ -152,11 +153,23 @@ def _sharp(configured: Estimator, best: Best, refused: list[str]) -> _Sharp | No
     return _Sharp(method, fit, found, doubt)
 
 
-def _fit_candidate(candidate: BatchEstimator, best: Best | None, u: ArrayLike, counts: ArrayLike) -> Fit:
-    """The fit of a candidate; output error is that of the motion that is known, if there is one."""
-    if isinstance(candidate, OE) and candidate.window is None and best is not None:
-        return candidate.make_least_squares_fit(best)
-    return candidate.fit(u, counts)
+def _fit_candidate(
+    candidate: BatchEstimator,
+    best: Best | None,
+    sharp: _Sharp | None,
+    refused: Sequence[str],
+    u: ArrayLike,
+    counts: ArrayLike,
+) -> Fit:
+    """The fit of a candidate. Output error is that of the motion that is known, and where none was found it finds
+    none: what the interval likelihood was refused for."""
+    if not isinstance(candidate, OE) or candidate.window is not None:
+        return candidate.fit(u, counts)
+    if best is None:
+        raise NotIdentifiableError(refused[0].partition(": ")[2])
+    if sharp is not None and best.noise is None:
+        return replace(sharp.fit, status=best.status)
+    return candidate.make_least_squares_fit(best)
 
 
 def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, counts: ArrayLike) -> BatchEstimator:

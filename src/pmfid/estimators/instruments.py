@@ -61,9 +61,12 @@ class Instruments(ProcessSolver, Simulating):
         columns, theta = self.settle_iteration(u, counts)
         return self._result(columns, theta, self.estimate_covariance(columns, theta, u, counts))
 
-    def settle_iteration(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
-        """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors."""
-        theta = self.start(u, counts)
+    def settle_iteration(
+        self, u: ArrayLike, counts: ArrayLike, near: float | None = None
+    ) -> tuple[Columns, NDArray[np.float64]]:
+        """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors; near: as of
+        `start`."""
+        theta = self.start(u, counts, near)
         for turn in range(TUNING.instruments_max_iterations):
             columns = self.columns_at(theta, u, counts)
             check_identifiable(columns, self.names, simulated=True)
@@ -118,17 +121,22 @@ class Instruments(ProcessSolver, Simulating):
             jacobian[:, i] = columns.zeta[used[columns.used]].T @ (error[1] - error[0]) / (2 * step)
         return inverse_of(jacobian)
 
-    def start(self, u: ArrayLike, counts: ArrayLike, bounded: bool = False) -> NDArray[np.float64]:
-        """Parameters to simulate with first: the given ones, or from the counts alone; (p,). bounded: none negative but
-        a constant load and waves, so that the motion is stable."""
+    def start(
+        self, u: ArrayLike, counts: ArrayLike, near: float | None = None, bounded: bool = False
+    ) -> NDArray[np.float64]:
+        """Parameters to simulate with first: the given ones, or from the counts alone; (p,). near: about how late the
+        input acts, if that is estimated [s], None: not known. bounded: none negative but a constant load and waves, so
+        that the motion is stable."""
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
         if self.equation.lag == ESTIMATE:
-            return self._start_late(self.model.replace_lag, TUNING.tried_lags, u, counts, bounded)
+            tried = _nearest(TUNING.tried_lags, near, self.dt)
+            return self._start_late(self.model.replace_lag, tried, u, counts, bounded)
         if self.equation.dead_time == ESTIMATE:
-            return self._start_late(self.model.replace_dead_time, TUNING.instruments_tried, u, counts, bounded)
+            tried = _nearest(TUNING.instruments_tried, near, self.dt)
+            return self._start_late(self.model.replace_dead_time, tried, u, counts, bounded)
         batch = like(BCLS, self, model=self.model.simple)
-        found = None if bounded else batch.fit(u, counts).theta
+        found = None if bounded else batch.solve(u, counts)
         if found is None or not found[batch.equation.leading] > 0:
             positive = np.array(batch.equation.positive)
             if (stiffness := batch.equation.roles[STIFFNESS]) is not None:
@@ -149,7 +157,7 @@ class Instruments(ProcessSolver, Simulating):
         for samples in tried:
             known = like(Instruments, self, model=at(samples * self.dt))
             try:
-                theta = known.start(u, counts, bounded)
+                theta = known.start(u, counts, bounded=bounded)
             except NotIdentifiableError as error:
                 refused = refused or error
                 continue
@@ -254,6 +262,13 @@ class Instruments(ProcessSolver, Simulating):
         """What was found, but no further than half-way from theta to a mass or friction of zero."""
         low = np.where(self.positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
+
+
+def _nearest(tried: Sequence[float], near: float | None, dt: float) -> Sequence[float]:
+    """Those of the times [samples] that are next to a time `near` [s], where that is known."""
+    if near is None:
+        return tried
+    return sorted(tried, key=lambda samples: abs(samples - near / dt))[: TUNING.tried_near]
 
 
 def _poles_swapped(equation: Equation, theta: NDArray[np.float64]) -> bool:

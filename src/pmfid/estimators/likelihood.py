@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -13,6 +14,11 @@ from pmfid.estimators.motion import Difference, bounded_step, rms
 from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    #: A matrix (n, q), dense or sparse.
+    Rows: TypeAlias = Floats | csr_array
 HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 
@@ -182,7 +188,12 @@ def _search_near(difference: Difference, best: _Place, fixed: float | None) -> _
 def top(error: Floats, jacobian: Floats, noise: float, lower: Floats | None = None, tied: float = 0.0) -> Floats:
     """Step (q,), at least `lower`, to the largest likelihood of differences error (n,) + jacobian (n, q) @ step
     [counts]: damped steps of Newton. tied: a cost of that times half the sum of squares of what the step changes."""
-    step, damping, tie = np.zeros(jacobian.shape[1]), TUNING.first_damping, tied * jacobian.T @ jacobian
+    step, damping = np.zeros(jacobian.shape[1]), TUNING.first_damping
+    if step.size > TUNING.dense_columns:  # of windows, each with a start of its own
+        from scipy.sparse import csr_array  # slow to import, and only windows need it
+
+        jacobian = csr_array(jacobian)
+    tie = tied * _square(jacobian, jacobian)
     low = np.full(step.size, -np.inf) if lower is None else lower
     now, slope, hessian = _edge_cost(error, jacobian, noise)
     for _ in range(TUNING.top_steps):
@@ -200,13 +211,19 @@ def top(error: Floats, jacobian: Floats, noise: float, lower: Floats | None = No
     return step
 
 
-def _edge_cost(error: Floats, jacobian: Floats, noise: float) -> tuple[float, Floats, Floats]:
+def _edge_cost(error: Floats, jacobian: Rows, noise: float) -> tuple[float, Floats, Floats]:
     """Negative log-likelihood, gradient (q,) and curvature (q, q): of the counts whose edges are near enough to matter,
     for all others it is zero in floating point."""
     near = np.abs(error) > 0.5 - TUNING.likelihood_reach * noise
     rows = jacobian[near]
     now, slope, curvature = cost(error[near], noise)
-    return now, rows.T @ slope, rows.T @ (curvature[:, None] * rows)
+    return now, rows.T @ slope, _square(rows, rows * curvature[:, None])
+
+
+def _square(rows: Rows, weighted: Rows) -> Floats:
+    """rows^T weighted (q, q) of two matrices (n, q)."""
+    product = rows.T @ weighted
+    return product if isinstance(product, np.ndarray) else np.asarray(product.toarray())
 
 
 def likeliest_noise(e: Floats) -> float:

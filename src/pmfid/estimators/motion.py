@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
@@ -625,8 +626,12 @@ def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:
     """The step (q,) to take back of Newton; a parameter that is not `above` its bound (q,) only moves away from the
     bound."""
     free = above | (gradient < 0)
-    step = np.zeros(gradient.size)
-    step[free] = np.linalg.lstsq(hessian[np.ix_(free, free)], gradient[free])[0]
+    step, own, slope = np.zeros(gradient.size), hessian[np.ix_(free, free)], gradient[free]
+    if slope.size > TUNING.dense_columns:
+        with suppress(np.linalg.LinAlgError):
+            step[free] = np.linalg.solve(own, slope)
+            return step
+    step[free] = np.linalg.lstsq(own, slope)[0]
     return step
 
 

@@ -22,6 +22,7 @@ from pmfid.estimators.ls import BCLS
 from pmfid.estimators.motion import Difference, first_speed, invert_information, least, mean_velocity, rms
 from pmfid.estimators.results import Fit
 from pmfid.estimators.search import (
+    LOST,
     Windows,
     choose_window,
     descend,
@@ -97,7 +98,7 @@ class Following(Simulating, BatchEstimator):
         difference, q = self._prepare_difference(theta, u, self.position(counts))
         if not self.equation.place_matters or difference.breaks or self.drift_cutoff:
             return *self._fit_from_one_start(difference, q), status
-        direct, refused = replace(difference, pole=0.0), None
+        direct, single, refused = replace(difference, pole=0.0), None, None
         if not is_lost(direct, q):
             try:
                 single = self._fit_from_one_start(difference, q)
@@ -108,6 +109,9 @@ class Following(Simulating, BatchEstimator):
         found = fit_windows(direct, q, self.cutoff)
         if found is None and refused:
             raise refused
+        found = found or single
+        if found is None and rms(difference(q)) > difference.size_of_motion:
+            raise NotIdentifiableError(LOST)
         return *(found or self._fit_from_one_start(difference, q)), status
 
     def _fit_from_one_start(self, difference: Difference, q: Floats) -> tuple[Difference, Floats]:
@@ -182,39 +186,45 @@ class Following(Simulating, BatchEstimator):
 
     def _start_at_speeds(self, u: Floats, counts: NDArray[np.int64]) -> list[tuple[Floats, int]]:
         """theta (p,) to start from, and the status bits of the record, at each Stribeck speed that is gone on from."""
-        y = self.position(counts)
+        y, usual, near = self.position(counts), *self._usual_motion(u, counts)
 
         def fit_at(speed: float) -> tuple[float, Floats, int]:
             known = like(OE, self, model=EquationModel(self.equation.replace_shapes([speed])))
-            theta, status = known._start(u, counts)
+            theta, status = known._start(u, counts, near)
             difference, q = known._prepare_difference(theta, u, y)
-            q = least(difference, q, [TUNING.output_error_roughly])
+            follows = not (self.equation.place_matters and is_lost(replace(difference, pole=0.0), q))
+            if follows:  # what is lost from a single start is left to windows
+                q = least(difference, q, [TUNING.output_error_roughly])
             return rms(difference(q)), np.r_[(q * difference.scale)[:-2], speed], status
 
-        found = fit_at_speeds(self._usual_speed(u, counts), fit_at, lambda one: one[0])
+        found = fit_at_speeds(usual, fit_at, lambda one: one[0])
         return [(theta, status) for _, (_, theta, status) in found]
 
-    def _usual_speed(self, u: Floats, counts: NDArray[np.int64]) -> float:
-        """Root mean square of the motion that the model without shapes makes, or the counts where it makes none."""
+    def _usual_motion(self, u: Floats, counts: NDArray[np.int64]) -> tuple[float, float]:
+        """Root mean square speed of the motion that the model without shapes makes, or the counts where it makes none;
+        and how late its input acts, if that is estimated [s]."""
         plain = like(Instruments, self, model=self.model.symmetric, initial=None)
-        velocity = mean_velocity(plain.equation, plain.start(u, counts), self.intervals, hold_last_input(u))
+        theta = plain.start(u, counts)
+        velocity = mean_velocity(plain.equation, theta, self.intervals, hold_last_input(u))
         moving = velocity[velocity != 0]
-        return rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
+        usual = rms(moving) if moving.size else rms(np.diff(self.position(counts))) / self.dt
+        return usual, float(theta[-1])
 
-    def _start(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, int]:
+    def _start(self, u: Floats, counts: NDArray[np.int64], near: float | None = None) -> tuple[Floats, int]:
         """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record. Where
-        a Stribeck speed is to be found, the best of those that are gone on from.
+        a Stribeck speed is to be found, the best of those that are gone on from. near: about how late the input
+        acts, if that is estimated [s].
 
         Raises NotIdentifiableError if the counts alone show that nothing can be identified."""
         if self.equation.searched:
             return self._start_at_speeds(u, counts)[0]
         first = like(Instruments, self)
         try:
-            columns, theta = first.settle_iteration(u, counts)
+            columns, theta = first.settle_iteration(u, counts, near)
         except NotIdentifiableError:
             batch = like(BCLS, self, model=self.model.simple)
             check_identifiable(batch.columns(u, counts), batch.names, TUNING.motion_apart**2)
-            theta = first.start(u, counts, bounded=True)
+            theta = first.start(u, counts, near, bounded=True)
             columns = first.columns_at(theta, u, counts)
         return theta, columns.status
 

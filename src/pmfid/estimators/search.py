@@ -19,6 +19,11 @@ from pmfid.types import Floats
 
 Found = TypeVar("Found")
 
+#: What is said of a record that the model does not follow at all.
+LOST = (
+    "no motion of the model follows the counts, not even from many starts: check the columns, the sign of input_gain "
+    "and the model, or record reversals and varying speed"
+)
 #: Filter time constants over which speeds to begin with are read.
 WITHIN = (1.0, TUNING.search_read)
 
@@ -254,48 +259,66 @@ def is_lost(difference: Difference, q: Floats) -> bool:
 
 def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Difference, Floats] | None:
     """A difference without a high-pass in as few windows as its motion needs, and its least squares (q,), from q (q,)
-    on. None if short windows do not explain the counts.
+    on. None if short windows do not explain the counts. Raises NotIdentifiableError if they leave most of the motion.
 
     A controller holds an arm where gravity or a magnet pulls it away, and then errors of the simulation grow without
     bound. Windows that are short enough follow the motion (multiple shooting: Bock 1981).
     """
-    theta, p = q[:-2], difference.parameters
-    coarse = replace(difference, parts=1)
-    tried = (_explain_in_windows(coarse, theta, cutoff, count) for count in TUNING.restarts_tried)
-    shortest = next((one for one in tried if one is not None), None)
-    if shortest is None:
+    p, coarse = difference.parameters, replace(difference, parts=1)
+    counts = [count for count in TUNING.restarts_tried if difference.y.size >= count * TUNING.search_fewest]
+    if not counts:
+        return None
+    shortest = _fit_in_windows(coarse, q[:-2], cutoff, counts[0], coarse.explained)
+    for count in counts[-1:] if shortest.lost else counts[1:]:
+        if shortest.left > coarse.explained:
+            shortest = _fit_in_windows(coarse, q[:-2], cutoff, count, coarse.explained)
+    if shortest.lost:
+        raise NotIdentifiableError(LOST)
+    if shortest.left > coarse.explained:
         return None
     found = shortest
-    while len(found[0].pieces) > 1:
-        longer = _explain_in_windows(coarse, found[1][:p], cutoff, len(found[0].pieces) // 2)
-        if longer is None or _leaves_more(longer, shortest):
-            return found
+    while len(found.windows.pieces) > 1:
+        count = len(found.windows.pieces) // 2
+        enough = _most_left(shortest, count)
+        longer = _fit_in_windows(coarse, found.q[:p], cutoff, count, enough)
+        if longer.left > enough:
+            return found.windows, found.q
         found = longer
-    fine = difference.fine_at(found[1][:p] * difference.scale[:p])
-    return fine, least(fine, found[1])
+    fine = difference.fine_at(found.q[:p] * difference.scale[:p])
+    return fine, least(fine, found.q)
 
 
-def _leaves_more(longer: tuple[Windows, Floats], shorter: tuple[Windows, Floats]) -> bool:
-    """Whether longer windows leave more than chance explains, given that they have fewer starts. The sum of squares of
-    a sensitive motion has local minima that nearly explain the counts."""
-    (few, q), (many, other) = longer, shorter
-    squares = few.y.size * ((rms(few(q)) / rms(many(other))) ** 2 - 1)
-    freedom = 2 * (len(many.pieces) - len(few.pieces))
-    return squares > freedom + TUNING.restarts_worse * math.sqrt(2 * freedom)
+@dataclass(frozen=True, eq=False)
+class _FitInWindows:
+    """Windows, their q (q,), and the root mean square that these leave [counts]."""
+
+    windows: Windows
+    q: Floats
+    left: float
+
+    @property
+    def lost(self) -> bool:
+        """Do they leave most of the motion within the windows?"""
+        return self.left > max(TUNING.worst_fit * self.windows.size_of_motion, self.windows.explained)
 
 
-def _explain_in_windows(
-    difference: Difference, theta: Floats, cutoff: float, count: int
-) -> tuple[Windows, Floats] | None:
-    """`count` windows of a record, and their least squares (q,) from scaled parameters theta (p,) on. None if these
-    windows do not explain the counts."""
+def _most_left(shortest: _FitInWindows, count: int) -> float:
+    """Root mean square [counts] that `count` longer windows may leave by chance, as they have fewer starts. The sum of
+    squares of a sensitive motion has local minima that nearly explain the counts."""
+    freedom = 2 * (len(shortest.windows.pieces) - count)
+    squares = freedom + TUNING.restarts_worse * math.sqrt(2 * freedom)
+    more = math.sqrt(1 + squares / shortest.windows.y.size)
+    return min(shortest.left * more, shortest.windows.explained)
+
+
+def _fit_in_windows(difference: Difference, theta: Floats, cutoff: float, count: int, enough: float) -> _FitInWindows:
+    """`count` windows of a record, and their least squares from scaled parameters theta (p,) on, given up where it
+    does not come down to `enough` [counts]."""
     n = difference.y.size
-    if n < count * TUNING.search_fewest:
-        return None
     windows = Windows.cover_stretches(difference, [(0, n)], n // count, hops=1)
     windows = windows.fine_at(theta * difference.scale[: theta.size])
-    q = descend(windows, windows.start_windows(theta, cutoff), TUNING.search_roughly)
-    return (windows, q) if rms(windows(q)) <= windows.explained else None
+    q = descend(windows, windows.start_windows(theta, cutoff), TUNING.search_roughly, n * enough**2)
+    return _FitInWindows(windows, q, rms(windows(q)))
 
 
 def _covering(first: int, last: int, length: int, hops: int) -> list[tuple[int, int]]:
@@ -328,18 +351,22 @@ def _slope(part: Difference, q: Floats) -> _Slope:
     return _Slope(apart[:, 0], apart[:, 1:], moves[:, 0], moves[:, 1:])
 
 
-def descend(windows: Windows, q: Floats, settled: float = TUNING.settled_descent) -> Floats:
+def descend(
+    windows: Windows, q: Floats, settled: float = TUNING.settled_descent, enough: float | None = None
+) -> Floats:
     """Least squares from q (q,): damped steps of Gauss and Newton, the starts eliminated window by window; a parameter
-    that a step would take below its bound stays there."""
+    that a step would take below its bound stays there. enough: a sum of squares; a descent that is too slow to come
+    down to it is given up."""
     low, p, damping = windows.lower, windows.parameters, 1e-3
-    cost, slopes = _cost(windows(q)), [_slope(part, own) for part, own in windows.split_windows(q)]
-    for _ in range(TUNING.max_steps):
+    costs, slopes = [_cost(windows(q))], [_slope(part, own) for part, own in windows.split_windows(q)]
+    while len(costs) <= TUNING.max_steps and not (enough and _is_too_slow(costs, enough)):
         theta = np.maximum(q[:p] + _step(slopes, damping, q[:p] <= low[:p]), low[:p])
         trial = _move_starts(windows, q, theta, slopes)
-        found = _cost(windows(trial))
+        cost, found = costs[-1], _cost(windows(trial))
+        costs.append(min(cost, found))
         if found < cost:
-            gain, q, cost, damping = 1 - found / cost, trial, found, damping / 10
-            if gain < settled:
+            q, damping = trial, damping / 10
+            if 1 - found / cost < settled:
                 break
             slopes = [_slope(part, own) for part, own in windows.split_windows(q)]
         elif damping > TUNING.max_damping:
@@ -347,6 +374,16 @@ def descend(windows: Windows, q: Floats, settled: float = TUNING.settled_descent
         else:
             damping *= 10
     return q
+
+
+def _is_too_slow(costs: Sequence[float], enough: float) -> bool:
+    """Whether sums of squares, one a step, do not come down to `enough` within the steps that are left, at the pace of
+    the last ones."""
+    watched = TUNING.steps_watched
+    if len(costs) <= watched or not enough < costs[-1] < np.inf:
+        return False
+    pace = math.log(costs[-1 - watched] / costs[-1]) / watched
+    return pace * (TUNING.max_steps + 1 - len(costs)) < math.log(costs[-1] / enough)
 
 
 def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> Floats:

@@ -155,6 +155,8 @@ class EstimatorTuning:
     jacobian_step: float = 1e-3
     #: Dead times [samples] that are tried before one is estimated.
     instruments_tried: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
+    #: How many of them, where another model says about which.
+    tried_near: int = 3
     #: Lags, likewise; and the step of the difference quotient by the lag, both in samples.
     tried_lags: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
     lag_step: float = 1e-3
@@ -206,6 +208,8 @@ class EstimatorTuning:
     #: Steps to that top, and what one gains at the top.
     top_steps: int = 30
     top_settled: float = 1e-3
+    #: Columns from which on those of a motion in windows are mostly zeros, and equations of steps take long.
+    dense_columns: int = 40
     #: Distance from an edge beyond which the edge has no influence [standard deviations of the noise].
     likelihood_reach: float = 8.0
     #: Noise, in counts, from which on the edges of the counts no longer show.
@@ -281,6 +285,8 @@ class EstimatorTuning:
     output_error_slower: tuple[float, ...] = (1 / 4, 1 / 16, 1 / 64, 0.0)
 
     # plants
+    #: Part of a column's power that products of columns show to many digits: their rounding is 1e-16 over its square.
+    products_accurate: float = 1e-5
     #: Relative pivot of the information matrix from which on a first estimate is given.
     start_pivot: float = 1e-4
     #: Time constants of the slowest pre-filter zero in a memory, at least.
@@ -341,6 +347,8 @@ class EstimatorTuning:
     #: Each window begins in the middle of the one before: where they lie must not decide.
     search_hops: int = 2
     max_steps: int = 60
+    #: Steps whose pace says whether a descent comes down to where it must: of these some may only raise the damping.
+    steps_watched: int = 6
     #: A step that lowers the sum of squares by less than this part has settled.
     settled_descent: float = 1e-8
     #: The same where windows of different lengths are compared.
@@ -356,7 +364,8 @@ class EstimatorTuning:
     search_shortest: float = 20.0
     search_fewest: int = 40
     #: Part of the motion that is left where a motion from a single start is lost. Numbers of windows that are tried
-    #: there; and fewer of them, as long as the sum of squares grows by no more standard deviations than these.
+    #: there, as far as the record has samples for them; and fewer of them, as long as the sum of squares grows by no
+    #: more standard deviations than these.
     restarts_lost: float = 0.3
     restarts_tried: tuple[int, ...] = (32, 64, 128)
     restarts_worse: float = 4.0
