@@ -177,3 +177,20 @@ def test_the_period_of_late_stamps_is_that_of_the_line_below_them(delay: float, 
         both.append(slope_below(delay * rng.standard_normal(n)))
     assert np.linalg.norm(below) < part * np.linalg.norm(through)
     assert not np.any(both)
+
+
+def test_samples_that_arrive_at_once_are_samples_of_an_even_clock() -> None:
+    rng, n = np.random.default_rng(8), 1500
+    k = np.arange(n)
+    u, y = rng.standard_normal(n), 100 * np.sin(0.2 * k + np.sin(0.01 * k))
+    stamps = np.sort(k + 2 * np.abs(rng.standard_normal(n)))
+    stamps[[401, 402, 900]] = stamps[[400, 400, 899]]
+    found = resample_uneven(stamps, u, y)
+    assert found is not None
+    assert not found.jitter
+    np.testing.assert_array_equal(found.u, u)
+    assert np.diff(found.time).mean() == pytest.approx(1.0, rel=1e-3)
+    y[401], u[401] = y[400], u[400]  # a row that was written twice
+    twice = resample_uneven(stamps, u, y)
+    assert twice is not None
+    assert twice.u.size == n - 1

@@ -52,7 +52,7 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
     out.
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
-    stamps, u, y = time[known], u[known], y[known]
+    stamps, u, y = _drop_repeats(time[known], u[known], y[known])
     if stamps.size < TUNING.resampling_fewest or not (thinned or _is_uneven(stamps, y)):
         return None
     from scipy.interpolate import PchipInterpolator
@@ -125,9 +125,18 @@ def _usual_step(steps: Floats) -> float:
     return float(np.mean(steps[steps <= TUNING.longest_step * mean]))
 
 
+def _drop_repeats(stamps: Floats, u: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the samples (n,) without rows that repeat the previous row, with its time."""
+    again = (np.diff(stamps) == 0) & (np.diff(u) == 0) & (np.diff(y) == 0)
+    kept = np.append(True, ~again) if np.any(again) else slice(None)
+    return stamps[kept], u[kept], y[kept]
+
+
 def _is_uneven(stamps: Floats, y: Floats) -> bool:
     steps = np.diff(stamps)
     median = float(np.median(steps))
+    if np.min(steps) == 0:  # two samples may arrive at once
+        return not even_grid(stamps)[1] and _are_late(stamps, y)
     if not (np.min(steps) > 0 and np.max(np.abs(steps - median)) > TUNING.even_steps * median):
         return False
     if np.sum(steps) > TUNING.most_missing * steps.size * median:  # the record has bursts, or most lines are missing
@@ -157,8 +166,9 @@ def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
     two neighbouring outputs. The target is the distance of the measured output from the same mean.
     """
     steps = np.diff(stamps)
-    part = steps[:-1] / (steps[:-1] + steps[1:])
-    single: Flags = (steps[:-1] + steps[1:]) < 2 * TUNING.longest_step * _usual_step(steps)
+    both = steps[:-1] + steps[1:]
+    part = steps[:-1] / np.maximum(both, np.finfo(float).tiny)
+    single: Flags = (both > 0) & (both < 2 * TUNING.longest_step * _usual_step(steps))
     change, whole = (y[1:-1] - y[:-2])[single], (y[2:] - y[:-2])[single]
     shown, by_stamps = change - 0.5 * whole, (part[single] - 0.5) * whole
     plain = np.abs(shown - 0.5 * by_stamps) <= np.quantile(np.abs(shown - 0.5 * by_stamps), TUNING.resampling_plain)
