@@ -21,17 +21,20 @@ from pmfid.types import Floats
 
 __all__ = ["USUAL", "Choice", "best_input", "choose", "stds"]
 
-#: The profile that engineers use: no parameter may come out worse than with it.
+#: Engineers usually run the trapezoid, so no parameter may come out worse than with this profile.
 USUAL = "trapezoid"
-#: Standard motions that a design is compared with: machines are made for them.
+#: A design is compared with these standard motions, for which machines are made.
 PROFILES = (USUAL, "s_curve", "minimum_time")
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The chosen input. name: "design", "design, least speed x 1.23", or the name of a standard input; design: the
-    motion to run; std: {unknown parameter: deviation expected after one run}, in its unit; usual: the same for the
-    trapezoid, if it exists."""
+    """The chosen input and its expected standard deviations.
+
+    `name` is "design", "design, least speed x 1.23" or the name of a standard input. `design` is the motion to run.
+    `std` maps each unknown parameter to its expected standard deviation after one run, in the parameter's unit. `usual`
+    has the same deviations for the trapezoid; they are infinite if no trapezoid exists.
+    """
 
     name: str
     design: Design
@@ -40,10 +43,11 @@ class Choice:
 
 
 def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
-    """The best input for the problem of a design: that design, others with a larger least speed, or a standard input.
+    """Choose the best input for the problem of a design.
 
-    starts, seed: of the search for the others. Noise of another source than an encoder is taken as white, and the start
-    as unknown.
+    The candidates are the design, other designs with a larger least speed, and the standard inputs. `starts` and `seed`
+    belong to the search for the other designs. If the noise does not come from an encoder, it counts as white, and the
+    start position as unknown.
     """
     problem = design.problem
     inputs = {"design": design.u} | dict(_others(design, starts, seed))
@@ -54,11 +58,11 @@ def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
 
 
 def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floats | None]) -> str:
-    """Name of the best of some inputs by their covariances (p, p), in the units of the parameters; None: no estimate.
+    """Return the name of the best input by the covariances (p, p) of the inputs, in the units of the parameters.
 
-    The first input whose value is surely no less than the largest, among inputs that determine every unknown parameter
-    surely better than the trapezoid does. Without such an input, the trapezoid. Without a trapezoid, all inputs are
-    candidates.
+    None stands for an input without an estimate. Only inputs count that surely estimate every unknown parameter better
+    than the trapezoid. The first of these inputs whose value is surely no less than the largest value wins. If no input
+    qualifies, the trapezoid wins. Without a trapezoid, all inputs are candidates.
     """
     usual = stds(problem, covariances.get(USUAL))
     scale = np.outer(problem.scale, problem.scale)
@@ -77,14 +81,14 @@ def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floa
 
 
 def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
-    """{unknown parameter: standard deviation}, inf if there is no covariance."""
+    """Return the standard deviation of each unknown parameter, or infinity without a covariance."""
     if covariance is None:
         return dict.fromkeys(problem.unknown, math.inf)
     return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}
 
 
 def _others(design: Design, starts: int, seed: int) -> Iterator[tuple[str, Floats]]:
-    """Names and inputs (K,) within the same limits."""
+    """Yield the names and values (K,) of other inputs within the same limits."""
     problem = design.problem
     for factor in TUNING.appraisal_faster if problem.limits.min_speed > 0 else ():
         limits = replace(problem.limits, min_speed=factor * problem.limits.min_speed)
@@ -104,14 +108,15 @@ def _others(design: Design, starts: int, seed: int) -> Iterator[tuple[str, Float
 class Worth:
     """The information of one run of an input.
 
-    fisher: (p, p) on the unknown parameters, in their own units, prior included; value: of the criterion, over the
-    scenarios if the problem has an average.
-    surviving: part of the claimed information that remains with true stiction; the least over nominal, slightly larger
-    and slightly smaller parameters. None if it cannot be simulated.
-    predicted_std: of each unknown parameter after one run; inf if run and prior do not determine it.
-    std_encoder: expected standard deviation of `pmfid design SPEC RECORD` from the encoder's counts, start position
-    unknown (`encoder_covariance`); inf as above, and if the noise is not an encoder's. covariance: (p, p) of the
-    estimate after one run over unknown + nuisance, in their units, for the choice of inputs; None if undetermined.
+    `fisher` (p, p) is the information on the unknown parameters in their own units, with the prior. `value` is the
+    value of the criterion, over the scenarios if the problem has an average. `surviving` is the part of the claimed
+    information that remains with true stiction. It is the least value over nominal, slightly larger and slightly
+    smaller parameters, or None without a simulation. `predicted_std` is the standard deviation of each unknown
+    parameter after one run. It is infinite if run and prior do not determine the parameter. `std_encoder` is the
+    standard deviation that `pmfid design SPEC RECORD` will reach from the encoder's counts (`encoder_covariance`). The
+    start position is unknown then. `std_encoder` is infinite for an undetermined parameter, and if the noise does not
+    come from an encoder. `covariance` (p, p) belongs to the estimate of unknown and nuisance parameters after one run,
+    in their units. It decides on the choice of an input, and is None if a parameter is undetermined.
     """
 
     fisher: Floats
@@ -124,9 +129,10 @@ class Worth:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Appraisal(Presentable):
-    """A design compared with the standard inputs; worths: by name, "design" for the design itself.
+    """A design compared with the standard inputs.
 
-    price: part of the nominal information that robustness costs, None if the design is not robust.
+    `worths` has the worth of each input by its name, "design" for the design itself. `price` is the part of the nominal
+    information that robustness costs, or None if the design is not robust.
     """
 
     design: Design
@@ -138,19 +144,21 @@ class Appraisal(Presentable):
 
     @property
     def gain(self) -> dict[str, float]:
-        """Value of the design over the value of each standard input; inf if the latter is 0."""
+        """Value of the design over the value of each standard input, infinite where a standard input has the value 0.
+        """
         own = self.worths["design"].value
         values = {name: self.worths[name].value for name in self.standard}
         return {name: own / value if value > 0 else math.inf for name, value in values.items()}
 
     @property
     def recommended(self) -> str:
-        """Name of the input that serves the estimate best, with no unknown parameter worse than by the trapezoid."""
+        """Name of the input with the best estimate, which leaves no unknown parameter worse than the trapezoid does."""
         covariances = {name: worth.covariance for name, worth in self.worths.items()}
         return best_input(self.design.problem, self.rule, covariances)
 
     def summary(self) -> Summary:
-        """Predicted standard deviations of each input; the lines are of the design and of the recommended input."""
+        """Return the predicted standard deviations of each input, with lines for the design and the recommended input.
+        """
         unknown = self.design.problem.unknown
         rows = [(name, *(f"{worth.predicted_std[own]:.2g}" for own in unknown)) for name, worth in self.worths.items()]
         title = f"{self.design.criterion}, standard deviations after one run; to be run: {self.recommended}"
@@ -161,13 +169,13 @@ class Appraisal(Presentable):
         return Summary(title, ("input", *unknown), rows, lines, self.warnings)
 
     def columns(self) -> dict[str, object]:
-        """A row for each input."""
+        """Return a table with a row for each input."""
         stds = [worth.predicted_std for worth in self.worths.values()]
         values = {"input": list(self.worths), "value": [worth.value for worth in self.worths.values()]}
         return values | {f"{name}_std": [std[name] for std in stds] for name in self.design.problem.unknown}
 
     def to_dict(self) -> dict[str, object]:
-        """What `--json` prints."""
+        """Return the object that `--json` prints."""
         design, worth = self.design, self.worths["design"]
         return plain_dict(
             {
@@ -204,12 +212,12 @@ def appraise(design: Design, seed: int = 0) -> Appraisal:
     -------
     Appraisal
         Value and predicted standard deviations of each input, `gain` over each standard input, and the `recommended`
-        one.
+        input.
 
     Raises
     ------
     UsageError, InfeasibleError
-        As `solve`.
+        The same errors as `solve`.
 
     Examples
     --------
@@ -235,13 +243,13 @@ def appraise(design: Design, seed: int = 0) -> Appraisal:
 
 
 def _price_of_robustness(design: Design) -> float:
-    """1 - (nominal value of a design with scenarios) / (best nominal value)."""
+    """Return 1 - (nominal value of a design with scenarios) / (best nominal value)."""
     nominal = replace(design.problem, scenarios=(), average=None)
     return 1.0 - evaluate(nominal, design.u, design.criterion).value / solve(nominal, design.criterion).value
 
 
 def worth_of(ready: Setting, u: Floats) -> Worth:
-    """Information from one run of the input u (n,)."""
+    """Return the information from one run of the input u (n,)."""
     problem, maps = ready.problem, ready.maps[0]
     covariance = expected_covariance(problem, u)
     F = maps.information(u)
@@ -256,13 +264,16 @@ def worth_of(ready: Setting, u: Floats) -> Worth:
 
 
 def _on_unknown(problem: Problem, F: Floats) -> Floats:
-    """Information on the unknown parameters in their own units from that on all scaled ones."""
+    """Return the information on the unknown parameters in their own units, from the scaled information on all."""
     size = len(problem.unknown)
     return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
 
 
 def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Floats, Floats]:
-    """Sample instants (N,) [s] and the value of the criterion for the samples up to each (N,), prior included."""
+    """Return the sample instants (N,) [s], and the value of the criterion (N,) for the samples up to each instant.
+
+    The values include the prior.
+    """
     maps = affine(problem)
     s = maps.weigh_sensitivities(u)
     F = maps.prior + np.cumsum(np.einsum("in,jn->nij", s, s), axis=0)
@@ -272,8 +283,10 @@ def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tu
 
 
 def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float | None:
-    """The part of the run's information that survives, by the same criterion. The trace decides if the criterion gives
-    the run alone no size."""
+    """Return the part of the run's information that survives stiction, by the same criterion.
+
+    If the criterion gives the run alone no size, the trace decides.
+    """
     if problem.drive.friction != "symmetric":
         return None
     judge = replace(criterion, name="trace") if criterion.name == "ME" else criterion

@@ -13,16 +13,17 @@ from pmfid.types import Floats
 
 __all__ = ["Climber"]
 
-#: Part of the way to the vertex, first for all, then between the neighbours of the best.
+#: Parts of the way to the vertex. The search tries all of them first, then a finer set between the neighbours of the
+#: best.
 STEPS = np.array([1.0, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02, 0.005])
 
 
 @dataclass
 class Climber:
-    """Searches local optima; remembers those it has met, so that none is left twice.
+    """A search for local optima that remembers the optima it has met.
 
-    maps: one for each case of the problem, a criterion's log value being their mean, or about the worst where `worst`.
-    Not for use by two threads at once.
+    A remembered optimum is not left a second time. `maps` has one entry for each case of the problem. The log value is
+    the mean over the cases, or about the worst case if `worst` is set. Two threads must not share one climber.
     """
 
     maps: tuple[Affine, ...]
@@ -32,12 +33,12 @@ class Climber:
     _known: list[tuple[float, Floats, float, Floats]] = field(default_factory=list)
 
     def start(self, rng: np.random.Generator) -> tuple[float, Floats]:
-        """(log value, input (K,)) of the best found from a random vertex."""
+        """Return the log value and the input (K,) of the best local optimum found from a random vertex."""
         self.oracle.start()
         return self.climb(self.oracle.maximise(rng.standard_normal(self.oracle.inputs.size)))
 
     def climb(self, u: Floats) -> tuple[float, Floats]:
-        """(log value, input) of the local optimum above u that no shift improves."""
+        """Return the log value and the input of the local optimum above u that no shift improves."""
         value, u = self.ascend(u)
         met = []
         shifts, place, failed = self._shifts(), 0, 0
@@ -56,12 +57,14 @@ class Climber:
         return value, u
 
     def ascend(self, u: Floats, tolerance: float = TUNING.ascent_tolerance, steps: int = 60) -> tuple[float, Floats]:
-        """(log value, input) where no vertex promises a relative gain of more than the tolerance."""
+        """Climb from u until no vertex promises a relative gain above the tolerance, and return the log value and
+        input.
+        """
         s = [maps.weigh_sensitivities(u) for maps in self.maps]
         value = float(self._blend(np.array([self.criterion.log_value(F) for F in self._informations(s)])))
         ahead, drift, change = 0.0, 0, s
         for _ in range(steps):
-            # pulses drift interval by interval towards their best place: the gradient further on saves steps
+            # Pulses drift towards their best place interval by interval. A gradient from further on saves steps.
             slope = self._slope([here + ahead * there for here, there in zip(s, change, strict=True)] if ahead else s)
             vertex = self.oracle.maximise(slope)
             gain = float(slope @ (vertex - u))
@@ -84,7 +87,7 @@ class Climber:
         return [here @ here.T + maps.prior for maps, here in zip(self.maps, s, strict=True)]
 
     def _blend(self, values: Floats) -> Floats:
-        """Log value of all cases together, from the values of each case, (cases, ...)."""
+        """Return one log value for all cases together, from the values (cases, ...) of each case."""
         if len(values) == 1:
             return np.asarray(values[0])
         if not self.worst:
@@ -95,7 +98,7 @@ class Climber:
         )
 
     def _slope(self, s: list[Floats]) -> Floats:
-        """Gradient of the log value to the input, from the weighted sensitivities (p, N) of each case."""
+        """Return the gradient of the log value by the input, from the weighted sensitivities (p, N) of each case."""
         informations = self._informations(s)
         weights = np.ones(1)
         if len(s) > 1:
@@ -108,7 +111,10 @@ class Climber:
         return slope
 
     def _line(self, s: list[Floats], change: list[Floats]) -> tuple[float, float]:
-        """(part of the way, log value) of the maximum between s and s + change: there F is a quadratic of the part."""
+        """Return the part of the way from s to s + change at which the log value is largest, and this value.
+
+        The information F is a quadratic function of this part.
+        """
         cross = [here @ there.T for here, there in zip(s, change, strict=True)]
         constant = np.array(self._informations(s))[:, None]
         linear = np.array([c + c.T for c in cross])[:, None]
@@ -128,7 +134,7 @@ class Climber:
         return float(parts[i]), value
 
     def _neighbour(self, value: float, u: Floats, shift: int) -> tuple[float, Floats] | None:
-        """A better local optimum that the shifted input leads to, or None."""
+        """Return a better local optimum that the shifted input leads to, or None."""
         moved = np.clip(np.arange(len(u)) - shift, 0, len(u) - 1)
         vertex = self.oracle.maximise(self._slope([maps.weigh_sensitivities(u[moved]) for maps in self.maps]))
         if np.allclose(vertex, u, rtol=0.0, atol=1e-6 * np.abs(u).max()):
@@ -141,7 +147,7 @@ class Climber:
         return list(dict.fromkeys(s for n in TUNING.ascent_shifts if 0 < abs(s := n * max(1, round(size / 40))) < size))
 
     def _recall(self, value: float, u: Floats) -> tuple[float, Floats] | None:
-        """Whether an earlier search has ended at this local optimum."""
+        """Return the best value and input known from an earlier search at this local optimum, or None."""
         scale = 0.02 * float(np.abs(u).max())
         for seen, where, best, best_u in self._known:
             if abs(seen - value) < TUNING.ascent_tolerance and np.abs(where - u).max() < scale:
@@ -150,15 +156,15 @@ class Climber:
 
 
 def _subtract_least(values: Floats) -> Floats:
-    """Log values over the least of all cases, (cases, ...); also where some are -inf, as at rest."""
+    """Return the log values (cases, ...) minus the least of all cases, even where values are -inf, as at rest."""
     least = values.min(axis=0)
     return np.asarray(np.subtract(values, least, out=np.zeros(values.shape), where=values != least))
 
 
 def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.ascent_rounds) -> Floats:
-    """Weights (m,), summing to 1, with the largest value of the criterion at sum weights[i] informations[i] (m, p, p).
+    """Return the weights (m,) of a mixture of informations (m, p, p) with the largest value of the criterion.
 
-    Multiplicative steps (Silvey, Titterington and Torsney 1978).
+    The weights sum to 1. The multiplicative steps are from Silvey, Titterington and Torsney (1978).
     """
     weights = np.full(len(informations), 1.0 / len(informations))
     for _ in range(rounds):
@@ -172,17 +178,17 @@ def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.asce
 
 
 def share(rule: Criterion, mean: Floats) -> Floats:
-    """W (p, p) with value(F) <= trace(W F) for every information F, equal at the mean.
+    """Return the matrix W (p, p) with value(F) <= trace(W F) for every information F, with equality at the mean.
 
-    The criteria are homogeneous and concave in F, so that the tangent at the mean is such a bound.
+    The criteria are homogeneous and concave in F, so the tangent at the mean is such a bound.
     """
     return rule.gradient(mean) * rule.value(mean)
 
 
 def best_mixture(maps: Affine, rule: Criterion, oracle: Oracle, u: Floats) -> Floats:
-    """Information (p, p) of the best mixture of inputs found, from u (K,) on.
+    """Return the information (p, p) of the best mixture of inputs that the search finds from u (K,).
 
-    Adds, one at a time, the input with the largest share of the tangent (Fedorov 1972; Wynn 1970).
+    Each step adds the input with the largest share of the tangent (Fedorov 1972; Wynn 1970).
     """
     rng, inputs = np.random.default_rng(0), [u]
     for _ in range(TUNING.ascent_motions):
@@ -198,13 +204,16 @@ def best_mixture(maps: Affine, rule: Criterion, oracle: Oracle, u: Floats) -> Fl
 
 
 def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.Generator) -> Floats:
-    """Input with the largest trace(weight F(u)) that a few local searches find: full steps climb a convex function."""
+    """Return the input with the largest trace(weight F(u)) that a few local searches find.
+
+    Full steps climb, because the trace is a convex function of the input.
+    """
     climber = Climber((_rotate_maps(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
     return max((climber.start(rng) for _ in range(TUNING.ascent_searches)), key=lambda found: found[0])[1]
 
 
 def _rotate_maps(maps: Affine, weight: Floats) -> Affine:
-    """The maps after which the plain trace is trace(weight F)."""
+    """Return rotated maps, for which the plain trace equals trace(weight F)."""
     eigenvalues, vectors = np.linalg.eigh(weight)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T
     p = len(weight)

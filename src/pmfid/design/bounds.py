@@ -1,4 +1,4 @@
-"""Bounds of what any input can reach."""
+"""Upper bounds of the value that any input can reach."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ __all__ = ["Box", "WeightFrame", "frame"]
 
 @dataclass(frozen=True, eq=False)
 class WeightFrame:
-    """trace(weight F(u)) = |matrix u + offset|^2 + constant for all inputs u that meet the equations of the limits.
+    """A coordinate frame in which trace(weight F(u)) is |matrix u + offset|^2 + constant.
 
-    weight: (p, p), positive semidefinite; matrix: (r, K), offset: (r,), largest coordinates first.
+    This form holds for all inputs u that meet the equations of the limits. `weight` (p, p) is positive semidefinite.
+    `matrix` (r, K) and `offset` (r,) have the largest coordinates first.
     """
 
     weight: Floats
@@ -37,29 +38,29 @@ class WeightFrame:
 
 @dataclass(eq=False)
 class Box:
-    """lower <= z <= upper (r,): ranges of the coordinates of a frame over a part of the inputs."""
+    """Ranges lower <= z <= upper (r,) of the coordinates of a frame, over a part of the inputs."""
 
     lower: Floats
     upper: Floats
 
     @property
     def slope(self) -> Floats:
-        """Slopes of the chords: z^2 <= slope z - lower upper inside the box."""
+        """Slopes (r,) of the chords: z^2 <= slope z - lower upper inside the box."""
         return self.lower + self.upper
 
     def chords(self, z: Floats) -> float:
-        """Sum of the chords at z, an upper bound of |z|^2."""
+        """Return the sum of the chords at z, which is an upper bound of |z|^2."""
         return float(self.slope @ z - self.lower @ self.upper)
 
     def gaps(self, z: Floats) -> Floats:
-        """The amount by which each chord is too high at z."""
+        """Return the amount by which each chord is too high at z."""
         return np.maximum(0.0, (self.upper - z) * (z - self.lower))
 
     def copy(self) -> Box:
         return Box(self.lower.copy(), self.upper.copy())
 
     def measure(self, j: int, extreme: Callable[[Floats], Floats], where: WeightFrame) -> list[Floats]:
-        """Narrows range j to what the inputs allow, and returns the two inputs at its ends."""
+        """Narrow range j to the values that the inputs allow, and return the two inputs at its ends."""
         row, offset = where.matrix[j], where.offset[j]
         ends = [extreme(row), extreme(-row)]
         self.upper[j] = min(self.upper[j], row @ ends[0] + offset + TUNING.bounds_slack)
@@ -68,7 +69,10 @@ class Box:
 
 
 def frame(maps: Affine, weight: Floats, directions: Floats, u: Floats) -> WeightFrame:
-    """The frame of a weight; directions (K, q): those in which the equations let the input u move."""
+    """Return the frame of a weight.
+
+    The columns of `directions` (K, q) are the directions in which the equations let the input u move.
+    """
     p = len(maps.scale)
     eigenvalues, vectors = np.linalg.eigh(weight)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T
@@ -83,7 +87,10 @@ def frame(maps: Affine, weight: Floats, directions: Floats, u: Floats) -> Weight
 
 @dataclass(eq=False)
 class _Node:
-    """A part of the inputs: rows (normal, lower, upper) cut it out; bound: in units of the incumbent's value."""
+    """A part of the inputs, cut out by `rows` of (normal, lower, upper).
+
+    `bound` is in units of the incumbent's value.
+    """
 
     rows: list[tuple[Floats, float, float]]
     frame: WeightFrame
@@ -97,10 +104,10 @@ class _Node:
 def upper_bound(
     problem: Problem, rule: Criterion, u: Floats, *, gap: float = 0.01, seconds: float = 60.0
 ) -> float | None:
-    """An upper bound of the criterion's value: at most 1 + gap times the value of the input u (K,) if time suffices.
+    """Return an upper bound of the criterion's value over all inputs, or None for ME, which has no tangent.
 
-    u: feasible; a better input makes the search faster. seconds: of processor time, so that a busy machine proves as
-    much. None for ME, which has no tangent.
+    If time suffices, the bound is at most 1 + gap times the value of the input u (K,). `u` must be feasible; a better u
+    makes the search faster. `seconds` is processor time, so the proof on a busy machine is as good.
     """
     if not rule.concave:
         return None
@@ -123,7 +130,7 @@ class _BoundSearch:
         self.heap: list[tuple[float, int, _Node]] = []
 
     def run(self) -> float:
-        """The bound over the incumbent's value."""
+        """Return the bound over the incumbent's value."""
         root = self._root()
         self._push(root)
         while self.heap and -self.heap[0][0] > self.target and time.thread_time() < self.until:
@@ -144,7 +151,7 @@ class _BoundSearch:
         return node
 
     def _make_node(self, rows: list[tuple[Floats, float, float]], weight: Floats, seen: list[Floats]) -> _Node:
-        """The part that the rows cut out, in the frame of a weight, with all ranges measured."""
+        """Return the part that the rows cut out, in the frame of a weight, with all ranges measured."""
         self._enter(rows)
         where = frame(self.maps, weight, self.directions, self.u)
         size = len(where.offset)
@@ -168,7 +175,7 @@ class _BoundSearch:
         node.seen.append(vertex)
 
     def _close(self, node: _Node) -> None:
-        """Narrows the part until it holds nothing above the target, or narrowing does not help."""
+        """Narrow the part until nothing in it exceeds the target, or until narrowing does not help."""
         try:
             if node.rows:
                 self._enter(node.rows)
@@ -190,7 +197,7 @@ class _BoundSearch:
                 return
 
     def _measure(self, node: _Node) -> None:
-        """Ranges of the coordinates with the largest gaps, over the inputs whose chords reach the target."""
+        """Measure the coordinates with the largest gaps, over the inputs whose chords reach the target."""
         where, box = node.frame, node.box
         gaps = box.gaps(node.z)
         order = np.argsort(-gaps)
@@ -204,13 +211,13 @@ class _BoundSearch:
         del node.seen[: -TUNING.bounds_remembered]
 
     def _turn(self, node: _Node) -> None:
-        """A new tangent at the best mixture of known inputs, if the present tangent is too high."""
+        """Take the tangent at the best mixture of known inputs, if the present tangent is too high."""
         if len(node.seen) < 2 or time.thread_time() > self.until:
             return
         informations = np.array([self.maps.information(u) for u in node.seen])
         truth = np.tensordot(informations, node.frame.weight, 2).max()
         if truth <= (1.0 + self.target) / 2.0:
-            return  # the chords are to blame
+            return  # The chords are too high here, and the tangent is good enough.
         weights = proportions(self.rule, informations, 300)
         first, second = np.argsort(-weights)[:2]
         node.apart = (node.seen[first], node.seen[second])
@@ -227,7 +234,7 @@ class _BoundSearch:
         j = int(np.argmax(gaps))
         middle = (box.lower[j] + box.upper[j]) / 2.0
         if node.apart and gaps.sum() < (node.bound - 1.0) / 2.0:
-            # the chords are tight: only motions on different sides keep the mixture above the target
+            # The chords are tight, so only motions on different sides keep the mixture above the target.
             j, middle = _find_split(where, box, *node.apart)
         halves: list[_Node] = []
         for side in (box.copy(), box.copy()):
@@ -238,7 +245,7 @@ class _BoundSearch:
 
 
 def _find_split(where: WeightFrame, box: Box, one: Floats, other: Floats) -> tuple[int, float]:
-    """The coordinate in which two inputs differ most, and the value half way, well inside the box."""
+    """Return the coordinate in which two inputs differ most, and its middle value, well inside the box."""
     a, b = where.matrix @ one + where.offset, where.matrix @ other + where.offset
     j = int(np.argmax(np.abs(a - b)))
     margin = 0.1 * (box.upper[j] - box.lower[j])

@@ -1,8 +1,9 @@
 """Parameters from designed runs, by simulation of the position, with prior information.
 
 The general estimators find all parameters from one long record. A designed run is short, starts as designed, and some
-parameters are known. The rest is a small nonlinear problem around a good guess: least squares if the position has
-normal noise; for counts the set of parameters that fit all counts (`counted`)."""
+parameters are known. The others follow from a small nonlinear problem around a good guess. If the position has normal
+noise, the solution is least squares. For counts it is the set of parameters that fit all counts (`counted`).
+"""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from pmfid.types import Floats
 
 __all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
 
-#: Least values over the nominal ones; 0 for the others.
+#: Least value of a parameter over its nominal value. Parameters that are not listed stay at 0 or above.
 LEAST = {"mass": 1e-3, "offset": -np.inf}
 
 
@@ -30,7 +31,7 @@ LEAST = {"mass": 1e-3, "offset": -np.inf}
 class DesignedRun:
     """One experiment with a designed input.
 
-    Only changes of y count, its zero is free: the start phase on the encoder's lattice is not known.
+    Only changes of y count. The zero of y is free, because the start phase on the encoder's lattice is unknown.
 
     Parameters
     ----------
@@ -68,12 +69,13 @@ class DesignedRun:
 class RunsEstimate:
     """The estimate from all runs.
 
-    parameters: {name: value}, known ones included. information: (p, p) over unknown + nuisance, in their units, prior
-    included: the inverse of their covariance. interval: {name: (lowest, highest)} that holds 95 %, for each of these.
-    inflation: for normal noise the variance of the residual over the variance of the noise, times the number of samples
-    that correlate; the information of the runs is divided by an inflation above 1. 1 for counts.
-    unexplained: largest distance of the best motion from a count, in counts. More than 0 is an error of the model, and
-    all counts were widened by twice this distance.
+    `parameters` maps each name to its value, known parameters included. `information` (p, p) of unknown and nuisance
+    parameters, in their units, includes the prior. Its inverse is their covariance. `interval` maps each of these names
+    to the lowest and highest value of an interval that holds 95 %. For normal noise, `inflation` is the variance of the
+    residual over the variance of the noise, times the number of samples that correlate. An inflation above 1 divides
+    the information of the runs. For counts the inflation is 1. `unexplained` is the largest distance of the best motion
+    from a count, in counts. A distance above 0 is an error of the model, and all counts were widened by twice this
+    distance.
     """
 
     parameters: Mapping[str, float]
@@ -83,12 +85,15 @@ class RunsEstimate:
     unexplained: float = 0.0
 
     def std(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Standard deviations of the parameters that the information is over, in its order."""
+        """Return the standard deviation of each parameter in `names`, which follows the order of the information."""
         variance = np.linalg.inv(self.information).diagonal()
         return {name: float(np.sqrt(value)) for name, value in zip(names, variance, strict=True)}
 
     def update(self, problem: Problem) -> Problem:
-        """The problem with what is known now: nominal values, information as the prior, scenarios around them."""
+        """Return the problem with the estimates as nominal values and the information as the prior.
+
+        The scenarios move with the nominal values.
+        """
         moved = {name: self.parameters[name] / (value or 1.0) for name, value in problem.nominal.items()}
         scenarios = tuple({name: value * moved[name] for name, value in case.items()} for case in problem.scenarios)
         return replace(problem, nominal=dict(self.parameters), prior=self.information, scenarios=scenarios)
@@ -170,7 +175,10 @@ def _name_intervals(problem: Problem, interval: Floats) -> dict[str, tuple[float
 
 
 class _Objective:
-    """Residuals over the encoder's deviation, less their mean in each run, then the prior's; q = theta / scale."""
+    """Residuals of all runs over the encoder's deviation, then the residuals of the prior.
+
+    The residuals of each run have zero mean. The variables are q = theta / scale.
+    """
 
     def __init__(self, problem: Problem, runs: Sequence[DesignedRun]) -> None:
         self.problem, self.runs = problem, runs
@@ -196,7 +204,7 @@ class _Objective:
         return np.asarray(np.concatenate([x - centre(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
 
     def counts(self, q: Floats) -> list[Floats]:
-        """The simulated less the measured position of each run, in counts."""
+        """Return the simulated position minus the measured position of each run, in counts."""
         size = float(self.problem.resolution or 1.0)
         pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
         return [(x - centre(run.y)) / size for x, run in pairs]
@@ -208,7 +216,7 @@ class _Objective:
         columns = []
         for i in range(q.size):
             low, high = (np.array(q, float) for _ in range(2))
-            # a step relative to the nominal value, because an estimate may be 0, at its bound
+            # The step is relative to the nominal value, because an estimate may be 0, at its bound.
             low[i], high[i] = max(q[i] - TUNING.simulated_step, self.lower[i]), q[i] + TUNING.simulated_step
             columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
         return np.vstack([np.column_stack(columns), self.root])
@@ -221,19 +229,19 @@ class _Objective:
 
 
 def correlation_time(residuals: Sequence[Floats]) -> float:
-    """1 + 2 sum of the autocorrelations of the residuals up to the first that white noise explains."""
+    """Return 1 + 2 sum of the autocorrelations of the residuals, up to the first that white noise explains."""
     power = sum(float(e @ e) for e in residuals)
     total = 1.0
     for lag in range(1, max(e.size for e in residuals)):
         rho = sum(float(e[lag:] @ e[:-lag]) for e in residuals if e.size > lag) / max(power, 1e-300)
-        if rho <= 2 / np.sqrt(sum(e.size for e in residuals)):  # within what white noise shows
+        if rho <= 2 / np.sqrt(sum(e.size for e in residuals)):  # white noise explains this correlation
             break
         total += 2 * rho
     return total
 
 
 def centre(y: Floats) -> Floats:
-    """y (n,) less its mean."""
+    """Return y (n,) minus its mean."""
     return np.asarray(y - np.mean(y))
 
 

@@ -18,14 +18,15 @@ from pmfid.types import Floats
 
 __all__ = ["Density", "inside", "walk"]
 
-#: z (..., p) -> log density (...), -inf outside.
+#: A density maps z (..., p) to the log density (...), which is -inf outside.
 Density = Callable[[Floats], Floats]
 
 
 def inside(density: Density, middle: Floats, scatter: Floats) -> Floats:
-    """Starts (..., walkers, p): middle + scatter, each moved towards the middle (p,) until the density is not 0 there.
+    """Return starts (..., walkers, p) at middle + scatter, where the density is not 0.
 
-    scatter: (..., walkers, p).
+    A start outside moves towards the middle (p,) until the density there is not 0. `scatter` has the shape (...,
+    walkers, p).
     """
     z = middle + scatter
     for _ in range(TUNING.encoder_error_halvings):
@@ -37,9 +38,10 @@ def inside(density: Density, middle: Floats, scatter: Floats) -> Floats:
 
 
 def walk(density: Density, z: Floats, steps: int, rng: np.random.Generator) -> Floats:
-    """Where the walkers z (..., walkers, p) are after each step, (steps, ..., walkers, p); even number of walkers.
+    """Return the places (steps, ..., walkers, p) of the walkers after each step, from z (..., walkers, p).
 
-    The two halves move in turn, each walker along the line to one of the other half.
+    The number of walkers is even. The two halves move in turn, each walker along the line to a walker of the other
+    half.
     """
     half, size = z.shape[-2] // 2, z.shape[-1]
     halves = [z[..., :half, :].copy(), z[..., half:, :].copy()]
@@ -54,7 +56,7 @@ def walk(density: Density, z: Floats, steps: int, rng: np.random.Generator) -> F
             ) ** 2 / TUNING.encoder_error_longest
             trial = partner + stretch[..., None] * (here - partner)
             log = density(trial)
-            with np.errstate(invalid="ignore"):  # both outside: stays
+            with np.errstate(invalid="ignore"):  # a walker stays if both places are outside
                 better = np.log(rng.random(stretch.shape)) < (size - 1) * np.log(stretch) + log - logs[this]
             halves[this] = np.where(better[..., None], trial, here)
             logs[this] = np.where(better, log, logs[this])
@@ -62,12 +64,12 @@ def walk(density: Density, z: Floats, steps: int, rng: np.random.Generator) -> F
     return path
 
 
-#: q (p,) -> for each run the simulated less the measured position, in counts, (N,).
+#: Distances map q (p,) to the simulated minus the measured position of each run, in counts (N,).
 Distances = Callable[[Floats], list[Floats]]
 
 
 def middle_of(distances: Distances, q: Floats, steps: Floats, lower: Floats) -> Floats:
-    """Parameters (p,) at which the widest range of distances is the least, by linear programs.
+    """Return the parameters (p,) with the least widest range of distances, by linear programs.
 
     The neighbourhood shrinks if the last program promised too much.
     """
@@ -91,8 +93,11 @@ def widest(errors: Sequence[Floats]) -> float:
 
 
 def least_range(distances: Distances, q: Floats, steps: Floats, lower: Floats, reach: float) -> Floats:
-    """The same for distances that are linear, within `reach` of the steps (p, k): variables z (k,), then lowest and
-    highest of each run, then the widest range."""
+    """Return the parameters (p,) with the least widest range of linearised distances, within `reach` of the steps (p,
+    k).
+
+    The variables of the linear program are z (k,), the lowest and highest distance of each run, and the widest range.
+    """
     p, here = steps.shape[1], distances(q)
     if p == 0:
         return q
@@ -122,8 +127,11 @@ def least_range(distances: Distances, q: Floats, steps: Floats, lower: Floats, r
 
 @dataclass(frozen=True, eq=False)
 class Allowed:
-    """What is possible, and how much: room within counts of width 2 half [counts] for the distances of q (p,), at
-    least `lower` (p,), times the prior with the root (p, p) of its information, centred on 1."""
+    """The density of the possible parameters q (p,): the room within the counts, times the prior.
+
+    A count has the width 2 `half` [counts], and q is at least `lower` (p,). The prior is centred on 1, and `root` (p,
+    p) is the root of its information.
+    """
 
     distances: Distances
     half: float
@@ -131,18 +139,18 @@ class Allowed:
     root: Floats
 
     def room(self, q: Floats) -> float:
-        """The distance by which the motion at q may be moved within its counts [counts], 0 if it may not."""
+        """Return the distance by which the motion at q may move within its counts [counts], or 0 if q is impossible."""
         return max(2.0 * self.half - widest(self.distances(q)), 0.0) if np.all(q >= self.lower) else 0.0
 
     def doubt(self, q: Floats) -> float:
-        """Minus the logarithm of the prior."""
+        """Return the negative logarithm of the prior."""
         return 0.5 * float(np.sum((self.root @ (q - 1.0)) ** 2))
 
 
 def spread_along_ridges(allowed: Allowed, samples: Floats, middle: Floats, rng: np.random.Generator) -> Floats:
-    """Spreads samples (n, p) along the ridges that go on beyond them; without such a ridge returns the samples.
+    """Spread the samples (n, p) along the ridges that go on beyond them, or return the samples if no ridge does.
 
-    middle (p,): of the samples, possible.
+    `middle` (p,) is a possible place in the middle of the samples.
     """
     size, axes = np.linalg.eigh(np.atleast_2d(np.cov(samples.T)))
     steps, spread = axes * np.sqrt(np.maximum(size, 0.0)), samples
@@ -157,8 +165,10 @@ def spread_along_ridges(allowed: Allowed, samples: Floats, middle: Floats, rng: 
 
 
 def _follow_ridge(allowed: Allowed, middle: Floats, steps: Floats, k: int, sign: float) -> list[Floats]:
-    """Places (p,) on the ridge along column k of steps (p, p), from the middle outwards; empty if the ridge ends within
-    the samples."""
+    """Return places (p,) on the ridge along column k of the steps (p, p), from the middle outwards.
+
+    The list is empty if the ridge ends within the samples.
+    """
     others, doubt = np.delete(steps, k, axis=1), allowed.doubt(middle) + TUNING.encoder_error_beyond**2 / 2.0
     first = sign * TUNING.encoder_error_beyond * steps[:, k]
     place, step, found = middle, first, []
@@ -176,8 +186,11 @@ def _follow_ridge(allowed: Allowed, middle: Floats, steps: Floats, k: int, sign:
 
 
 def _draw_places(allowed: Allowed, chain: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Places (count, p) on a chain (m, p), by the prior and the room that is left there: the density at the ridge's
-    middle times the volume across it, which falls with each of the other directions."""
+    """Draw places (count, p) on a chain (m, p) by the prior and the room at each place.
+
+    The weight is the density at the middle of the ridge times the volume across the ridge. The volume falls with each
+    of the other directions.
+    """
     room, doubt = (np.array([of(q) for q in chain]) for of in (allowed.room, allowed.doubt))
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))]
     fine = np.linspace(0.0, way[-1], 50 * len(chain))
@@ -187,14 +200,14 @@ def _draw_places(allowed: Allowed, chain: Floats, count: int, rng: np.random.Gen
 
 
 def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
-    """Mean square error (p, p) of unknown + nuisance, in their own units, of `calibrate` after one run of u (n,).
+    """Return the mean square error (p, p) of `calibrate` after one run of u (n,), for unknown and nuisance parameters.
 
-    The mean over machines that differ from the nominal values by as much as is not known, at most
-    encoder_error_wrong, each from
-    another start phase: what their counts leave open is as in `counted`, with sensitivities of the simulated motion. A
-    motion that is the best for the nominal values may come to rest on another machine, and tell a hundredth: so the
-    corners of what is not known are among the machines.
-    None if the noise does not come from an encoder, or if run and prior do not determine a parameter.
+    The parameters have their own units. The error is the mean over machines that differ from the nominal one by the
+    uncertainty of the prior, at most `encoder_error_wrong`. Each machine starts at another phase. The counts leave a
+    set of parameters open, as in `counted`, here with the sensitivities of the simulated motion. A motion that is the
+    best for the nominal values may come to rest on another machine, and bring a hundredth of the information. The
+    machines therefore include the corners of the uncertainty. The result is None if the noise does not come from an
+    encoder, or if run and prior do not determine a parameter.
     """
     ready = _informations(problem, u) if is_counted(problem) else None
     if ready is None:
@@ -206,7 +219,7 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
         x, s = _motion_in_counts(problem, u, parameters)
         phase = (number + 0.5) / len(machines)
         errors.append(np.floor(x + phase) - x - phase)
-        roots.append(np.linalg.inv(np.linalg.cholesky(12.0 * s @ s.T + known)).T)  # z: the scatter of white noise
+        roots.append(np.linalg.inv(np.linalg.cholesky(12.0 * s @ s.T + known)).T)  # z scatters as with white noise
         moves.append(roots[-1].T @ s)
     error, move, root = np.array(errors)[:, None], np.array(moves), np.array(roots)
     held = root.swapaxes(1, 2) @ known @ root
@@ -226,12 +239,14 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
 
 
 def _bound_prior(prior: Floats) -> Floats:
-    """The prior (p, p) of the scaled parameters, plus a weak bound for a machine that rests."""
+    """Return the prior (p, p) of the scaled parameters, plus a weak bound for a machine that rests."""
     return np.asarray(prior + np.eye(len(prior)) / TUNING.encoder_error_far**2)
 
 
 def _machines(problem: Problem, prior: Floats) -> list[dict[str, float]]:
-    """Parameters around the nominal ones, with what the prior (p, p) knows of the scaled ones: normal, and corners."""
+    """Return parameters around the nominal ones, drawn and at corners, within the prior (p, p) of the scaled
+    parameters.
+    """
     nominal = np.array([problem.nominal[name] for name in problem.names])
     least = (
         (TUNING.encoder_error_wrong * np.abs(nominal) / problem.scale) ** -2.0
@@ -253,7 +268,10 @@ def _machines(problem: Problem, prior: Floats) -> list[dict[str, float]]:
 
 
 def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, float]) -> tuple[Floats, Floats]:
-    """Positions (N + 1,) and centred sensitivities to the scaled parameters (p, N + 1), in counts, with stiction."""
+    """Return the positions (N + 1,) and their centred sensitivities (p, N + 1) to the scaled parameters, in counts.
+
+    The simulated motion includes stiction.
+    """
     resolution = float(problem.resolution or 1.0)
     columns = []
     for name, scale in zip(problem.names, problem.scale, strict=True):
@@ -265,10 +283,11 @@ def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, floa
 
 
 def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
-    """The covariance (p, p) that `calibrate` will have: `encoder_covariance`, or of white noise, the start unknown.
+    """Return the covariance (p, p) that `calibrate` will have after one run of u, or None if a parameter stays open.
 
-    The latter is the mean over the same machines; of the nominal one alone, without stiction, if friction is
-    directional. None if the run and the prior leave a parameter open.
+    For an encoder the covariance is `encoder_covariance`. Otherwise the noise is white, the start unknown, and the
+    covariance the mean over the same machines. With directional friction it comes from the nominal machine alone,
+    without stiction.
     """
     if is_counted(problem):
         return encoder_covariance(problem, u)
@@ -281,52 +300,62 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
 
 
 def _white_covariance(problem: Problem, u: ArrayLike, prior: Floats) -> Floats:
-    """(p, p) of the scaled parameters, for white noise on simulated machines; prior (p, p)."""
+    """Return the covariance (p, p) of the scaled parameters for white noise on simulated machines, with the prior
+    (p, p).
+    """
     weight = float(problem.resolution or 1.0) ** 2 / problem.variance
     slopes = (_motion_in_counts(problem, u, each)[1] for each in _machines(problem, prior))
     return np.asarray(np.mean([np.linalg.inv(weight * s @ s.T + _bound_prior(prior)) for s in slopes], axis=0))
 
 
 def log_of_room(distance: Floats, half: float) -> Floats:
-    """Logarithm of how far a motion may be moved with each sample within its count, -inf if it may not be there.
+    """Return the logarithm of the distance by which a motion may move with each sample within its count.
 
-    distance (..., N): of the motion from the middles of the counts, in counts; half: width of a count over 2. The
-    likelihood of a motion whose start on the lattice is not known.
+    `distance` (..., N) is the distance of the motion from the middles of the counts, in counts. `half` is half the
+    width of a count. The result is -inf for an impossible motion. Its exponential is the likelihood of a motion whose
+    start on the encoder's lattice is unknown.
     """
     room = 2.0 * half - (distance.max(axis=-1) - distance.min(axis=-1))
     return np.asarray(np.log(room, out=np.full(room.shape, -np.inf), where=room > 0))
 
 
 def _informations(problem: Problem, u: ArrayLike) -> tuple[Floats, Floats] | None:
-    """Prior and information with it (p, p), scaled, the start unknown; None if they leave a parameter open."""
+    """Return the scaled prior (p, p) and the information (p, p) with this prior, for an unknown start.
+
+    The result is None if a parameter stays open.
+    """
     maps = affine(problem)
     F = start_free(maps.weigh_sensitivities(u)) + maps.prior
     return None if np.linalg.cond(F) > TUNING.encoder_error_worst else (maps.prior, F)
 
 
 def is_counted(problem: Problem) -> bool:
-    """Whether the noise comes from an encoder, on an axis that can be simulated."""
+    """Return whether the noise comes from an encoder, on an axis that can be simulated."""
     return problem.resolution is not None and problem.noise_variance is None and problem.drive.friction == "symmetric"
 
 
 def start_free(sensitivity: Floats) -> Floats:
-    """Information (p, p) of sensitivities (p, N) where the start position is unknown, but measured as well."""
+    """Return the information (p, p) of sensitivities (p, N) for an unknown start position that is measured as well."""
     s = centred_sensitivities(sensitivity)
     return np.asarray(s @ s.T)
 
 
 def centred_sensitivities(sensitivity: Floats) -> Floats:
-    """(p, N + 1) from (p, N): with the sample at the start, and without what a shift of the position can do as well."""
+    """Return centred sensitivities (p, N + 1) from sensitivities (p, N), with a sample at the start.
+
+    A shift of the position can replace the mean of a sensitivity, so the mean brings no information.
+    """
     s = np.column_stack([np.zeros(len(sensitivity)), sensitivity])
     return np.asarray(s - s.mean(axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Open:
-    """The set of parameters that fit the counts: mean (p,), covariance (p, p), interval (p, 2) with 95 % of each.
+    """The set of parameters that fit the counts.
 
-    unexplained: distance of the best motion from a count, or of a typical motion of the set from its widened counts
-    [counts]; 0 if all counts are explained.
+    The set has the mean (p,), the covariance (p, p) and an interval (p, 2) that holds 95 % of each parameter.
+    `unexplained` [counts] is 0 if all counts are explained. Otherwise it is the distance of the best motion from a
+    count, or of a typical motion of the set from its widened counts.
     """
 
     mean: Floats
@@ -338,25 +367,26 @@ class Open:
 def what_is_open(
     distances: Distances, start: Floats, scatter: Floats, lower: Floats, root: Floats, *, seed: int = 0
 ) -> Open:
-    """The set of parameters q that fit the counts, from a start (p,) near them.
+    """Return the set of parameters q that fit the counts, from a start (p,) near them.
 
-    scatter (p, p): covariance of the first search. lower (p,): least values. root (p, p): of the prior information,
-    centred on the problem's nominal values, which are 1; zeros for none. seed: of the walk.
-    If the best motion misses a count, all counts are widened, because the distance is an error of the model.
+    `scatter` (p, p) is the covariance of the first search. `lower` (p,) has the least values. `root` (p, p) is the root
+    of the prior information, or zeros without a prior. The prior is centred on the problem's nominal values, which are
+    1. `seed` belongs to the walk. If the best motion misses a count, all counts are widened, because the distance is an
+    error of the model.
     """
     steps = np.asarray(np.linalg.cholesky(scatter), float)
     middle = middle_of(distances, start, steps, lower)
     errors = distances(middle)
     narrowest = widest(errors) / 2.0
     unexplained = max(0.0, narrowest - TUNING.encoder_error_half)
-    # a set that all but vanished is the mark of a model that is all but refuted, and no accuracy
+    # A set that has almost vanished shows a model that the counts almost refute. It does not show accuracy.
     least_room = TUNING.least_room / max(e.size for e in errors)
     half = max(TUNING.encoder_error_half + TUNING.encoder_error_missing * unexplained, narrowest + least_room)
     rng = np.random.default_rng(seed)
     samples = middle + 0.1 * rng.standard_normal((TUNING.count_walkers, len(start))) @ steps.T
     for spread, counted in TUNING.encoder_error_rounds:
         quadratic = _Quadratic.fit_around(distances, middle, steps, lower)
-        # at a bound the map is not around the middle itself, and may just lose it
+        # At a bound the map is not around the middle itself, and may just miss the middle.
         wide = max(half, widest(quadratic(middle)) / 2.0 + least_room)
 
         def density(q: Floats, quadratic: _Quadratic = quadratic, wide: float = wide) -> Floats:
@@ -369,7 +399,7 @@ def what_is_open(
         covariance = np.atleast_2d(np.cov(flat.T))
         steps = np.asarray(np.linalg.cholesky(covariance), float)
         middle = flat[np.argmax(density(flat))]
-    # the map is smooth; a motion that comes to rest is not: what it promises is held against some motions themselves
+    # The map is smooth, but a motion that comes to rest is not. Some true motions therefore check the map.
     true = float(np.median([widest(distances(q)) for q in samples[:: TUNING.encoder_error_checked]])) / 2.0
     if true - wide > TUNING.encoder_error_lost:
         unexplained = max(unexplained, true - wide)
@@ -384,7 +414,10 @@ def what_is_open(
 
 @dataclass(frozen=True, eq=False)
 class _Quadratic:
-    """Distances as quadratics of z = (q - centre) / steps; a hundred thousand motions would cost too much."""
+    """Distances as quadratic functions of z = (q - centre) / steps.
+
+    Without these functions, a hundred thousand simulated motions would cost too much.
+    """
 
     centre: Floats
     inverse: Floats
@@ -392,7 +425,7 @@ class _Quadratic:
 
     @classmethod
     def fit_around(cls, distances: Distances, q: Floats, steps: Floats, lower: Floats) -> _Quadratic:
-        """Fits the motions at q, at q +- each column of steps (p, p), and at the sums of two columns."""
+        """Fit the motions at q, at q +- each column of the steps (p, p), and at the sums of two columns."""
         p = len(q)
         centre = np.maximum(q, lower + 2.0 * np.abs(steps).max(axis=1))
         at = [distances(centre)]
@@ -408,7 +441,7 @@ class _Quadratic:
         return cls(centre, np.asarray(np.linalg.inv(steps), float), runs)
 
     def __call__(self, q: Floats) -> list[Floats]:
-        """q (..., p) -> for each run (..., N)."""
+        """Return the distances (..., N) of each run at q (..., p)."""
         z = (q - self.centre) @ self.inverse.T
         p = z.shape[-1]
         crossed = [z[..., i] * z[..., j] for i in range(p) for j in range(i)]

@@ -1,4 +1,4 @@
-"""Fisher information of an input, and criteria of it."""
+"""Fisher information of an input, and the criteria that rate it."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from pmfid.types import Floats
 
 __all__ = ["Regime", "StateStep", "discretise", "drive_regime"]
 
-#: State of a drive.
+#: Indices of the state of a drive.
 POSITION, VELOCITY = 0, 1
 
 
 @dataclass(frozen=True, eq=False)
 class Regime:
-    """x' = A x + b u + g, y = c x while the plant stays in it, and how that depends on p parameters.
+    """The plant between two events, x' = A x + b u + g and y = c x, and its derivatives by p parameters.
 
-    A: (n, n); b, g, c: (n,); A_slope: (p, n, n); b_slope, g_slope: (p, n): derivatives to the parameters; c depends
-    on none. entry: (n, n), what the sensitivities of the state are multiplied with where the regime begins: the
-    identity, but for a rest, in which friction takes out every deviation of velocity.
+    `A` is (n, n); `b`, `g` and `c` are (n,). The derivatives by the parameters are `A_slope` (p, n, n), `b_slope` (p,
+    n) and `g_slope` (p, n); `c` depends on no parameter. The matrix `entry` (n, n) multiplies the sensitivities of the
+    state where the regime begins. It is the identity except for a rest, in which friction removes every deviation of
+    the velocity.
     """
 
     A: Floats
@@ -42,9 +43,9 @@ class Regime:
 
 @dataclass(frozen=True, eq=False)
 class StateStep:
-    """One step of the state and its sensitivities, X = (x, dx/dp_1, ..., dx/dp_p): X+ = A X + b u + g.
+    """One step X+ = A X + b u + g of the state and its sensitivities, X = (x, dx/dp_1, ..., dx/dp_p).
 
-    A: (n(p+1), n(p+1)); b, g: (n(p+1),). Exact for an input that is held.
+    `A` is (n(p+1), n(p+1)); `b` and `g` are (n(p+1),). The step is exact for an input that is held.
     """
 
     A: Floats
@@ -53,16 +54,16 @@ class StateStep:
 
 
 def drive_regime(drive: Drive, nominal: Mapping[str, float], names: tuple[str, ...], direction: int) -> Regime:
-    """m v' = input_gain u - d v - direction F_c - offset, or rest where the direction is 0; state (position, velocity).
+    """Return the regime m v' = input_gain u - d v - direction F_c - offset, or rest for the direction 0.
 
-    names: the p parameters for which derivatives are wanted.
+    The state is (position, velocity). `names` has the p parameters for which derivatives are wanted.
     """
     if direction == 0:
         return _rest(len(names))
     side = {1: "_forward", -1: "_backward"}[direction]
     viscous, coulomb = (name if name in nominal else name + side for name in ("viscous_friction", "coulomb_friction"))
     mass = nominal["mass"]
-    # force on the mass per unit of (position, velocity, input, 1)
+    # The force on the mass has one entry for each of position, velocity, input and 1.
     force = np.array([0.0, -nominal[viscous], drive.equation.input_gain, -direction * nominal[coulomb]])
     force[3] -= nominal.get("offset", 0.0)
     slopes = {
@@ -86,7 +87,7 @@ def _rest(size: int) -> Regime:
 
 
 def discretise(regime: Regime, dt: float) -> StateStep:
-    """The step over dt [s] of the state and its sensitivities, by one matrix exponential (Van Loan 1978)."""
+    """Return the step over dt [s] of the state and its sensitivities, by one matrix exponential (Van Loan 1978)."""
     p, n = regime.b_slope.shape
     size = n * (p + 1)
     M = np.zeros((size + 2, size + 2))
@@ -105,8 +106,9 @@ def discretise(regime: Regime, dt: float) -> StateStep:
 class Affine:
     """Sensitivities that are affine in the input u (K,) of a problem with p parameters, N samples and K intervals.
 
-    matrix (p N, K), offset (p N,): sensitivities in units of the noise's deviation, per scaled parameter; parameter by
-    parameter. prior (p, p): prior information on the scaled parameters. scale (p,): what they are scaled with.
+    `matrix` (p N, K) and `offset` (p N,) give the sensitivities to the scaled parameters, in units of the noise's
+    deviation, parameter by parameter. `prior` (p, p) is the prior information on the scaled parameters. `scale` (p,)
+    has the values that scale the parameters.
     """
 
     matrix: Floats
@@ -115,20 +117,23 @@ class Affine:
     scale: Floats
 
     def weigh_sensitivities(self, u: ArrayLike) -> Floats:
-        """Sensitivities over deviation, (p, N)."""
+        """Return the sensitivities (p, N) over the deviation of the noise."""
         return np.asarray(self.matrix @ np.asarray(u) + self.offset).reshape(len(self.scale), -1)
 
     def information(self, u: ArrayLike) -> Floats:
-        """Information on the scaled parameters, (p, p), prior included."""
+        """Return the information (p, p) on the scaled parameters, with the prior."""
         s = self.weigh_sensitivities(u)
         return np.asarray(s @ s.T + self.prior)
 
 
 def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> Affine:
-    """The affine maps of a problem; parameters: {name: value} of another case than the nominal one, scaled as that."""
+    """Return the affine maps of a problem.
+
+    `parameters` maps names to the values of another case. That case has the scale of the nominal one.
+    """
     steps = _steps(problem, {**problem.nominal, **(parameters or {})}, problem.names, problem.samples_per_interval)
     n, p, K = 2, len(problem.names), problem.intervals
-    X = np.zeros((n * (p + 1), K + 1))  # columns: input of each interval, then 1
+    X = np.zeros((n * (p + 1), K + 1))  # The columns belong to the input of each interval, the last column to 1.
     X[:n, K] = problem.start
     samples = []
     for k, (regime, step) in enumerate(steps):
@@ -150,19 +155,19 @@ def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> A
 def _steps(
     problem: Problem, parameters: Mapping[str, float], names: tuple[str, ...], parts: int
 ) -> list[tuple[Regime, StateStep]]:
-    """Regime of each interval, and its step over a part of the interval."""
+    """Return the regime of each interval, and its step over a part of the interval."""
     regimes = {d: drive_regime(problem.drive, parameters, names, d) for d in set(problem.sense)}
     known = {d: (regime, discretise(regime, problem.dt / parts)) for d, regime in regimes.items()}
     return [known[d] for d in problem.sense]
 
 
 def node_states(problem: Problem, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:
-    """Matrix (2, K+1, K) and offset (2, K+1): matrix u + offset are position [m] and velocity [m/s] at the nodes.
+    """Return the matrix (2, K+1, K) and offset (2, K+1) of position [m] and velocity [m/s] at the nodes.
 
-    parameters: other values than the nominal ones, {name: value}.
+    Position and velocity are matrix u + offset. `parameters` maps names to values other than the nominal ones.
     """
     K = problem.intervals
-    X = np.zeros((2, K + 1))  # columns: input of each interval, then 1
+    X = np.zeros((2, K + 1))  # The columns belong to the input of each interval, the last column to 1.
     X[:, K] = problem.start
     nodes = [X]
     for k, (_, step) in enumerate(_steps(problem, {**problem.nominal, **(parameters or {})}, (), 1)):
@@ -175,9 +180,9 @@ def node_states(problem: Problem, parameters: Mapping[str, float] | None = None)
 
 
 def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:
-    """Position [m] and velocity [m/s] at the nodes, each (intervals + 1,), if the directions are as the problem says.
+    """Return position [m] and velocity [m/s] at the nodes, each (intervals + 1,), for the directions of the problem.
 
-    parameters: other values than the nominal ones, {name: value}. Raises UsageError if u has another length.
+    `parameters` maps names to values other than the nominal ones. Raises UsageError if u has another length.
     """
     matrix, offset = node_states(problem, parameters)
     x, v = matrix @ _check_input(problem, u) + offset
@@ -197,7 +202,7 @@ def sensitivities(problem: Problem, u: ArrayLike) -> Floats:
     Returns
     -------
     ndarray
-        (intervals * samples_per_interval, p) d position / d parameter at the samples, parameters in their own units.
+        (intervals * samples_per_interval, p) derivatives of the position by the parameters, in their own units.
 
     Raises
     ------
@@ -236,7 +241,7 @@ def information(problem: Problem, u: ArrayLike) -> Floats:
     Returns
     -------
     ndarray
-        (p, p), parameters in their own units, prior included.
+        (p, p) information on the parameters in their own units, with the prior.
 
     Raises
     ------
@@ -271,7 +276,7 @@ def _check_input(problem: Problem, u: ArrayLike) -> Floats:
 
 
 def check_identifiable(problem: Problem, maps: Affine) -> None:
-    """Raises NotIdentifiableError that names the parameters which no input tells, or tells apart, or no single run."""
+    """Raise NotIdentifiableError with the parameters that no input, or no single run, can determine or separate."""
     p = len(problem.names)
     every = np.hstack([maps.matrix, maps.offset[:, None]]).reshape(p, -1)
     gram = every @ every.T + maps.prior
@@ -293,7 +298,10 @@ def check_identifiable(problem: Problem, maps: Affine) -> None:
 
 
 def _rank_of_a_run(maps: Affine) -> int:
-    """Number of parameter combinations that one run determines with the prior; several inputs may determine more."""
+    """Return the number of parameter combinations that one run determines together with the prior.
+
+    Several inputs may determine more combinations.
+    """
     run = maps.weigh_sensitivities(np.random.default_rng(0).standard_normal(maps.matrix.shape[1]))
     both = np.hstack([run / max(float(np.abs(run).max()), 1e-300), maps.prior / max(np.abs(maps.prior).max(), 1e-300)])
     size = np.linalg.norm(both, axis=1)
@@ -302,7 +310,7 @@ def _rank_of_a_run(maps: Affine) -> int:
 
 _REMEDY = "take it out of unknown, give prior information, or allow motion in both directions"
 
-#: Name -> what it is, for p parameters of interest and their information S (nuisance parameters eliminated).
+#: Each criterion is a function of S, the information on p parameters of interest without the nuisance parameters.
 CRITERIA = {
     "trace": "trace S, the criterion of the paper; also T",
     "D": "det(S)^(1/p): volume of the confidence ellipsoid",
@@ -315,9 +323,9 @@ CRITERIA = {
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """A criterion for the first `size` of the parameters of F; the others are nuisance.
+    """A criterion for the first `size` parameters of F; the others are nuisance parameters.
 
-    combination: (size,) weights of the scaled parameters, for "c".
+    `combination` (size,) has the weights of the scaled parameters for the criterion "c".
     """
 
     name: str
@@ -325,7 +333,7 @@ class Criterion:
     combination: Floats | None = None
 
     def log_value(self, F: Floats) -> Floats:
-        """Logarithm of the value; F: (..., p, p), returns (...); -inf if F is singular."""
+        """Return the logarithm of the value (...) for F (..., p, p), or -inf if F is singular."""
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.log(_value(self.name, _schur(F, self.size), self.combination))
         return np.where(np.isnan(value), -np.inf, value)
@@ -334,7 +342,10 @@ class Criterion:
         return float(np.exp(self.log_value(F)))
 
     def gradient(self, F: Floats) -> Floats:
-        """d log value / d F, symmetric, (p, p); if F is singular, the gradient at a nearby regular matrix."""
+        """Return the gradient (p, p) of the log value by F, a symmetric matrix.
+
+        If F is singular, the gradient belongs to a nearby regular matrix.
+        """
         S, G = eliminate(F, self.size)
         try:
             slope = _slope(self.name, S, self.combination)
@@ -346,12 +357,15 @@ class Criterion:
 
     @property
     def concave(self) -> bool:
-        """The value is a concave function of F: then information of a mixture has a bound (Kiefer 1974)."""
+        """Whether the value is a concave function of F.
+
+        A concave criterion gives the information of a mixture a bound (Kiefer 1974).
+        """
         return self.name != "ME"
 
 
 def criterion_of(problem: Problem, name: str) -> Criterion:
-    """The criterion of that name for the unknown parameters of a problem.
+    """Return the criterion with a given name for the unknown parameters of a problem.
 
     Raises UsageError for an unknown name or a wrong combination of the problem.
     """
@@ -369,7 +383,10 @@ def criterion_of(problem: Problem, name: str) -> Criterion:
 
 
 def eliminate(F: Floats, size: int) -> tuple[Floats, Floats]:
-    """Information S = G' F G on the first `size` parameters where the others are estimated too, (size, size), and G."""
+    """Return the information S = G' F G (size, size) on the first `size` parameters, and G.
+
+    The other parameters are estimated as well.
+    """
     G = np.eye(len(F))[:, :size]
     if len(F) == size:
         return F, G
@@ -408,7 +425,10 @@ def _evaluate_along(S: Floats, combination: Floats) -> Floats:
 
 
 def _slope(name: str, S: Floats, combination: Floats | None) -> Floats:
-    """d log value / d S. Raises LinAlgError if S is singular, and with `trace` where it is nothing."""
+    """Return the gradient of the log value by S.
+
+    Raises LinAlgError if S is singular, or for `trace` if the trace of S is 0.
+    """
     p = len(S)
     if name == "trace" and np.trace(S) > TUNING.fisher_tiny:
         return np.asarray(np.eye(p) / np.trace(S))

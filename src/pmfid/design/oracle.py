@@ -1,6 +1,6 @@
 """The best vertex for a linear objective, by HiGHS from the last basis (Huangfu and Hall 2018).
 
-SciPy has HiGHS, too, but without a warm start, which takes ten times as long.
+SciPy has HiGHS too, but without a warm start, and therefore takes ten times as long.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ OPTIONS: dict[str, bool | int | str] = {
 
 
 class SolverError(PmfidError):
-    """The linear solver gave up; not an answer about the problem."""
+    """Raised if the linear solver gives up, which says nothing about the problem."""
 
 
 class EmptyError(SolverError):
-    """There is no input within the limits and the restrictions."""
+    """Raised if no input lies within the limits and the restrictions."""
 
 
 class Oracle:
-    """Maximises linear functions of the input over a polytope, and over the ball that an energy limit adds to it.
+    """A maximiser of linear functions of the input over a polytope, and over the ball of an energy limit.
 
-    After `start` the answers depend on the objectives since then alone. Not for use by two threads at once.
+    The answers after `start` depend only on the objectives since then. Two threads must not share one oracle.
     """
 
     def __init__(self, inputs: InputSet) -> None:
@@ -52,7 +52,7 @@ class Oracle:
         self._centre: Floats | None = None
 
     def feasible(self) -> bool:
-        """Whether there is an input that meets all limits."""
+        """Return whether an input meets all limits."""
         self._cost(np.zeros(self.inputs.size))
         if self._run() != "Optimal":
             return False
@@ -62,7 +62,7 @@ class Oracle:
         return float(np.linalg.norm(self._least_energy())) <= self.inputs.radius * (1 + 1e-9)
 
     def start(self) -> None:
-        """Forgets what earlier objectives have left."""
+        """Remove the rows and the basis that earlier objectives have left."""
         cuts = self._highs.getNumRow() - self._rows
         if cuts:
             self._highs.deleteRows(cuts, np.arange(self._rows, self._rows + cuts, dtype=np.int32))
@@ -70,7 +70,7 @@ class Oracle:
             self._highs.setBasis(self._basis)
 
     def maximise(self, objective: Floats) -> Floats:
-        """An input (K,) that maximises objective' u. Raises SolverError if HiGHS finds no optimum."""
+        """Return an input (K,) that maximises objective' u. Raises SolverError if HiGHS finds no optimum."""
         u = self.maximise_relaxed(objective)
         for _ in range(TUNING.max_cuts):
             if not u @ u > self.inputs.radius**2 * (1 + TUNING.energy_tolerance):
@@ -80,8 +80,11 @@ class Oracle:
         return retreat(self.inputs, self._least_energy(), u)
 
     def maximise_relaxed(self, objective: Floats) -> Floats:
-        """Maximises with only the known tangents of the energy limit: the value is an upper bound of `maximise`."""
-        # HiGHS works to absolute tolerances: an objective of order one makes them relative
+        """Return an input (K,) that maximises objective' u within the known tangents of the energy limit alone.
+
+        The value at this input is an upper bound of the value from `maximise`.
+        """
+        # HiGHS works to absolute tolerances. An objective of order one makes them relative.
         size = float(np.abs(objective).max()) or 1.0
         self._cost(-objective / size)
         status = self._run()
@@ -99,12 +102,12 @@ class Oracle:
         return np.asarray(self._highs.getSolution().col_value)
 
     def restrict(self, normal: Floats, lower: float, upper: float) -> int:
-        """Adds lower <= normal' u <= upper until `start`; returns the row, for `release`."""
+        """Add lower <= normal' u <= upper until `start`, and return the number of the row for `release`."""
         self._highs.addRow(lower, upper, self.inputs.size, self._columns, normal)
         return int(self._highs.getNumRow()) - 1
 
     def release(self, row: int) -> None:
-        """Takes a restriction back."""
+        """Remove a restriction."""
         self._highs.deleteRows(1, np.array([row], dtype=np.int32))
 
     def _cost(self, cost: Floats) -> None:
@@ -115,7 +118,7 @@ class Oracle:
         return str(self._highs.getModelStatus().name).removeprefix("k")
 
     def _run_again(self) -> str:
-        """From nothing and with presolve."""
+        """Run the solver from scratch and with presolve."""
         self._highs.clearSolver()
         self._highs.setOptionValue("presolve", "on")
         status = self._run()
@@ -123,7 +126,7 @@ class Oracle:
         return status
 
     def _cut(self, u: Floats) -> None:
-        """Cuts off a point outside the ball by the tangent below it."""
+        """Cut off a point outside the ball by the tangent below it."""
         if self._highs.getNumRow() >= self._rows + TUNING.oracle_kept:
             self.release(self._rows)
         self.restrict(u / np.linalg.norm(u), -np.inf, self.inputs.radius)
@@ -135,7 +138,7 @@ class Oracle:
 
 
 def _load(inputs: InputSet) -> highspy.Highs:
-    """A HiGHS model without an objective; rows of one term become bounds of their column."""
+    """Return a HiGHS model without an objective. Rows of one term become bounds of their column."""
     try:
         import highspy
     except ImportError:
@@ -150,7 +153,7 @@ def _load(inputs: InputSet) -> highspy.Highs:
         ends = sorted((lower / row[j], upper / row[j]))
         low[j], high[j] = max(low[j], ends[0]), min(high[j], ends[1])
     rows = inputs.matrix[terms > 1]
-    size = np.abs(rows).max(axis=1, initial=1e-300)  # HiGHS works to absolute tolerances
+    size = np.abs(rows).max(axis=1, initial=1e-300)  # Rows are scaled, because HiGHS works to absolute tolerances.
     matrix = csc_matrix(rows / size[:, None])
     lp = highspy.HighsLp()
     lp.num_row_, lp.num_col_ = matrix.shape

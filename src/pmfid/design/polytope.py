@@ -16,10 +16,10 @@ from pmfid.design.problem import InfeasibleError, Problem
 from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
 
-#: Share of the Coulomb friction that the input may use while friction is to hold the axis.
+#: Share of the Coulomb friction that the input may use while friction shall hold the axis.
 HOLD = 0.9
 
-#: Limits that can be relaxed, by the name under which a user finds them, and their units.
+#: Limits that can be relaxed, with their units, by the name that the user knows.
 UNITS = {
     "input": "",
     "input_rate": "1/s",
@@ -33,16 +33,16 @@ UNITS = {
 }
 FREE = (-math.inf, math.inf)
 
-#: Limit, matrix (r, K) and offset (r,): lower <= matrix u + offset <= upper.
+#: Limit, matrix (r, K), offset (r,), lower and upper bound of the rows lower <= matrix u + offset <= upper.
 Rows = tuple[str, Floats, ArrayLike, ArrayLike, ArrayLike]
 
 
 @dataclass(frozen=True, eq=False)
 class InputSet:
-    """lower <= matrix u <= upper (r,) and |u| <= radius: the inputs u (K,) that meet all limits.
+    """The inputs u (K,) that meet all limits: lower <= matrix u <= upper (r,) and |u| <= radius.
 
-    names (r,): the limit of each row. radius: from energy and rms, or inf. states (2, K+1, K), offset (2, K+1): nominal
-    positions and velocities at the nodes are states u + offset.
+    `names` (r,) has the limit of each row. `radius` comes from energy and rms, or is infinite. Nominal positions and
+    velocities at the nodes are states u + offset, with `states` (2, K+1, K) and `offset` (2, K+1).
     """
 
     matrix: Floats
@@ -59,15 +59,17 @@ class InputSet:
         return int(self.matrix.shape[1])
 
     def excess(self, u: Floats) -> tuple[Floats, Floats]:
-        """The amount by which u (K,) misses each row (r,), negative inside, and the size of the terms that the row
-        compares."""
+        """Return the amount by which u (K,) misses each row (r,), and the size of the terms that the row compares.
+
+        The amount is negative inside the limit.
+        """
         values = self.matrix @ u
         size = np.abs(self.matrix).sum(axis=1) * max(1.0, float(np.abs(u).max()))
         return np.maximum(self.lower - values, values - self.upper), size
 
 
 def input_set(problem: Problem) -> InputSet:
-    """All limits of a problem, in its nominal case and its scenarios."""
+    """Return all limits of a problem, in its nominal case and its scenarios."""
     rows = [*_input_rows(problem)]
     for case in ({}, *problem.scenarios):
         rows += _case_rows(problem, case)
@@ -99,7 +101,7 @@ def _input_rows(problem: Problem) -> Iterator[Rows]:
 
 
 def _case_rows(problem: Problem, case: Mapping[str, float]) -> Iterator[Rows]:
-    """Limits of the motion with the parameters of a scenario; {}: the nominal ones."""
+    """Yield the limits of the motion with the parameters of a scenario; an empty `case` is the nominal one."""
     values = {**problem.nominal, **case}
     (x, v), (x0, v0) = node_states(problem, case)
     yield from _position_rows(problem, x, x0, nominal=not case)
@@ -114,7 +116,8 @@ def _case_rows(problem: Problem, case: Mapping[str, float]) -> Iterator[Rows]:
 
 def _position_rows(problem: Problem, x: Floats, x0: Floats, *, nominal: bool) -> Iterator[Rows]:
     exact = problem.end[0] is not None and problem.end_tolerance[0] == 0
-    if not (nominal and exact and not {1, -1} <= set(problem.sense)):  # one way to an end within the limits
+    # A motion in one direction to an exact end stays within the limits.
+    if not (nominal and exact and not {1, -1} <= set(problem.sense)):
         yield ("position", x[1:], x0[1:], *(problem.limits.pair("position") or FREE))
 
 
@@ -140,7 +143,7 @@ def _end_rows(
 
 
 def _hold_rows(problem: Problem, values: Mapping[str, float]) -> Rows:
-    """While the axis rests, the input stays within what friction holds."""
+    """Return rows that keep the input within the force that friction holds, while the axis rests."""
     rests = np.array(problem.sense) == 0
     load, force = values.get("offset", 0.0), problem.drive.equation.input_gain * np.eye(problem.intervals)[rests]
     friction = HOLD * min(value for name, value in values.items() if name.startswith("coulomb_friction"))
@@ -148,7 +151,7 @@ def _hold_rows(problem: Problem, values: Mapping[str, float]) -> Rows:
 
 
 def _acceleration_rows(problem: Problem, values: Mapping[str, float], v: Floats, v0: Floats) -> Iterator[Rows]:
-    """The limits of the acceleration, as rows at both ends of every interval of motion."""
+    """Yield the limits of the acceleration as rows at both ends of every interval of motion."""
     regimes = {d: drive_regime(problem.drive, values, (), d) for d in set(problem.sense)}
     A, b, g = (
         np.array([part[VELOCITY] for part in parts])
@@ -161,7 +164,10 @@ def _acceleration_rows(problem: Problem, values: Mapping[str, float], v: Floats,
 
 
 def _jerk_rows(problem: Problem, jerk: float, v: Floats, v0: Floats) -> Rows:
-    """Second differences of the velocity; before the start, and after an end at rest, the acceleration is 0."""
+    """Return rows for the second differences of the velocity.
+
+    The acceleration is 0 before the start, and after an end at rest.
+    """
     K = problem.intervals
     node = np.arange(K + (problem.end[1] == 0.0))
     back, ahead = np.maximum(node - 1, 0), np.minimum(node + 1, K)
@@ -169,21 +175,21 @@ def _jerk_rows(problem: Problem, jerk: float, v: Floats, v0: Floats) -> Rows:
     return "jerk", matrix, offset, -jerk, jerk
 
 
-#: Bounds of a row that are closer than this make it an equation.
+#: Bounds of a row that are closer than this make the row an equation.
 EQUAL = 1e-9
-#: A row that is missed by less, relative to the largest shortfall, is met.
+#: A row counts as met if it is missed by less than this, relative to the largest shortfall.
 MET = 1e-9
 
 
 def violation(inputs: InputSet, u: Floats) -> float:
-    """The amount by which u (K,) leaves the limits, relative to the size of each row; 0 if u meets all."""
+    """Return the amount by which u (K,) leaves the limits, relative to the size of each row; 0 if u meets all."""
     excess, size = inputs.excess(u)
     relative = excess / np.maximum(size, 1e-300)
     return max(0.0, float(relative.max(initial=0.0)), float(np.linalg.norm(u)) / inputs.radius - 1.0)
 
 
 def violations(inputs: InputSet, u: Floats) -> dict[str, float]:
-    """{limit: by how much the input breaks it, in its unit}, for those that it breaks."""
+    """Return the limits that the input breaks, each with the excess in the unit of the limit."""
     broken: dict[str, float] = {}
     excess, size = inputs.excess(u)
     for i in np.flatnonzero(excess > TUNING.solver_precision * size):
@@ -193,11 +199,11 @@ def violations(inputs: InputSet, u: Floats) -> dict[str, float]:
 
 
 def nearest(inputs: InputSet, wish: Floats) -> Floats:
-    """u (K,) that meets all limits and is nearest to the wish (K,) in the sum of squares.
+    """Return the input u (K,) that meets all limits and is nearest to the wish (K,) in the sum of squares.
 
-    A least distance problem (Lawson and Hanson 1974, chapter 23). Where the nearest takes more energy than allowed: the
-    first input that does not, on the way to the one of least energy.
-    Raises InfeasibleError if no input meets the limits.
+    The problem is a least distance problem (Lawson and Hanson 1974, chapter 23). The nearest input may take more energy
+    than allowed. The result is then the first input with allowed energy on the way from the nearest input to the input
+    of least energy. Raises InfeasibleError if no input meets the limits.
     """
     u = nearest_of_any_energy(inputs, wish)
     if np.linalg.norm(u) <= inputs.radius:
@@ -209,7 +215,7 @@ def nearest(inputs: InputSet, wish: Floats) -> Floats:
 
 
 def retreat(inputs: InputSet, centre: Floats, u: Floats) -> Floats:
-    """The last input on the way from the centre (K,) to u (K,) with no more energy than allowed."""
+    """Return the last input on the way from the centre (K,) to u (K,) with no more energy than allowed."""
     d = u - centre
     a, b, c = (float(v) for v in (d @ d, d @ centre, centre @ centre - inputs.radius**2))
     part = (-b + math.sqrt(max(0.0, b * b - a * c))) / a
@@ -217,7 +223,10 @@ def retreat(inputs: InputSet, centre: Floats, u: Floats) -> Floats:
 
 
 def nearest_of_any_energy(inputs: InputSet, wish: Floats) -> Floats:
-    """The same without the limit of energy: least norm of d where u = wish + base + Z d, the equations met by base."""
+    """Return the nearest input to the wish without the limit of energy.
+
+    The input is u = wish + base + Z d with the least norm of d, where `base` meets the equations.
+    """
     equal = inputs.upper - inputs.lower <= EQUAL
     E, f = inputs.matrix[equal], inputs.upper[equal] - inputs.matrix[equal] @ wish
     base, Z = (np.linalg.lstsq(E, f)[0], null_space(E)) if len(E) else (np.zeros(len(wish)), np.eye(len(wish)))
@@ -225,25 +234,26 @@ def nearest_of_any_energy(inputs: InputSet, wish: Floats) -> Floats:
     A = np.vstack([inputs.matrix[up], -inputs.matrix[down]])
     b = np.r_[inputs.upper[up], -inputs.lower[down]]
     size = np.linalg.norm(A @ Z, axis=1)
-    free = size > EQUAL * np.linalg.norm(A, axis=1)  # the others are constant where the equations hold
+    free = size > EQUAL * np.linalg.norm(A, axis=1)  # the other rows are constant where the equations hold
     G, h = -(A @ Z)[free] / size[free, None], (A @ (wish + base) - b)[free] / size[free]
     return np.asarray(wish + base + Z @ _least_distance(G, h))
 
 
 def _least_distance(G: Floats, h: Floats) -> Floats:
-    """d of least norm with G d >= h, rows of G of unit length."""
+    """Return the vector d of least norm with G d >= h, where the rows of G have unit length."""
     size = float(h.max(initial=0.0))
     if size <= 0.0:
         return np.zeros(G.shape[1])
-    # in units of the largest shortfall: if no such d exists, the residual is 0 and not 1 / (1 + |d|^2)
+    # The largest shortfall is the unit. If no such d exists, the residual is then 0 and not 1 / (1 + |d|^2).
     return size * _least_distance_of_one(G, h / size)
 
 
 def _least_distance_of_one(G: Floats, h: Floats) -> Floats:
-    """The same for a largest h of 1.
+    """Return the vector d of least norm with G d >= h, where the largest entry of h is 1.
 
-    If limits of position and velocity coincide next to a standstill, the active set of `nnls` may become singular. Its
-    result is then no minimum. So the result is checked, and computed in another way if the check fails.
+    If limits of position and velocity coincide next to a standstill, the active set of `nnls` may become singular. The
+    result of `nnls` is then no minimum. The result is therefore checked, and computed in another way if the check
+    fails.
     """
     matrix, wanted = np.vstack([G.T, h]), np.r_[np.zeros(G.shape[1]), 1.0]
     try:

@@ -1,4 +1,4 @@
-"""The design problem, and its result."""
+"""The problem of an input design, and its result."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _check_prior(prior: ArrayLike, size: int) -> None:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """One way out of infeasible limits: set the limit `name` from `value` to `needed` (in its `unit`)."""
+    """One way out of infeasible limits: set the limit `name` from `value` to `needed`, both in `unit`."""
 
     name: str
     value: float
@@ -160,7 +160,7 @@ class InfeasibleError(PmfidError):
     Attributes
     ----------
     relaxations
-        Single changes of a limit that would do, smallest first.
+        Changes of one limit that make the problem feasible, smallest first.
 
     Examples
     --------
@@ -201,14 +201,14 @@ class Limits:
     acceleration
         Bounds of the acceleration [m/s^2], at every instant.
     jerk
-        Largest change of the mean acceleration from one interval to the next, over dt [m/s^3].
+        Largest change of the mean acceleration from one interval to the next, divided by dt [m/s^3].
     energy
         Largest integral of u^2 dt [V^2 s].
     rms
         Largest root of the mean square of u [V].
     min_speed
-        Least speed at the nodes between standstills [m/s], >= 0: v_min of the paper. At 0 the optimum may park at
-        standstill, where the linear sensitivities are wrong.
+        Least speed at the nodes between standstills [m/s], >= 0: v_min of the paper. At 0 the best motion may rest,
+        where the linear sensitivities are wrong.
 
     Raises
     ------
@@ -242,23 +242,23 @@ class Limits:
             raise UsageError(f"limit min_speed must be finite and at least 0, got {self.min_speed}")
 
     def pair(self, name: str) -> tuple[float, float] | None:
-        """Lower and upper bound of a limit, or None."""
+        """Return the lower and upper bound of a limit, or None."""
         value = getattr(self, name)
         return value if value is None or isinstance(value, tuple) else (-float(value), float(value))
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Problem of input design: u[0..intervals-1], held over intervals of dt = horizon / intervals.
+    """The problem of designing an input u[0..intervals-1] that is held over intervals of dt = horizon / intervals.
 
     Parameters
     ----------
     drive
-        The equation.
+        Drive with the equation of the plant.
     nominal
         Value of each parameter of the equation, {name: value}.
     unknown
-        Parameters that the experiment is for.
+        Parameters that the experiment shall determine.
     horizon
         Duration of a run [s].
     intervals
@@ -270,11 +270,11 @@ class Problem:
     noise_variance
         Variance of the measured position [m^2]; None: resolution^2 / 12.
     nuisance
-        Parameters that are unknown as well, but of no interest. The others are taken as known.
+        Further unknown parameters, of no interest. All parameters that are neither unknown nor nuisance count as known.
     start, end
         (position [m], velocity [m/s]) at the start and at the end; None if the end is free.
     end_tolerance
-        (position [m], velocity [m/s]) by which the end may be missed.
+        (position [m], velocity [m/s]) by which the motion may miss the end.
     samples_per_interval
         Position samples per interval, >= 1: the sampling may be finer than the input.
     prior
@@ -282,11 +282,12 @@ class Problem:
     scaled
         Whether criteria refer to the parameters divided by their nominal values.
     directions
-        1 forward, -1 backward, 0 at rest, for each interval; empty: forward throughout. Between forward and backward
-        there is at least one interval of rest, where friction holds the axis: only so the sensitivities are exact.
+        Direction of each interval: 1 forward, -1 backward, 0 at rest. An empty tuple means forward throughout. Between
+        forward and backward, friction holds the axis for at least one interval. Only this rest makes the sensitivities
+        exact.
     scenarios
-        Other parameter sets {name: value} in which the limits must hold as well; missing values are nominal. The end
-        counts in them only where it has a tolerance.
+        Other parameter sets {name: value} in which the limits must hold as well; missing values are nominal. In a
+        scenario, only an end with a tolerance counts.
     combination
         {unknown parameter: weight} for the criterion "c".
     average
@@ -342,12 +343,12 @@ class Problem:
 
     @property
     def cases(self) -> tuple[Mapping[str, float], ...]:
-        """The parameters of the criterion: the nominal ones, and with an average the ones of each scenario."""
+        """Parameters of each case of the criterion: the nominal ones and, with an average, the ones of each scenario."""
         return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters that the Fisher information is over: unknown, then nuisance."""
+        """Names of the parameters of the Fisher information: the unknown ones, then the nuisance parameters."""
         return (*self.unknown, *self.nuisance)
 
     @property
@@ -361,7 +362,7 @@ class Problem:
 
     @property
     def sense(self) -> tuple[int, ...]:
-        """Direction of motion in each interval, written out."""
+        """Direction of motion in each interval."""
         return self.directions or (1,) * self.intervals
 
     @property
@@ -373,7 +374,7 @@ class Problem:
 
     @property
     def scale(self) -> Floats:
-        """(p,) nominal values, or ones if the criteria are not scaled."""
+        """Nominal values (p,), or ones if the criteria are not scaled."""
         return np.array([abs(self.nominal[name]) if self.scaled else 1.0 for name in self.names])
 
 
@@ -384,7 +385,7 @@ class Design(Presentable):
     Attributes
     ----------
     problem
-        What was designed.
+        The problem of the design.
     criterion
         Name of the criterion.
     t
@@ -399,8 +400,7 @@ class Design(Presentable):
     value
         Value of the criterion; larger is better (see `criteria`).
     bound
-        Proved upper bound of the value, for the time grid and the directions of the problem; None if no bound is
-        proved.
+        Proved upper bound of the value, for the time grid and directions of the problem, or None.
     starts, reached
         Number of starts, and the fraction of them within 0.1 % of the best.
     solve_seconds
@@ -408,7 +408,7 @@ class Design(Presentable):
     feasible
         Whether the limits hold.
     warnings
-        Sentences for the user.
+        Warnings for the user, as sentences.
 
     Examples
     --------
@@ -440,12 +440,12 @@ class Design(Presentable):
 
     @property
     def gap(self) -> float | None:
-        """Proved bound over value, minus 1; None if no bound is proved."""
+        """Proved bound over the value, minus 1; None if no bound is proved."""
         return None if self.bound is None else max(0.0, self.bound / self.value - 1.0)
 
     @property
     def predicted_std(self) -> dict[str, float]:
-        """Standard deviation of each unknown parameter after one run, Cramér-Rao; inf if it has no information."""
+        """Standard deviation of each unknown parameter after one run (Cramér-Rao), infinite without information."""
         from numpy.linalg import LinAlgError, inv
 
         names = self.problem.unknown
@@ -456,7 +456,7 @@ class Design(Presentable):
         return {name: math.sqrt(v) if v > 0 else math.inf for name, v in zip(names, variance, strict=True)}
 
     def summary(self) -> Summary:
-        """The predicted standard deviations after one run."""
+        """Return the predicted standard deviations after one run."""
         proved = "no bound proved" if self.gap is None else f"at most {100 * self.gap:.3g} % below the optimum"
         title = f"design by {self.criterion}: {self.u.size} intervals over {self.t[-1]:g} s, {proved}; after one run:"
         nominal = self.problem.nominal
@@ -468,7 +468,7 @@ class Design(Presentable):
         return Summary(title, ("parameter", "nominal", "std", "std [%]"), rows, lines, self.warnings)
 
     def columns(self) -> dict[str, object]:
-        """A row for each interval, at its beginning."""
+        """Return a table with a row for each interval, at its beginning."""
         return {"t": self.t[:-1], "u": self.u, "x": self.x[:-1], "v": self.v[:-1]}
 
     def to_dict(self) -> dict[str, object]:

@@ -18,13 +18,13 @@ from pmfid.errors import UsageError
 __all__ = ["Commissioning", "Experiment", "Round", "redesign", "sequential", "simulated_experiment"]
 
 
-#: Makes the run of a design: on a machine, from a file, or simulated.
+#: An experiment makes the run of a design: on a machine, from a file, or by simulation.
 Experiment = Callable[[Design], DesignedRun]
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """run: an experiment; known: the estimate from all runs so far; design: the design of the run, None if unknown."""
+    """One round: a run, the estimate `known` from all runs so far, and the design of the run, if known."""
 
     run: DesignedRun
     known: RunsEstimate
@@ -33,8 +33,11 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class Commissioning:
-    """Rounds so far, the standard deviations {unknown parameter: its unit} that are wanted, and the choice of the next
-    input, None if it is not needed or was not asked for."""
+    """The rounds so far, and the choice of the next input.
+
+    `wanted` maps each unknown parameter to its wanted standard deviation, in the parameter's unit. `choice` is None if
+    the caller needs no next input, or asked for none.
+    """
 
     problem: Problem
     wanted: Mapping[str, float]
@@ -43,7 +46,7 @@ class Commissioning:
 
     @property
     def next(self) -> Design | None:
-        """What to run next."""
+        """Design of the next run, or None."""
         return None if self.choice is None else self.choice.design
 
     @property
@@ -61,12 +64,14 @@ class Commissioning:
 
     @property
     def reached(self) -> bool:
-        """Whether every wanted standard deviation is reached by a model that explains the counts; False without a round
-        or a wish."""
+        """Whether a model that explains the counts reaches every wanted standard deviation.
+
+        The value is False without a round or without a wanted deviation.
+        """
         return bool(self.rounds and self.wanted) and is_reached(self.problem, self.rounds[-1].known, self.wanted)
 
     def to_json(self) -> dict[str, object]:
-        """The object that `--json` prints."""
+        """Return the object that `--json` prints."""
         return {
             "reached": self.reached,
             "wanted": dict(self.wanted),
@@ -106,8 +111,8 @@ def sequential(
 ) -> Commissioning:
     """Design, choose, run and estimate in rounds, until every wanted standard deviation is reached.
 
-    The first design is for the problem's nominal values and prior. The prior belongs to the nominal values as an
-    earlier estimate does.
+    The first design is for the problem's nominal values and prior. The prior counts as an earlier estimate with these
+    nominal values.
 
     Parameters
     ----------
@@ -116,9 +121,9 @@ def sequential(
     experiment
         Function from a `Design` to its `DesignedRun`: a machine, a file, or `simulated_experiment`.
     wanted
-        {unknown parameter: standard deviation, in its unit}; empty: all the rounds.
+        {unknown parameter: standard deviation in its unit}. If empty, all rounds are run.
     criterion, starts, seed
-        As of `solve`.
+        Settings of `solve`.
     rounds
         Largest number of rounds, >= 1.
 
@@ -130,7 +135,7 @@ def sequential(
     Raises
     ------
     UsageError
-        If `wanted` or `rounds` is wrong; further errors as `solve`, `calibrate` and the experiment.
+        If `wanted` or `rounds` is wrong. `solve`, `calibrate` and the experiment may raise other errors.
 
     References
     ----------
@@ -172,9 +177,9 @@ def redesign(
     starts: int = 20,
     seed: int = 0,
 ) -> Commissioning:
-    """The estimate from recorded runs, and the design of the next run if a wanted deviation is not yet reached.
+    """Estimate from recorded runs, and design the next run if a wanted deviation is not yet reached.
 
-    Without a target standard deviation, a next design always follows. Raises as `sequential` does.
+    Without a wanted standard deviation, a next design always follows. Raises the errors of `sequential`.
     """
     _check_wanted(problem, wanted, 1)
     rounds = (Round(runs[-1], calibrate(problem, runs)),) if runs else ()
@@ -193,7 +198,10 @@ def redesign(
 
 
 def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
-    """Whether every wanted standard deviation is reached, and the model misses no count by more than another half."""
+    """Return whether every wanted standard deviation is reached, by a model that explains the counts.
+
+    The model may miss a count by `rounds_tolerated` beyond its width.
+    """
     if known.unexplained > TUNING.rounds_tolerated:
         return False
     std = known.std(problem.names)
@@ -213,7 +221,7 @@ def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.r
     truth
         True parameters {name: value}; missing ones are nominal.
     rng
-        Generator of phase and noise.
+        Random generator of the phase and the noise.
 
     Returns
     -------
@@ -246,7 +254,7 @@ def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.r
 
 
 def _few(starts: int) -> int:
-    """Number of starts for each design other than the best."""
+    """Return the number of starts for each design other than the best."""
     return max(1, starts // 4)
 
 

@@ -1,8 +1,9 @@
-"""A second opinion on the Fisher information: the drive simulated with true stiction, and difference quotients.
+"""A second opinion on the Fisher information, from a simulated drive with true stiction and difference quotients.
 
 The sensitivities of `fisher` belong to a linear equation with a known sign of the friction. If the axis comes to rest,
-these sensitivities go on, but the axis does not. Here nothing is linear: each parameter is changed a little in both
-directions, the motion is solved event by event, and the difference of the positions gives the sensitivity."""
+these sensitivities go on, but the axis does not. The simulation here is not linear. Each parameter changes a little in
+both directions, and the motion is solved event by event. The difference of the positions is the sensitivity.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +22,11 @@ __all__ = ["both_ways", "drive_of", "simulate", "simulated_information"]
 
 
 def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> Motion:
-    """Motion under the input u (n,) at the position samples, solved with stiction, from `problem.start`.
+    """Simulate the motion from `problem.start` under the input u (n,) with stiction, at the position samples.
 
-    `parameters`: true values, missing ones nominal. The arrays of the motion hold n * samples_per_interval + 1 samples,
-    the first at time 0; input, direction and moving of the last one belong to no interval.
-    Raises UsageError for directional friction, which is not simulated, and if u has not one value per interval.
+    `parameters` has true values; missing values are nominal. The arrays of the motion hold n * samples_per_interval + 1
+    samples, the first at time 0. In the last sample, the entries of input, direction and moving belong to no interval.
+    Raises UsageError for directional friction, which is not simulated, and for a wrong length of u.
     """
     u = np.asarray(u, float)
     if u.shape != (problem.intervals,):
@@ -39,11 +40,11 @@ def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | N
 def simulated_information(
     problem: Problem, u: ArrayLike, *, side: int = 0, step: float = TUNING.simulated_step
 ) -> Floats:
-    """Fisher information (p, p) of one run over unknown + nuisance, in their own units, without the prior.
+    """Return the Fisher information (p, p) of one run on unknown and nuisance parameters, without the prior.
 
-    u: (n,); step: change of each parameter as a part of its nominal value, > 0; side: 1 to change them upwards, -1
-    downwards, 0 both ways. If the axis just stops, or just fails to stop, the two sides differ.
-    Raises UsageError as `simulate` does.
+    The parameters have their own units. `u` is (n,). `step` > 0 is the change of each parameter as a part of its
+    nominal value. `side` 1 changes the parameters upwards, -1 downwards, 0 both ways. If the axis just stops, or just
+    fails to stop, the two sides differ. Raises the errors of `simulate`.
     """
     columns = []
     for name in problem.names:
@@ -57,13 +58,16 @@ def simulated_information(
 
 
 def both_ways(name: str, nominal: float, step: float = TUNING.simulated_step) -> tuple[float, float]:
-    """The values below and above the nominal one for a difference quotient; friction stays at 0 or above."""
+    """Return the values below and above the nominal value for a difference quotient. Friction stays at 0 or above."""
     change = step * (abs(nominal) or 1.0)
     return (nominal - change if name == "offset" else max(nominal - change, 0.0)), nominal + change
 
 
 def drive_of(problem: Problem, changed: Mapping[str, float]) -> DriveParameters:
-    """The drive of a problem for the simulation; `changed` values go before the nominal ones. Raises UsageError."""
+    """Return the drive of a problem for the simulation, with `changed` values instead of nominal ones.
+
+    Raises UsageError for directional friction.
+    """
     if problem.drive.friction != "symmetric":
         raise UsageError("the simulation with stiction has symmetric friction only; use friction = 'symmetric'")
     values = {**problem.nominal, **changed}

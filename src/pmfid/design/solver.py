@@ -1,4 +1,4 @@
-"""The best input, its evaluation, and why there is none."""
+"""The search for the best input, the evaluation of an input, and the reason if no input is feasible."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["Setting", "evaluate", "setting"]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A problem made ready: the maps of its cases, the criterion, the rows of its limits."""
+    """A problem with all that a search needs: the maps of its cases, the criterion and the rows of its limits."""
 
     problem: Problem
     maps: tuple[Affine, ...]
@@ -34,12 +34,12 @@ class Setting:
     inputs: InputSet
 
     def value(self, u: Floats) -> float:
-        """Criterion of an input (K,): nominal, or the geometric mean or the worst of the cases."""
+        """Return the criterion of an input (K,): the nominal value, the geometric mean or the worst of the cases."""
         values = [float(self.rule.log_value(maps.information(u))) for maps in self.maps]
         return float(np.exp(min(values) if self.problem.average == "worst" else np.mean(values)))
 
     def design(self, u: Floats) -> Design:
-        """The input with its motion, information and value."""
+        """Return a design: the input with its motion, information and value."""
         x, v = motion(self.problem, u)
         broken = violations(self.inputs, u)
         warnings = [f"breaks {name} by {amount:.3g}" for name, amount in broken.items()]
@@ -52,7 +52,7 @@ class Setting:
 
 
 def setting(problem: Problem, criterion: str) -> Setting:
-    """Raises UsageError for an unknown criterion or a wrong combination."""
+    """Prepare a problem for a search. Raises UsageError for an unknown criterion or a wrong combination."""
     rule = criterion_of(problem, criterion)
     return Setting(problem, tuple(affine(problem, case) for case in problem.cases), rule, input_set(problem))
 
@@ -63,7 +63,7 @@ def evaluate(problem: Problem, u: ArrayLike, criterion: str = "D") -> Design:
     Parameters
     ----------
     problem
-        What the input is for.
+        Problem for which the input is evaluated.
     u
         (K,) input [V], one value per interval.
     criterion
@@ -93,14 +93,14 @@ def evaluate(problem: Problem, u: ArrayLike, criterion: str = "D") -> Design:
 
 
 def _parks(problem: Problem, v: Floats) -> bool:
-    """Whether the axis stands at a node between two intervals of motion."""
+    """Return whether the axis stands at a node between two intervals of motion."""
     sense = np.array(problem.sense)
     inside = v[1:-1][(sense[:-1] != 0) & (sense[1:] != 0)]
     return bool(len(inside)) and bool(np.abs(inside).min() < 1e-6 * max(1e-300, np.abs(v).max()))
 
 
 def raise_infeasible(problem: Problem) -> NoReturn:
-    """Raises InfeasibleError that says which limits to relax, and by how much, or the minimum time."""
+    """Raise InfeasibleError with the limits to relax and their needed values, or with the minimum time."""
     ways = relaxations(problem)
     horizon = minimum_time(problem)
     if horizon is not None:
@@ -114,7 +114,10 @@ def raise_infeasible(problem: Problem) -> NoReturn:
 
 
 def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
-    """The needed value of each limit that alone, if relaxed, makes the problem feasible; smallest change first."""
+    """Return the changes of one limit that make the problem feasible, smallest change first.
+
+    Each limit has its needed value.
+    """
     inputs = input_set(problem)
     found = _energy(problem, inputs)
     for name in UNITS:
@@ -126,7 +129,7 @@ def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
 
 
 def _together(problem: Problem) -> tuple[Relaxation, ...]:
-    """Limits that help if all of them are relaxed, the sum of their relative changes being the least."""
+    """Return the limits that help if all of them are relaxed, with the least sum of relative changes."""
     names = tuple(UNITS)
     amounts = _least_widening(problem, input_set(problem), names)
     if amounts is None:
@@ -139,7 +142,10 @@ def _together(problem: Problem) -> tuple[Relaxation, ...]:
 
 
 def minimum_time(problem: Problem, longest: float = 64.0) -> float | None:
-    """Shortest feasible horizon [s] with as many intervals, to 0.1 %; None if `longest` times it is not enough."""
+    """Return the shortest feasible horizon [s] with the same number of intervals, to 0.1 %.
+
+    The result is None if even `longest` times the horizon is not enough.
+    """
     low, high = problem.horizon, problem.horizon
     while not _feasible(replace(problem, horizon=high)):
         low, high = high, 2.0 * high
@@ -161,9 +167,9 @@ def _feasible(problem: Problem) -> bool:
 
 
 def _least_widening(problem: Problem, inputs: InputSet, names: tuple[str, ...]) -> Floats | None:
-    """Least amounts by which the bounds of some limits must move apart, or None if that does not help.
+    """Return the least amounts by which the bounds of some limits must move apart, or None if no amount helps.
 
-    a' u + r >= lower, a' u - r <= upper, with one r for each limit.
+    The rows are a' u + r >= lower and a' u - r <= upper, with one r for each limit.
     """
     slack = np.array(inputs.names)[:, None] == np.array(names)
     if not slack.any():
@@ -183,7 +189,7 @@ def _least_widening(problem: Problem, inputs: InputSet, names: tuple[str, ...]) 
 def _make_relaxation(problem: Problem, name: str, amount: float) -> Relaxation:
     if name.startswith("end "):
         state = name == "end velocity"
-        # which way the end would have to move is not unique: its tolerance is
+        # The direction in which the end would have to move is not unique, but the tolerance of the end is.
         value = problem.end_tolerance[state]
         return Relaxation(f"end_tolerance ({name[4:]})", value, value + amount, UNITS[name])
     if name == "min_speed":
@@ -194,7 +200,7 @@ def _make_relaxation(problem: Problem, name: str, amount: float) -> Relaxation:
 
 
 def _energy(problem: Problem, inputs: InputSet) -> list[Relaxation]:
-    """The energy that is needed, where the other limits can be met."""
+    """Return the energy that the motion needs, if the other limits can be met."""
     if not np.isfinite(inputs.radius):
         return []
     try:
@@ -206,7 +212,7 @@ def _energy(problem: Problem, inputs: InputSet) -> list[Relaxation]:
     return [Relaxation(name, value, more, "") for name, value, more in ways if value is not None and more > value]
 
 
-#: (starts done, starts in all, best value so far)
+#: A progress function gets the starts done, the number of starts, and the best value so far.
 Progress = Callable[[int, int, float], None]
 
 
@@ -235,7 +241,7 @@ def solve(
     progress
         Function that is called after every start.
     certify
-        Processor time for a proved upper bound [s]; None: no bound.
+        Processor time for the proof of an upper bound [s]; None proves no bound.
     gap
         Relative gap of the bound at which the proof stops.
 
@@ -251,7 +257,7 @@ def solve(
     NotIdentifiableError
         If no input identifies a parameter.
     InfeasibleError
-        If no input meets the limits; it lists what to relax.
+        If no input meets the limits; the error lists the limits to relax.
     SolverError
         If the numerical solver fails.
 
@@ -292,7 +298,7 @@ def solve(
 def _all_starts(
     ready: Setting, seeds: list[np.random.SeedSequence], progress: Progress | None
 ) -> list[tuple[float, Floats]]:
-    """(log value, input) of each start."""
+    """Return the log value and the input of each start."""
     climber, results = _climber(ready), list[tuple[float, Floats]]()
     for seed in seeds:
         results.append(climber.start(np.random.default_rng(seed)))

@@ -1,4 +1,4 @@
-"""Standard inputs for comparison."""
+"""Standard inputs for comparison with a design."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pmfid.types import Floats
 
 __all__ = ["RISES", "SIGNALS", "Leg", "input_wish", "legs", "velocity_wish"]
 
-#: Velocity profile -> parts of a leg's time in which the velocity rises, and as much in which it falls, the usual one
-#: first; None: the curve of least jerk.
+#: Velocity profiles, each with the parts of a leg's time in which the velocity rises. The velocity falls in equal
+#: parts. The usual part comes first; None is the curve of least jerk.
 RISES: dict[str, tuple[float | None, ...]] = {
     "trapezoid": (1 / 3, 0.4, 0.25, 0.5, 0.15, 0.1),
     "s_curve": (None,),
@@ -30,7 +30,10 @@ SIGNALS = ("pulses", "prbs", "multisine", "chirp")
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of the motion in one direction (1 or -1), from node first to node last; free: its end is."""
+    """A part of the motion in one `direction` (1 or -1), from node `first` to node `last`.
+
+    `free` is true if the end of the leg is free.
+    """
 
     first: int
     last: int
@@ -39,7 +42,7 @@ class Leg:
 
 
 def legs(problem: Problem) -> list[Leg]:
-    """The legs of the motion. Only the end of the last one may be given."""
+    """Return the legs of the motion. Only the last leg may have a given end."""
     edges = [int(edge) for edge in np.flatnonzero(np.diff(np.r_[9, problem.sense, 9]))]
     moving = [(a, b) for a, b in pairwise(edges) if problem.sense[a]]
     last = moving[-1][1] if moving and problem.end[0] is not None else None
@@ -47,10 +50,11 @@ def legs(problem: Problem) -> list[Leg]:
 
 
 def velocity_wish(problem: Problem, leg: Leg, rise: float | None, peak: float) -> Floats:
-    """Velocities at the leg's nodes [m/s], (last - first + 1,).
+    """Return the velocities (last - first + 1,) at the leg's nodes [m/s].
 
-    A trapezoid that rises during the part `rise` of the time; None: the curve of least jerk (Flash and Hogan 1985).
-    peak >= 0: [m/s], on top of the line between the velocities of start and end; inside never below the least speed.
+    The profile is a trapezoid that rises during the part `rise` of the time. If `rise` is None, the profile is the
+    curve of least jerk (Flash and Hogan 1985). `peak` >= 0 [m/s] comes on top of the line between the velocities of
+    start and end. Inside the leg the velocity never falls below the least speed.
     """
     tau = np.linspace(0.0, 1.0, leg.last - leg.first + 1)
     shape = 16 * (tau * (1 - tau)) ** 2 if rise is None else np.minimum(1.0, np.minimum(tau, 1 - tau) / rise)
@@ -63,7 +67,7 @@ def velocity_wish(problem: Problem, leg: Leg, rise: float | None, peak: float) -
 
 
 def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.random.Generator) -> Floats:
-    """Inputs (n,) between low and high: pulses, prbs, multisine (phases of Schroeder 1970) or chirp."""
+    """Return an input (n,) between `low` and `high`: pulses, prbs, multisine (phases of Schroeder 1970) or chirp."""
     n = problem.intervals
     middle, size = (high + low) / 2, (high - low) / 2
     if name == "pulses":
@@ -81,7 +85,10 @@ def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.ran
 
 
 def _multisine(samples: int, tones: int) -> Floats:
-    """Tones 1 to `tones` per period (samples,), largest value 1; the crest factor is about 1.7 for many tones."""
+    """Return a sum of the tones 1 to `tones` per period (samples,), scaled to a largest value of 1.
+
+    The crest factor is about 1.7 for many tones.
+    """
     k = np.arange(1, tones + 1)
     phase = -np.pi * k * (k - 1) / tones
     total = np.cos(2 * np.pi * np.outer(np.arange(samples) / samples, k) + phase).sum(axis=1)
@@ -90,9 +97,10 @@ def _multisine(samples: int, tones: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class StandardInput:
-    """u (n,): the input, held over each interval; x, v (n+1,): the reference for position control, at the nodes.
+    """A standard input u (n,), held over each interval, and its motion.
 
-    bent: the limits do not allow the profile itself; this is the input nearest to it.
+    The position x and the velocity v at the nodes, each (n+1,), are the reference for position control. `bent` is true
+    if the limits do not allow the profile itself; u is then the nearest allowed input.
     """
 
     name: str
@@ -105,9 +113,9 @@ class StandardInput:
 def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()) -> dict[str, StandardInput]:
     """Return the standard inputs within the limits of a problem.
 
-    They are trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp. "minimum_time" reaches the
-    end of each leg as early as the limits let it, and goes on at the least speed. A profile that the limits do not
-    allow is replaced by the nearest input, in the sum of squares.
+    They are trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp. The input "minimum_time"
+    reaches the end of each leg as early as the limits allow. After the end it goes on at the least speed. If the limits
+    do not allow a profile, the nearest input in the sum of squares replaces the profile.
 
     Parameters
     ----------
@@ -116,12 +124,13 @@ def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()
     seed
         Seed of the PRBS.
     names
-        Names of the wanted inputs; empty: all.
+        Names of the wanted inputs. If empty, all inputs are returned.
 
     Returns
     -------
     dict of str to StandardInput
-        By name: input `u` (K,) [V], position `x` [m] and velocity `v` [m/s] at the nodes (K+1,), and `bent`, true if
+        The standard inputs by name, each with the input `u` (K,) [V], position `x` [m] and velocity `v` [m/s] at the
+        nodes (K+1,), and `bent`, true if
         the profile was replaced.
 
     Raises
@@ -159,7 +168,7 @@ class _Maker:
 
     @cached_property
     def from_velocity(self) -> Floats:
-        """Input of least norm from velocities less their offset, (K, K)."""
+        """Matrix (K, K) from velocities without their offset to the input of least norm."""
         return np.asarray(np.linalg.pinv(self.inputs.states[1, 1:]), float)
 
     def input_of(self, velocities: Floats) -> Floats:
@@ -170,7 +179,7 @@ class _Maker:
 
     @cached_property
     def reach(self) -> tuple[float, float]:
-        """Lowest and highest position [m] that some input reaches."""
+        """Lowest and highest position [m] that an input can reach."""
         oracle, position, offset = Oracle(self.inputs), self.inputs.states[0, 1:], self.inputs.offset[0, 1:]
         far = []
         for sign in (-1, 1):
@@ -180,7 +189,7 @@ class _Maker:
 
 
 def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Floats, bool]:
-    """The first of these velocity profiles that the limits allow, else the nearest to the first."""
+    """Return the first velocity profile that the limits allow, or the input nearest to the first profile."""
     path = legs(maker.problem)
     shares = TUNING.standard_shares if any(leg.free for leg in path) else TUNING.standard_shares[:1]
     wishes = [_velocities(maker, path, rise, share) for share in shares for rise in rises]
@@ -192,7 +201,7 @@ def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Floats, bo
 
 
 def _velocities(maker: _Maker, path: list[Leg], rise: float | None, share: float) -> Floats:
-    """Velocities (K+1,) at the nodes of the profile in each leg, as high as its target needs."""
+    """Return the velocities (K+1,) at the nodes, as high in each leg as its target needs."""
     problem = maker.problem
     wish = np.zeros(problem.intervals + 1)
     wish[0] = problem.start[1]
@@ -203,7 +212,7 @@ def _velocities(maker: _Maker, path: list[Leg], rise: float | None, share: float
 
 
 def _target(maker: _Maker, leg: Leg, share: float) -> float:
-    """Position [m] where a leg is to end."""
+    """Return the position [m] at which a leg shall end."""
     end, start = maker.problem.end[0], maker.problem.start[0]
     if end is not None and not leg.free:
         return end
@@ -211,7 +220,7 @@ def _target(maker: _Maker, leg: Leg, share: float) -> float:
 
 
 def _peak(maker: _Maker, wish: Floats, leg: Leg, rise: float | None, target: float) -> float:
-    """Peak velocity [m/s] with which the leg ends at the target [m]; 0 if it cannot."""
+    """Return the peak velocity [m/s] with which the leg ends at the target [m], or 0 if no velocity does."""
 
     def find_excess(peak: float) -> float:
         trial = wish.copy()
@@ -225,7 +234,7 @@ def _peak(maker: _Maker, wish: Floats, leg: Leg, rise: float | None, target: flo
 
 
 def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
-    """The signal over the whole range of the input, bent to the other limits."""
+    """Return the signal over the whole range of the input, bent to the other limits."""
     low, high = maker.problem.limits.pair("input") or _range(maker)
     wish = input_wish(maker.problem, name, low, high, np.random.default_rng(maker.seed))
     if violation(maker.inputs, wish) <= TUNING.standard_rounding:
@@ -234,7 +243,7 @@ def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
 
 
 def _range(maker: _Maker) -> tuple[float, float]:
-    """The range of the input; without a limit, twice what the motion needs at least."""
+    """Return the range of the input. Without a limit, the range is twice the least that the motion needs."""
     size = 2 * float(np.abs(nearest(maker.inputs, np.zeros(maker.problem.intervals))).max()) or 1.0
     return -size, size
 
@@ -244,7 +253,7 @@ def _least_energy(maker: _Maker) -> tuple[Floats, bool]:
 
 
 def _least_time(maker: _Maker) -> tuple[Floats, bool]:
-    """The motion that is as far ahead as possible at every node: largest sum of the distances."""
+    """Return the motion that is as far ahead as possible at every node, with the largest sum of the distances."""
     ahead = np.array(maker.problem.sense, float) @ maker.inputs.states[0, 1:]
     return _check_limits(maker, Oracle(maker.inputs).maximise(ahead)), False
 

@@ -1,4 +1,4 @@
-"""The laboratory drive, simulated exactly; it knows the truth, so nothing below this room may import it."""
+"""The exactly simulated laboratory drive. It knows the true parameters, so no lower package may import it."""
 
 from pmfid.simulation.drive import (
     DriveParameters,

@@ -1,4 +1,4 @@
-"""Simulated drives, open loop and controlled."""
+"""Simulated drives under an open-loop input and under position control."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -36,7 +36,7 @@ class DriveParameters:
     viscous_friction
         Force per velocity [N s/m], >= 0.
     coulomb_friction
-        Constant force against the motion [N], >= 0. Paper eq. 37 has an acceleration here.
+        Constant force against the motion [N], >= 0. In paper eq. 37 this parameter is an acceleration.
     input_gain
         Force per unit of input [N/V].
     offset
@@ -82,8 +82,8 @@ class Schedule:
     changes
         Pairs (time [s], parameters valid from then on). The first time is 0, and times increase.
     ramps
-        For each change the time [s] >= 0 in which the parameters move to the new ones. They move along a straight line,
-        with a new value every sample. The first ramp is 0, and () means no ramp. A ramp ends before the next change.
+        Duration [s] >= 0 of each change. During a ramp the parameters move along a straight line, with a new value at
+        every sample. The first ramp is 0, and () means no ramp. A ramp ends before the next change.
 
     Raises
     ------
@@ -121,7 +121,7 @@ class Schedule:
 
     def sample(self, t: ArrayLike, dt: float) -> Columns:
         """Return mass, viscous and Coulomb friction, input gain and offset at the instants `t`, each (n,)."""
-        # k*dt may fall a rounding error short of the time meant.
+        # The product k*dt may fall a rounding error short of the intended time.
         times = np.array([time for time, _ in self.changes]) - 1e-6 * dt
         index = np.searchsorted(times, t, side="right") - 1
         table = np.array([_row(p) for _, p in self.changes])
@@ -142,7 +142,7 @@ Drive = DriveParameters | Schedule | Sequence[tuple[float, DriveParameters]]
 
 
 def make_schedule(parameters: Drive) -> Schedule:
-    """Return `parameters` as a Schedule; constant parameters hold from time 0 on."""
+    """Return `parameters` as a Schedule. Constant parameters hold from time 0."""
     if isinstance(parameters, Schedule):
         return parameters
     if isinstance(parameters, DriveParameters):
@@ -165,9 +165,9 @@ class Motion:
     v
         (n,) velocity [m/s].
     direction
-        (n,) in [-1, 1], for the interval that starts at k: (time moving forward - time moving backward) / dt.
+        (n,) in [-1, 1], for the interval that starts at sample k: (time moving forward - time moving backward) / dt.
     moving
-        (n,) in [0, 1], for the same interval: time moving / dt.
+        (n,) in [0, 1], for the interval that starts at sample k: time moving / dt.
 
     Examples
     --------
@@ -187,7 +187,10 @@ class Motion:
 
 
 def make_motion(dt: float, u: Floats, x: Floats, v: Floats, direction: Floats, moving: Floats) -> Motion:
-    """Return the plant's result, x and v (n + 1,), as a Motion (n,); raise ValueError if it overflowed."""
+    """Return a Motion (n,) from the plant's input and states x and v (n + 1,).
+
+    Raises ValueError if the motion leaves the range of floating point.
+    """
     if not (np.isfinite(x).all() and np.isfinite(v).all()):
         raise ValueError("the motion leaves the range of floating point; check the units of parameters and input")
     return Motion(sample_times(u.size, dt), u, x[:-1], v[:-1], direction, moving)
@@ -196,7 +199,7 @@ def make_motion(dt: float, u: Floats, x: Floats, v: Floats, direction: Floats, m
 def simulate_drive(parameters: Drive, u: ArrayLike, dt: float, x0: float = 0.0, v0: float = 0.0) -> Motion:
     """Simulate the motion of a drive under a given input.
 
-    The result is exact up to rounding: stops, reversals and break-aways are solved for inside the interval.
+    The result is exact up to rounding, because stops, reversals and break-aways are solved inside the interval.
 
     Parameters
     ----------
@@ -259,7 +262,7 @@ def position_control(
     Parameters
     ----------
     parameters
-        As of `simulate_drive`.
+        Parameters of the drive; see `simulate_drive`.
     reference
         (n,) position to follow [m].
     dt
@@ -273,7 +276,7 @@ def position_control(
     phase
         Start position on the encoder lattice [m].
     bits
-        Width of the register that is returned. The controller itself counts without overflow.
+        Width of the returned register in bits. The controller itself counts without overflow.
     faults
         Faults of the encoder.
 
@@ -292,7 +295,7 @@ def position_control(
     y_k = resolution * counts_k,  counts_k = floor((x_k + phase) / resolution)   (paper eq. 3), or with `faults`
     u_k = kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, limited to +-u_max, y_{-1} = y_0.
 
-    The drive starts at rest at x = 0. There is no integral part: friction leaves an error of up to
+    The drive starts at rest at x = 0. The controller has no integral part, so friction leaves an error of up to
     coulomb_friction / (input_gain kp).
 
     Examples
@@ -322,9 +325,9 @@ def _check_lattice(dt: float, resolution: float, phase: float) -> None:
     check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
 
 
-#: Runge-Kutta steps per sample, on each side of the input's switch.
+#: Runge-Kutta steps in each sample, before and after the input switches.
 STEPS = 10
-#: Constants of a machine in the integration.
+#: Constants of a machine for the integration.
 _BODY = ("mass", "viscous", "coulomb", "gain", "offset", "stribeck", "stribeck_speed", "quadratic", "asymmetry",
          "stiffness", "gravity", "gravity_angle", "cogging", "cogging_pitch", "cogging_phase", "uneven",
          "uneven_period")  # fmt: skip
@@ -341,24 +344,27 @@ class Machine:
     stribeck
         Friction at rest beyond Coulomb friction [N], >= 0. It falls with exp(-(v / stribeck_speed)^2).
     stribeck_speed
-        Speed of that fall [m/s], > 0.
+        Speed at which the Stribeck friction has fallen to 1/e [m/s], > 0.
     quadratic
-        Factor of v |v| [N s^2/m^2], >= 0.
+        Friction per v |v| [N s^2/m^2], >= 0.
     asymmetry
-        In (-1, 1). Friction is 1 + asymmetry times as large forward, and 1 - asymmetry times backward.
+        Difference of the friction in both directions, in (-1, 1). The friction is multiplied by 1 + asymmetry forward,
+        and by 1 - asymmetry backward.
     stiffness
-        Stiffness of a spring that is at rest at x = 0 [N/m], >= 0.
+        Stiffness [N/m] >= 0 of a spring without force at x = 0.
     gravity, gravity_angle
-        Force [N] >= 0, times sin(x + gravity_angle), of a rotary axis. The angle is in rad.
+        Gravity of a rotary axis: gravity [N m] >= 0, times sin(x + gravity_angle). The angle is in rad.
     cogging, cogging_pitch, cogging_phase
-        Force [N] >= 0, times sin(2 pi x / cogging_pitch + cogging_phase). The pitch is in m, the phase in rad.
+        Cogging force: cogging [N] >= 0, times sin(2 pi x / cogging_pitch + cogging_phase). The pitch is in m, the phase
+        in rad.
     uneven, uneven_period
-        Friction beyond Coulomb friction [N], times sin(2 pi x / uneven_period). It is at most Coulomb friction. The
-        period is in m.
+        Friction that varies with the position: uneven [N], times sin(2 pi x / uneven_period). The variation is at most
+        the Coulomb friction. The period is in m.
     dead_time
-        Dead time of the input [s], >= 0, any part of a sample.
+        Dead time of the input [s], >= 0, not necessarily a whole number of samples.
     lag
-        Time constant of a first-order lag of the input [s], >= 0. Its output is averaged over each integration step.
+        Time constant of a first-order lag of the input [s], >= 0. The output of the lag is averaged over each
+        integration step.
     force_noise
         Standard deviation of a random force [N], >= 0, independent in each sample.
 
@@ -411,7 +417,7 @@ class Machine:
 
 @dataclass(frozen=True, eq=False)
 class MachineRun:
-    """What a machine did: u [V], counts, and the true x [m], v [m/s] at the samples, each (n,)."""
+    """The result of a simulated machine: u [V], counts, true x [m] and true v [m/s] at the samples, each (n,)."""
 
     u: Floats
     counts: Counts
@@ -434,7 +440,7 @@ def drive_machine(
     Parameters
     ----------
     machine
-        The drive and its further effects. It starts at rest at x = 0.
+        The drive and its further effects. The machine starts at rest at x = 0.
     u
         (n,) input [V], held over each dt.
     dt
@@ -442,9 +448,9 @@ def drive_machine(
     resolution
         Travel per count [m], > 0.
     phase
-        Start position on the encoder lattice [m]: counts are floor((x + phase) / resolution).
+        Start position on the encoder lattice [m]. The counts are floor((x + phase) / resolution).
     rng
-        Generator of the force noise.
+        Random generator of the force noise.
     steps
         Integration steps in each sample, >= 1.
 
@@ -460,7 +466,7 @@ def drive_machine(
 
     Examples
     --------
-    The dead time is one sample: the position at the second sample is still 0.
+    With a dead time of one sample, the position at the second sample is still 0.
 
     >>> from pmfid.simulation import CART, CART_DT, Machine, drive_machine
     >>> run = drive_machine(Machine(CART, dead_time=CART_DT), [3.0, 3.0, 3.0], CART_DT, resolution=1e-5)
@@ -488,23 +494,23 @@ def control_machine(
     Parameters
     ----------
     machine, dt, resolution, phase, rng, steps
-        As of `drive_machine`.
+        See `drive_machine`.
     reference
         (n,) position to follow [m].
     kp, kd
-        Gains of the controller, kp > 0 [V/m] and kd >= 0 [V s/m], as of `position_control`.
+        Gains kp > 0 [V/m] and kd >= 0 [V s/m] of the controller; see `position_control`.
     u_max
         Largest input [V], > 0.
 
     Returns
     -------
     MachineRun
-        As of `drive_machine`.
+        Input, counts, true position and true velocity; see `drive_machine`.
 
     Raises
     ------
     ValueError
-        As `drive_machine`, and for gains out of range.
+        If a gain or another argument is out of range.
 
     Examples
     --------

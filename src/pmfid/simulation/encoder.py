@@ -1,4 +1,4 @@
-"""Simulated encoders, and checks of arguments."""
+"""Simulated encoders, and checks of the arguments of a simulation."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -40,22 +40,22 @@ def sample_times(samples: int, dt: float) -> Floats:
     return np.arange(samples, dtype=np.float64) * np.float64(dt)
 
 
-# Up to 2**53 every whole number is a double of its own; a larger count would be made up.
+# Up to 2**53, a double represents every whole number. A larger count would be invented.
 COUNT_LIMIT = 2**53
 
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults of an encoder; none by default.
+    """Faults of an encoder. By default the encoder has none.
 
-    Equal seeds give equal faults. Edges inside one sample follow from its net travel.
+    Equal seeds give equal faults. The edges in one sample follow from the net travel in this sample.
 
     Parameters
     ----------
     missed
-        Probability in [0, 1) that an edge is not counted. The count stays wrong from then on.
+        Probability in [0, 1) that an edge is not counted. After a missed edge the count stays wrong.
     jitter
-        Standard deviation [counts] >= 0 by which the edges are displaced at each sample (noise of the receiver).
+        Standard deviation [counts] >= 0 of the edges' displacement at each sample (noise of the receiver).
     line_error
         Largest displacement of a line of the disc [counts], in [0, 0.5). Displacements are uniform, and the same on
         every turn.
@@ -97,7 +97,10 @@ class Faults:
         check_whole("seed", self.seed, 0, np.inf, "any whole number from 0 on will do")
 
     def draw(self, samples: int) -> tuple[Floats, Floats, float, int]:
-        """Places of the lines (lines,), shift of each sample (samples,) or (0,) [counts], missed, seed: for C."""
+        """Draw the faults for the kernel: line places (lines,), sample shifts [counts], `missed` and a seed.
+
+        The shifts are (samples,), or (0,) without jitter.
+        """
         rng = np.random.default_rng(self.seed)
         seed = int(rng.integers(2**63))
         lines = rng.uniform(-self.line_error, self.line_error, self.lines) if self.line_error else np.zeros(1)
@@ -109,7 +112,7 @@ NO_FAULTS = Faults()
 
 
 def wrap_counts(counts: Counts, bits: int | None) -> Counts:
-    """Counts modulo 2**bits, as a register without sign holds them; None: as they are."""
+    """Return the counts modulo 2**bits, as an unsigned register holds them. If `bits` is None, return them unchanged."""
     if bits is None:
         return counts
     check_whole("bits", bits, 1, 63, "give the width of the counter register")
@@ -130,7 +133,7 @@ def quantize(
     phase
         Start position on the encoder lattice [m].
     bits
-        Width of a register without sign, 1 to 63: the counter wraps modulo 2**bits. None: it does not wrap.
+        Width of an unsigned register, 1 to 63. The counter wraps modulo 2**bits; with None it does not wrap.
     faults
         Faults of the encoder.
 
@@ -158,7 +161,7 @@ def quantize(
     """
     check_number("resolution", resolution, above=0.0, remedy="give the travel per count in m")
     check_number("phase", phase, remedy="give the start position on the encoder lattice in m")
-    with np.errstate(over="ignore"):  # the check below tells it
+    with np.errstate(over="ignore"):  # the check below reports an overflow
         level = np.floor((np.asarray(x, dtype=np.float64) + phase) / resolution)
     if not (np.abs(level) <= COUNT_LIMIT).all():
         raise ValueError(

@@ -14,10 +14,11 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class SimulatedProcess:
-    """b_m s^m + ... + b_0 over s^n + a_{n-1} s^{n-1} + ... + a_0, and how it is excited.
+    """A process b_m s^m + ... + b_0 over s^n + a_{n-1} s^{n-1} + ... + a_0, and its excitation.
 
-    b, a: in descending powers, a with its leading 1; dt [s]; stages, clock: of a maximum length sequence of +-1;
-    samples; cutoff, zeros [rad/s] of the filters and pre-filter that its studies use.
+    `b` and `a` have descending powers; `a` includes its leading 1. `dt` is the sample period [s]. `stages` and `clock`
+    belong to a maximum length sequence of +-1 with `samples` values. `cutoff` and `zeros` [rad/s] belong to the filters
+    and the pre-filter of the studies.
     """
 
     name: str
@@ -32,21 +33,21 @@ class SimulatedProcess:
 
     @property
     def theta(self) -> Floats:
-        """(n + m + 1,) a0 to a{n-1}, b0 to bm."""
+        """Parameters a0 to a{n-1}, b0 to bm (n + m + 1,)."""
         return np.array([*self.a[:0:-1], *self.b[::-1]])
 
     @property
     def u(self) -> Floats:
-        """(samples,) the input."""
+        """Input (samples,)."""
         return np.resize(mls(self.stages, self.clock, 1.0), self.samples)
 
     @property
     def y(self) -> Floats:
-        """(samples,) the output without noise, from rest."""
+        """Output (samples,) without noise, from rest."""
         return simulate_process(self.b, self.a, self.u, self.dt)
 
 
-#: The plants of the black-box study; the last is that of Rao and Garnier (2002).
+#: Plants of the black-box study. The last plant comes from Rao and Garnier (2002).
 PLANTS = {
     plant.name: plant
     for plant in (
@@ -69,10 +70,11 @@ PLANTS = {
 def simulate_process(
     b: ArrayLike, a: ArrayLike, u: ArrayLike, steps: float | ArrayLike, *, hold: str = "zoh"
 ) -> Floats:
-    """Output (n,) at the instants of the input u (n,), from rest.
+    """Simulate the output (n,) of a process from rest, at the instants of the input u (n,).
 
-    b, a: numerator and denominator in descending powers of s, strictly proper. steps: the sample period [s], or (n-1,)
-    the times between the instants. hold: "zoh" or "foh". Raises ValueError for a step that is not positive.
+    `b` and `a` are numerator and denominator in descending powers of s, strictly proper. `steps` is the sample period
+    [s], or the times (n-1,) between the instants. `hold` is "zoh" or "foh". Raises ValueError for a step that is not
+    positive.
     """
     from scipy.linalg import expm
 
@@ -96,7 +98,7 @@ def simulate_process(
 
 
 def make_state_space(b: Floats, a: Floats) -> tuple[Floats, Floats, Floats]:
-    """Controllable form with time in units that make the coefficients alike."""
+    """Return the controllable form, with time in units that give the coefficients similar sizes."""
     n = a.size - 1
     rate = float(np.max(np.abs(np.roots(a)), initial=0.0)) or 1.0
     scaled = a[1:] / a[0] / rate ** np.arange(1, n + 1)

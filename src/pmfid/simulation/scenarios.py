@@ -1,4 +1,4 @@
-"""Scenarios, changes of a machine, and their files."""
+"""Named runs of the cart, changes of its parameters, and their files."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -16,13 +16,13 @@ from pmfid.types import Counts, Floats
 def change_parameters(parameters: DriveParameters, at: float, ramp: float = 0.0, **changes: float) -> Schedule:
     """Return a schedule in which parameters change, at once or along a ramp.
 
-    A load is put down, a container fills, a guide runs dry, a belt slips. If the input gain falls, an estimator that
-    goes on with the old one finds every parameter larger by the old gain over the new one.
+    Examples are a load that is put down, a container that fills, a dry guide and a slipping belt. If the input gain
+    falls, an estimator with the old gain finds every parameter larger by the ratio of old to new gain.
 
     Parameters
     ----------
     parameters
-        Parameters from time 0 on.
+        Parameters before the change.
     at
         Start of the change [s], > 0.
     ramp
@@ -35,7 +35,7 @@ def change_parameters(parameters: DriveParameters, at: float, ramp: float = 0.0,
     ValueError
         If an argument is out of range.
     TypeError
-        If a drive has no parameter of a name.
+        If a drive has no parameter with the given name.
 
     Examples
     --------
@@ -52,10 +52,10 @@ CART_LOADED = replace(CART, mass=1.44)
 CART_DT = 0.01
 CART_INCREMENTS = 4096
 CART_RESOLUTION = 22.75e-6
-#: PD position control of the cart, as on the bench: V/m, V s/m, V.
+#: Gains of the cart's PD position control on the bench [V/m, V s/m], and the largest input [V].
 CART_CONTROL = {"kp": 200.0, "kd": 5.0, "u_max": 6.0}
 STROKE, MOVE_TIME, DWELL_TIME = 0.2, 0.8, 0.5
-#: Hz
+#: Frequencies of the multisine [Hz].
 TONES = (0.2, 0.5, 0.9, 1.4, 2.1, 3.0, 4.3, 6.2)
 
 Signal = Callable[[int, np.random.Generator], Floats]
@@ -64,20 +64,20 @@ Signal = Callable[[int, np.random.Generator], Floats]
 def _rest_in_the_middle(samples: int, rng: np.random.Generator) -> Floats:
     moving = stop_and_go(samples, CART_DT, STROKE, MOVE_TIME, DWELL_TIME)
     cycle = round((MOVE_TIME + DWELL_TIME) / CART_DT)
-    # from the end of a dwell to the start of a move at the same place, so that the reference does not jump
+    # The time runs from the end of a dwell to the start of a move at the same place, so the reference does not jump.
     begin, end = (2 * cycle * (part * samples // (8 * cycle)) for part in (1, 3))
     moving[begin:end] = 0.0
     return moving
 
 
-#: Input u [V] of the open loop, from the number of samples and the random generator.
+#: Functions from the number of samples and the random generator to the open-loop input u [V].
 INPUTS: Mapping[str, Signal] = MappingProxyType(
     {
         "prbs": lambda n, rng: prbs(n, clock=10, amplitude=3.0, rng=rng),
         "multisine": lambda n, rng: multisine(n, CART_DT, TONES, 6.0, rng),
     }
 )
-#: Position reference [m] of the closed loop.
+#: Functions from the number of samples and the random generator to the closed-loop position reference [m].
 REFERENCES: Mapping[str, Signal] = MappingProxyType(
     {
         "stop-and-go": lambda n, rng: stop_and_go(n, CART_DT, STROKE, MOVE_TIME, DWELL_TIME),
@@ -90,7 +90,7 @@ REFERENCES: Mapping[str, Signal] = MappingProxyType(
     }
 )
 _WORN = {"viscous_friction": 1.5 * CART.viscous_friction, "coulomb_friction": 1.5 * CART.coulomb_friction}
-#: Schedule of the parameters, from the duration of the run [s].
+#: Functions from the duration of the run [s] to the schedule of the parameters.
 CHANGES: Mapping[str, Callable[[float], Schedule]] = MappingProxyType(
     {
         "constant": lambda duration: Schedule(((0.0, CART),)),
@@ -104,7 +104,7 @@ CHANGES: Mapping[str, Callable[[float], Schedule]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a scenario does: its signal (of INPUTS or REFERENCES) and what changes (of CHANGES)."""
+    """The definition of a scenario: a signal of INPUTS or REFERENCES, and a change of CHANGES."""
 
     summary: str
     signal: str
@@ -112,7 +112,7 @@ class Recipe:
 
     @property
     def closed_loop(self) -> bool:
-        """Under position control through the encoder?"""
+        """Whether the cart is under position control through the encoder."""
         return self.signal in REFERENCES
 
 
@@ -143,7 +143,7 @@ SCENARIOS: Mapping[str, Recipe] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A simulated run and its truth.
+    """A simulated run and its true motion and parameters.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class Scenario:
     schedule
         Parameters over time.
     bits
-        Width of the register that the counts are from; None: it does not wrap.
+        Width of the counter register in bits; None for a counter that does not wrap.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def resolution_of(increments: int) -> float:
     Raises
     ------
     ValueError
-        If the number is not whole or < 1.
+        If `increments` is not a whole number or is less than 1.
 
     Examples
     --------
@@ -214,7 +214,7 @@ def make_scenario(
     faults: Faults = NO_FAULTS,
     schedule: Schedule | None = None,
 ) -> Scenario:
-    """Return a named scenario: a simulated run of the cart, with its truth.
+    """Return a named scenario: a simulated run of the cart, with its true motion and parameters.
 
     The seed draws the start phase on the encoder lattice and the random signals. An input does not depend on
     `increments`.
@@ -230,11 +230,11 @@ def make_scenario(
     duration
         Length of the run [s].
     bits
-        Width of the counter, which then wraps; None: it does not.
+        Width of a counter that wraps, in bits; None for a counter that does not wrap.
     faults
         Faults of the encoder.
     schedule
-        Parameters over time, in place of the scenario's own.
+        Parameters over time, which replace the parameters of the scenario.
 
     Raises
     ------
@@ -292,14 +292,14 @@ method = "auto"
 cutoff = {cutoff:.6g}        # rad/s: a filter time constant of three samples
 forgetting = {forgetting!r}{memory}
 """
-#: Forgetting where a parameter changes; a memory of two seconds.
+#: Forgetting factor for a changing parameter: a memory of two seconds.
 FORGETTING = 0.995
 
 
 def axis_toml(scenario: Scenario) -> str:
-    """Return the AXIS.toml that goes with the record of a scenario.
+    """Return an AXIS.toml for the record of a scenario.
 
-    It sets a forgetting factor below 1 if the parameters change.
+    The forgetting factor is below 1 if the parameters change.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def axis_toml(scenario: Scenario) -> str:
 def write_csv(scenario: Scenario, path: str | Path, truth: bool = False) -> None:
     """Write the record of a scenario: columns t [s], u [V] and counts.
 
-    Floats read back to the same bits. Lines end in a line feed.
+    A reader of the file gets the same bits of each float. Lines end in a line feed.
 
     Parameters
     ----------
@@ -345,7 +345,7 @@ def write_csv(scenario: Scenario, path: str | Path, truth: bool = False) -> None
     Raises
     ------
     OSError
-        If the file can't be written.
+        If the file cannot be written.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Inputs that excite a drive, and position references that it is to follow."""
+"""Inputs that excite a drive, and position references for a controlled drive."""
 
 from collections.abc import Callable
 
@@ -35,12 +35,12 @@ def prbs(samples: int, *, clock: int, amplitude: float, rng: np.random.Generator
     amplitude
         Size of the values [V], > 0.
     rng
-        Generator of the values.
+        Random generator of the values.
 
     Raises
     ------
     ValueError
-        If samples or clock are not whole and >= 1, or the amplitude is not > 0.
+        If samples or clock are not whole numbers >= 1, or if the amplitude is not > 0.
 
     Examples
     --------
@@ -60,7 +60,7 @@ def prbs(samples: int, *, clock: int, amplitude: float, rng: np.random.Generator
 def mls(stages: int, clock: int, amplitude: float) -> Floats:
     """Return one period of a maximum length sequence: ((2**stages - 1) * clock,) values +-amplitude [V].
 
-    Its autocorrelation at multiples of the clock is 1 at zero and -1/(2**stages - 1) elsewhere.
+    The autocorrelation of the sequence is 1 at zero lag, and -1/(2**stages - 1) at all other multiples of the clock.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def mls(stages: int, clock: int, amplitude: float) -> Floats:
     check_whole("stages", stages, 2, _MAX_STAGES, "the period is 2**stages - 1 clocks")
     _check_clock(clock)
     _check_amplitude(amplitude)
-    # scipy.signal is slow to import, and only this function needs it.
+    # SciPy's signal module is slow to import, and only this function needs it.
     from scipy.signal import max_len_seq
 
     bits = np.asarray(max_len_seq(int(stages))[0], dtype=np.float64)
@@ -107,7 +107,7 @@ def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float,
     amplitude
         Largest value of the sum [V], > 0.
     rng
-        Generator of the phases.
+        Random generator of the phases.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float,
 
 
 def _phase_of_move(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
-    """Return t / move_time at the samples, after the checks common to all profiles."""
+    """Check the arguments that all profiles share, and return t / move_time at the samples."""
     _check_samples(samples)
     check_number("dt", dt, above=0.0, remedy="give the sample period in seconds")
     check_number("stroke", stroke, remedy="give the length of the move in m, with its sign")
@@ -148,26 +148,29 @@ def _phase_of_move(samples: int, dt: float, stroke: float, move_time: float) -> 
 
 
 def _smooth_step(tau: Floats) -> Floats:
-    """Rise from 0 at tau <= 0 to 1 at tau >= 1 with least jerk, velocity and acceleration 0 at both ends."""
+    """Rise from 0 at tau <= 0 to 1 at tau >= 1 with least jerk.
+
+    Velocity and acceleration are 0 at both ends.
+    """
     tau = np.clip(tau, 0.0, 1.0)
     return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
 
 
 def _trapezoid_step(tau: Floats) -> Floats:
-    """Rise from 0 at tau <= 0 to 1 at tau >= 1: a third of the time to accelerate, to cruise and to brake."""
+    """Rise from 0 at tau <= 0 to 1 at tau >= 1, with a third of the time each to accelerate, cruise and brake."""
     tau = np.clip(tau, 0.0, 1.0)
     rise, fall = np.minimum(tau, 1.0 / 3.0), np.maximum(tau - 2.0 / 3.0, 0.0)
     return 2.25 * rise**2 + 1.5 * (tau - rise) - 2.25 * fall**2
 
 
-#: Shape of one move -> rise from 0 to 1 over tau in [0, 1].
+#: Shapes of one move, as functions from tau in [0, 1] to a rise from 0 to 1.
 SHAPES: dict[str, Callable[[Floats], Floats]] = {"s-curve": _smooth_step, "trapezoid": _trapezoid_step}
 
 
 def trapezoid(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
     """Return a position reference (samples,) from 0 to `stroke` [m], with a trapezoid as its velocity.
 
-    A third of the time each is for acceleration, cruise (at 1.5 stroke/move_time) and braking.
+    Acceleration, cruise (at 1.5 stroke/move_time) and braking take a third of the time each.
 
     Parameters
     ----------
@@ -202,7 +205,7 @@ def s_curve(samples: int, dt: float, stroke: float, move_time: float) -> Floats:
     Parameters
     ----------
     samples, dt, stroke, move_time
-        As of `trapezoid`.
+        See `trapezoid`.
 
     Raises
     ------
@@ -231,7 +234,7 @@ def stop_and_go(
     Parameters
     ----------
     samples, dt, stroke, move_time
-        As of `trapezoid`, for each move.
+        Values for each move; see `trapezoid`.
     dwell_time
         Time of each dwell [s], >= 0.
     shape
@@ -267,7 +270,7 @@ def steps(samples: int, dt: float, stroke: float, hold_time: float) -> Floats:
     Parameters
     ----------
     samples, dt, stroke
-        As of `trapezoid`.
+        See `trapezoid`.
     hold_time
         Time for which each value is held [s], > 0.
 
@@ -300,11 +303,11 @@ def random_moves(
     Parameters
     ----------
     samples, dt, stroke, move_time
-        As of `trapezoid`, for each move.
+        Values for each move; see `trapezoid`.
     dwell_time
         Mean time of a dwell [s], >= 0. Each dwell takes 0 to 2 dwell_time.
     rng
-        Generator of positions and dwells.
+        Random generator of positions and dwells.
     shape
         "s-curve" or "trapezoid".
 
