@@ -1,9 +1,9 @@
 """Optimal inputs: the most information within the limits of the machine, with a proved distance to the optimum.
 
-    problem = Problem(Drive(2.0), {"mass": 1.5, ...}, ("mass",), horizon=2.0, intervals=40, limits=Limits(input=3.0), ...)
-    design = solve(problem, certify=5.0)        # the input, its information, and a bound of the optimum
-    appraise(design)                            # compared with the standard inputs, with the encoder's error
-    sequential(problem, experiment, ...)        # design, run, estimate, and design again
+problem = Problem(Drive(2.0), {"mass": 1.5, ...}, ("mass",), horizon=2.0, intervals=40, limits=Limits(input=3.0), ...)
+design = solve(problem, certify=5.0)        # the input, its information, and a bound of the optimum
+appraise(design)                            # compared with the standard inputs, with the encoder's error
+sequential(problem, experiment, ...)        # design, run, estimate, and design again
 """
 
 from pmfid.design.appraisal import appraise

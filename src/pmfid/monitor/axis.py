@@ -31,9 +31,13 @@ REASONS = ("", "the estimate has not started", "poor excitation", "standstill", 
 
 @dataclass(frozen=True)
 class Watching:
-    """Configuration that all axes share. detector, threshold: of its statistic; relative: deviation that is no change;
-    noise: (p, p) of the estimator; wait: blocks for a reference (p,); silent_blocks: blocks without information until
-    the state is CANNOT_TELL; block_time [s]."""
+    """The configuration that all axes share.
+
+    The statistic of `detector` raises a suspicion above `threshold`. `relative` is the relative deviation that is no
+    change. `noise` (p, p) belongs to the estimator. `wait` returns the number of blocks to wait for a reference (p,).
+    After `silent_blocks` blocks without information the state is CANNOT_TELL. `block_time` is the length of a block
+    [s].
+    """
 
     calibration: Calibration
     detector: Detector
@@ -51,11 +55,11 @@ class Watching:
         return self.calibration.scale if work is None else work.scale
 
     def rescale(self, sigma: Floats) -> Scale:
-        """The scale for axes with other references: sigma is (n, p) or (p,)."""
+        """Return the scale for axes with other references, from the sigma (n, p) or (p,) of these axes."""
         return replace(self._seen, sigma=sigma)
 
     def sizes(self, theta: Floats) -> Floats:
-        """(n,) noise at references (n, p), over the noise at the calibration's reference."""
+        """Return the noise (n,) at references (n, p), over the noise at the calibration's reference."""
         first = float(self._square(self.calibration.theta[None])[0])
         return np.asarray(np.sqrt(self._square(theta) / max(first, 1e-300)))
 
@@ -66,7 +70,7 @@ class Watching:
         return total
 
     def derive(self, own: Watched) -> None:
-        """Values that are derived from the references."""
+        """Derive sigma, tolerance and waiting time of each axis from the references."""
         own.sigma[:] = self.sizes(own.theta)[:, None] * self._seen.sigma
         own.tolerance[:] = self.relative * np.abs(own.theta) / own.sigma
         known: dict[bytes, int] = {}
@@ -77,7 +81,7 @@ class Watching:
             own.wait[axis] = known[key]
 
     def refer(self, own: Watched, theta: Floats) -> None:
-        """Starts to watch for deviations from references (n, p)."""
+        """Start to watch for deviations from references (n, p)."""
         own.theta[:] = theta
         self.derive(own)
         own.waiting[:] = own.wait
@@ -86,16 +90,16 @@ class Watching:
         self.restart(own)
 
     def restart(self, own: Watched) -> None:
-        """Resets the detector."""
+        """Reset the detector."""
         own.detection[:] = self.detector.start(own.theta.shape)
 
     def detection_rows(self, p: int) -> int:
-        """Rows of p numbers of the detector's state."""
+        """Return the number of rows in the detector's state; a row has p numbers."""
         return self.detector.detection(p).rows
 
     @cached_property
     def watcher(self) -> Watcher:
-        """Kernel of these decisions."""
+        """The kernel that makes the decisions of these axes."""
         work = self.calibration.work
         return Watcher(
             self.calibration.scale.norms,
@@ -147,12 +151,12 @@ class WatchedAxis:
 
     @property
     def scoring(self) -> Scoring:
-        """How blocks are made."""
+        """Rule that makes blocks from samples."""
         return self._filter.scoring
 
     @property
     def state(self) -> str:
-        """STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING."""
+        """State of the monitor: STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING."""
         return STATES[self._own.state[0]]
 
     @property
@@ -167,7 +171,7 @@ class WatchedAxis:
 
     @property
     def reference(self) -> Floats:
-        """(p,) parameters from which deviations are measured."""
+        """Parameters (p,) from which deviations are measured."""
         return np.array(self._own.theta[0])
 
     @property
@@ -175,21 +179,21 @@ class WatchedAxis:
         return (self.samples - 1) * self.estimator.dt
 
     def _add_known(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
-        """A reference (p,) and its standard deviations, combined with the prior information; each (q,)."""
+        """Combine a reference (p,) and its standard deviations with the prior information; return both, each (q,)."""
         if self.known is None:
             return theta, std
         found = self.known.combine(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
         return found.theta, found.theta_std
 
     def _refer(self, theta: Floats) -> None:
-        """Starts to watch for deviations from theta (p,)."""
+        """Start to watch for deviations from theta (p,)."""
         self._filter = ScoreFilter(self._front, theta, self._filter, self.calibration.left_out)
         self.watching.refer(self._own, self._filter.theta[None])
         rest = self._rest
         rest.gathered[0], rest.refined[0], rest.crossed[0], rest.suspected[0] = 0.0, 0, 0.0, 0
 
     def _on_block(self, rows: Floats, lost: NDArray[np.uint8], estimate: Estimate) -> list[Event]:
-        """Events after a block (1, width); lost: (1,) whether all its samples were disturbed."""
+        """Return the events after a block (1, width). `lost` (1,) is true if all samples of the block were disturbed."""
         watcher, own = self.watching.watcher, self._own
         rows, information = watcher.informed(own, rows, bool(lost[0]))
         if self.state == SETTLING:
@@ -213,7 +217,7 @@ class WatchedAxis:
         return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
 
     def _look_around(self, estimate: Estimate) -> list[Event]:
-        """Updates the state: whether changes can be detected now."""
+        """Update the state, which depends on whether changes can be detected now."""
         wanted, reason = self.watching.watcher.looked(self._own, estimate.status)
         return self._enter(STATES[wanted], REASONS[reason])
 
@@ -226,9 +230,7 @@ class WatchedAxis:
     def _alarm(self, estimate: Estimate) -> list[Event]:
         units, begun = self._rest.recent(0, int(self._own.units[0]))
         cause, gathered = self._cause(units, estimate), float(self._rest.gathered[0])
-        ends = (
-            gathered >= TUNING.cause_information and cause.largest <= self.watch.tolerance
-        )  # a single fault, as a rule
+        ends = gathered >= TUNING.cause_information and cause.largest <= self.watch.tolerance  # usually a single fault
         if gathered < _enough(cause) and not ends:
             return []
         if ends or abs(cause.relative) <= self.watch.tolerance:
@@ -270,8 +272,11 @@ class WatchedAxis:
         return float(self.estimator.equation.input_gain)
 
     def _evidence(self, estimate: Estimate) -> ChangeEvidence | None:
-        """Evidence of the estimate on the cause; None while there is no estimate. If the model has unmodelled effects,
-        the constant offset is subtracted and the covariance of a unit of normal work is added."""
+        """Return the evidence of the estimate on the cause, or None while no estimate exists.
+
+        If the model has unmodelled effects, the evidence excludes their constant offset. Its covariance then includes
+        the covariance of a unit of normal work.
+        """
         found, work = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self.calibration.work
         if work is not None:
             found = ChangeEvidence(found.theta - work.offset, found.covariance + np.diag(work.scale.sigma**2))
@@ -279,14 +284,17 @@ class WatchedAxis:
         return None if silent else found
 
     def _friction(self) -> Floats | None:
-        """(p,) the frictions of the reference. None if there is only one. None also if causes are named within a few
-        blocks, which cannot separate growth of all frictions from growth of one."""
+        """Return the frictions (p,) of the reference, or None if they cannot have a common cause.
+
+        The result is None if the reference has only one friction. It is also None if causes are named within a few
+        blocks. A few blocks cannot separate growth of all frictions from growth of one.
+        """
         equation, reference = self.estimator.equation, self.reference
         kinds = np.array(equation.positive) & (np.arange(reference.size) != equation.leading)
         return np.where(kinds, reference, 0.0) if self.calibration.work is not None and kinds.sum() > 1 else None
 
     def _settle(self, rows: Floats, information: float, estimate: Estimate) -> list[Event]:
-        """First the estimate becomes the model; later that model, corrected by the blocks, becomes the reference."""
+        """Make the estimate the model; later make this model, corrected by the blocks, the reference."""
         rest = self._rest
         rest.gathered[0] += information
         if rest.refined[0]:
@@ -316,8 +324,11 @@ class WatchedAxis:
         return [Settled(self._time, now, errors, before, self._gain(theta, std)), *self._enter(WATCHING, "")]
 
     def _gain(self, theta: Floats, std: Floats) -> tuple[float, float, float] | None:
-        """If the alarm was on the input gain: the new gain, its standard deviation and the previous gain. The new gain
-        is the one that turns the previous reference into theta (p,)."""
+        """Return the new gain, its standard deviation and the previous gain after an alarm on the input gain, else
+        None.
+
+        The new gain turns the previous reference into theta (p,).
+        """
         if not self._rest.by_gain[0] or self.known is not None:
             return None
         return new_gain(ChangeEvidence(theta, np.diag(std**2)), self._rest.before[0], self._given_gain)
@@ -326,14 +337,14 @@ class WatchedAxis:
         return not estimate.status & UNUSABLE and self.plausible(np.array(estimate.theta))
 
     def plausible(self, theta: Floats) -> bool:
-        """Whether the parameters (p,) are possible for a machine: mass positive, frictions not negative."""
+        """Return whether a machine can have the parameters (p,): positive mass, and no negative friction."""
         equation = self.estimator.equation
         never_negative = np.array(equation.positive)
         return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
 
 
 def _enough(cause: Cause) -> float:
-    """Information at which a cause is named."""
+    """Return the information at which a cause is named."""
     if cause.others is None:
         return TUNING.cause_blind
     return TUNING.cause_latest if cause.others else TUNING.cause_information

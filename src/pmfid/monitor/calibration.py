@@ -1,4 +1,4 @@
-"""Thresholds, calibrated for a false alarm rate."""
+"""Thresholds, calibrated for a rate of false alarms."""
 
 from __future__ import annotations
 
@@ -29,8 +29,11 @@ from pmfid.types import Counts, Floats
 
 
 def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
-    """Mean square of sums of blocks x, w: (runs, n, p), over their information; of each of calibration_lengths,
-    (lengths, p), and standard errors of that. Sums without information count for nothing; edge: as in `detectors`."""
+    """Return the mean square of sums of blocks over the information of these sums, and its standard error.
+
+    The blocks x and their information w are (runs, n, p). Both results are (lengths, p), with a row for each of the
+    `calibration_lengths`. Sums without information do not count. `edge` has the meaning as in `detectors`.
+    """
     means, errors = [], []
     for length in TUNING.calibration_lengths:
         n = x.shape[1] // length * length
@@ -44,16 +47,20 @@ def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
 
 
 def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edge: float) -> bool:
-    """Whether sums of blocks of the record x, w: (n, p) deviate by more than those of the simulation (runs, n, p)."""
+    """Return whether sums of blocks of the record deviate by more than the same sums of the simulation.
+
+    The record has x and w (n, p); the simulation has x and w (runs, n, p).
+    """
     mean, error = powers(record[0][None], record[1][None], edge)
     normal, _ = powers(*simulated, edge)
     return bool(np.any(mean - np.maximum(TUNING.calibration_larger * error, (TUNING.at_least - 1) * normal) > normal))
 
 
 def piece_length(x: Floats) -> int:
-    """Number of units of a piece of x (n, p), so that pieces keep the correlation of neighbouring units.
+    """Return the number of units in a piece of x (n, p) that keeps the correlation of neighbouring units.
 
-    It is the smallest number whose sums have, per unit and within chance, the variance of sums of four times as many.
+    The result is the smallest number with the right variance per unit. Within chance, sums of this number of units have the
+    same variance per unit as sums of four times as many.
     """
     for length in TUNING.calibration_pieces[:-1]:
         n = len(x) // (4 * length)
@@ -65,7 +72,7 @@ def piece_length(x: Floats) -> int:
 
 
 def _variance(x: Floats, length: int) -> Floats:
-    """(p,) of sums of `length` of x (n, p), for each of them."""
+    """Return the mean square (p,) per unit of sums of `length` units of x (n, p)."""
     n = len(x) // length * length
     if n == 0:
         return np.ones(x.shape[1])
@@ -75,10 +82,10 @@ def _variance(x: Floats, length: int) -> Floats:
 def resample_units(
     x: Floats, w: Floats, shape: tuple[int, int], length: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Units (runs, n, p) of pieces of `length` of a record x, w: (n, p), from random places.
+    """Draw units (runs, n, p) in pieces of `length` from random places of a record x, w (n, p).
 
     Mean and standard deviation of each run come from a second record of the original length, drawn in the same way.
-    Their errors are then as large as the errors of such a record.
+    Their errors are then as large as the errors of a record of this length.
     """
     drawn = _rows(len(x), shape, length, rng)
     learned = _rows(len(x), (shape[0], len(x)), length, rng)
@@ -88,16 +95,19 @@ def resample_units(
 
 
 def _rows(n: int, shape: tuple[int, int], length: int, rng: np.random.Generator) -> np.ndarray:
-    """(runs, n) places in a record of n."""
+    """Return places (runs, n) in a record of n units."""
     starts = rng.integers(n, size=(shape[0], -(-shape[1] // length), 1))
     return np.asarray(((starts + np.arange(length)) % n).reshape(shape[0], -1)[:, : shape[1]])
 
 
 @dataclass(frozen=True)
 class NormalWork:
-    """Normal work in units. size: information of a unit [average blocks]; offset: (p,) constant deviation of the
-    parameters by unmodelled effects [unit of theta]; scale: of units; limit: (p,) deviations, in standard deviations of
-    the scale, beyond which a unit counts for less."""
+    """Normal work, divided into units.
+
+    `size` is the information of a unit [average blocks]. `offset` (p,) is the constant deviation of the parameters by
+    unmodelled effects [unit of theta]. `scale` is the scale of units. `limit` (p,) is the deviation, in standard
+    deviations of the scale, beyond which a unit has less weight.
+    """
 
     size: float
     offset: Floats
@@ -105,15 +115,15 @@ class NormalWork:
     limit: Floats
 
     def units(self, blocks: Blocks, information: Floats) -> Blocks:
-        """Whole units of blocks with (n,) information, in average blocks."""
+        """Return the whole units of blocks that have the information (n,) in average blocks."""
         return self.weigh(self.centre(sum_blocks(blocks, information, self.size)))
 
     def centre(self, blocks: Blocks) -> Blocks:
-        """Blocks, or sums of blocks, without the constant deviation."""
+        """Return blocks, or sums of blocks, without the constant deviation."""
         return replace(blocks, score=centred(blocks.score, blocks.cross, self.offset))
 
     def weigh(self, units: Blocks) -> Blocks:
-        """Centred units, each with its weight."""
+        """Return centred units, each multiplied by its weight."""
         weight = weights(self.scale.standardise(units)[0], self.limit)
         return Blocks(
             units.score * weight[:, None], units.cross * weight[:, None, None], units.square * weight[:, None, None]
@@ -121,7 +131,7 @@ class NormalWork:
 
 
 def sum_blocks(blocks: Blocks, information: Floats, size: float) -> Blocks:
-    """Sums of blocks; each sum has at least `size` of the (n,) information."""
+    """Return sums of blocks, each with at least `size` of the information (n,)."""
     ends, gathered = [0], 0.0
     for k, part in enumerate(information.tolist()):
         gathered += part
@@ -136,7 +146,7 @@ def sum_blocks(blocks: Blocks, information: Floats, size: float) -> Blocks:
 
 
 def learn(blocks: Blocks, information: Floats) -> NormalWork:
-    """Learns normal work from its blocks and their information (n,), in average blocks."""
+    """Learn normal work from its blocks and their information (n,), in average blocks."""
     found = _learn_units(
         units := sum_blocks(blocks, information, TUNING.calibration_sizes[0]), TUNING.calibration_sizes[0]
     )
@@ -151,7 +161,7 @@ def learn(blocks: Blocks, information: Floats) -> NormalWork:
 
 
 def _alike(x: Floats) -> float:
-    """The largest correlation of x (n, p) with the next one."""
+    """Return the largest correlation of x (n, p) between neighbouring units."""
     return float(np.max(np.abs((x[1:] * x[:-1]).mean(axis=0) / (x**2).mean(axis=0))))
 
 
@@ -171,16 +181,16 @@ def _learn_units(units: Blocks, size: float) -> NormalWork:
     return replace(found, scale=scale, limit=found.limit / sigma)
 
 
-#: Units of work in the record whose scatter gives thresholds: each quarter needs a scatter of its own.
+#: Least number of units whose scatter gives thresholds. Each quarter of the record needs its own scatter.
 LEAST_RECORD_UNITS = TUNING.calibration_parts * TUNING.least_record_blocks
 
 
 @dataclass(frozen=True)
 class Tail:
-    """Rate of false alarms [1/h] at a threshold h: rate exp(-(h - level) / slope) from `level` on.
+    """The rate of false alarms [1/h] at a threshold h: rate exp(-(h - level) / slope) from `level` upwards.
 
-    maxima: (m,) the largest interval maxima, falling; hours: simulated for them; parts: level, slope and rate of parts
-    of the record alone.
+    `maxima` (m,) has the largest interval maxima in falling order, from `hours` of simulation. `parts` has the level,
+    slope and rate of each part of the record.
     """
 
     level: float
@@ -191,12 +201,15 @@ class Tail:
     parts: tuple[tuple[float, float, float], ...] = ()
 
     def threshold(self, mtbf_hours: float) -> float:
-        """The threshold for a mean time between false alarms [h], a standard error on the rare side."""
+        """Return the threshold for a mean time between false alarms [h], one standard error towards fewer alarms."""
         careful = min(math.exp(self.doubt(mtbf_hours)), TUNING.calibration_careful)
         return _line(self.level, self.slope, self.rate, careful * mtbf_hours)
 
     def doubt(self, mtbf_hours: float) -> float:
-        """Standard error of the logarithm of that mean time, from differences of the parts; 0 without parts."""
+        """Return the standard error of the logarithm of the mean time between false alarms, or 0 without parts.
+
+        The error comes from the differences between the parts of the record.
+        """
         if not self.parts:
             return 0.0
         thresholds = [_line(*part, mtbf_hours) for part in self.parts]
@@ -209,7 +222,7 @@ def _line(level: float, slope: float, rate: float, mtbf_hours: float) -> float:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Thresholds and scales of a monitor; `calibrate` makes one.
+    """The thresholds and scales of a monitor, as `calibrate` returns them.
 
     Attributes
     ----------
@@ -218,7 +231,7 @@ class Calibration:
     scale
         Scale of normal work.
     chi_square
-        Precision of the detector "chi-square".
+        Inverse covariance for the detector "chi-square".
     tails
         Distribution of large statistics, by detector.
     noise
@@ -226,9 +239,9 @@ class Calibration:
     hours
         Simulated time [h].
     record_hours
-        Length of the record whose units of work the tails are made of [h]; 0 if the tails are from the simulation.
+        Length [h] of the record whose units of work gave the tails; 0 if the simulation gave the tails.
     work
-        These units of work; None if the tails are from the simulation.
+        Normal work of this record, in units; None if the simulation gave the tails.
 
     Examples
     --------
@@ -255,29 +268,32 @@ class Calibration:
 
     @property
     def left_out(self) -> int:
-        """Status of the samples that count for nothing, as in `scores.Scoring`."""
+        """Status bits of samples that do not count, as in `scores.Scoring`."""
         return UNUSABLE if self.work is None else UNUSABLE_AT_REST
 
     def detectors(self, estimator: Estimator) -> dict[str, Detector]:
-        """The detectors by name, as they were calibrated."""
+        """Return the detectors by name, with their calibrated settings."""
         keep = block_keep(estimator) if self.work is None else TUNING.unit_keep
         return make_detectors(keep, self.chi_square)
 
     def deviations(self, blocks: Blocks) -> tuple[Floats, Floats]:
-        """x, w: (n, p) that the detectors take, of blocks at theta."""
+        """Return the deviations x and information w (n, p) that the detectors take, from blocks at theta."""
         if self.work is None:
             return self.scale.standardise(blocks)
         return self.work.scale.standardise(self.work.units(blocks, self.scale.information(blocks)))
 
 
 def block_keep(estimator: Estimator) -> float:
-    """Discount of a block in the memory of the estimator; without forgetting, the discount of a memory of 10 blocks."""
+    """Return the discount of a block in the memory of the estimator.
+
+    Without forgetting, the discount belongs to a memory of 10 blocks.
+    """
     forgetting = float(getattr(estimator, "forgetting", 1.0))
     return forgetting ** block_samples(estimator) if forgetting < 1 else 0.9
 
 
 def simulated_hours(mtbf_hours: float) -> float:
-    """How long to simulate for a mean time between false alarms; both in h."""
+    """Return the time to simulate [h] for a mean time between false alarms [h]."""
     return min(max(TUNING.hours_per_mtbf * mtbf_hours, TUNING.least_hours), TUNING.most_hours)
 
 
@@ -302,13 +318,13 @@ def calibrate(
     u
         (n,) input of a record of normal work [V].
     counts
-        (n,) counts of that record; None if the record may not be normal: the noise is then the encoder's alone.
+        (n,) counts of the record. None if the record may not be normal; the noise then comes from the encoder alone.
     hours
         Time to simulate [h].
     seed
         Seed of the simulation.
     progress
-        Function that is called with the fraction that is done.
+        Function that is called with the completed fraction.
 
     Returns
     -------
@@ -357,7 +373,7 @@ def calibrate(
 
 
 def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts, seed: int) -> Calibration:
-    """The calibration with units of work in place of blocks, and tails of their resampled sequence."""
+    """Return the calibration with units of work in place of blocks, and with the tails of resampled units."""
     blocks = _record_blocks(estimator, plain.theta, u, counts, UNUSABLE_AT_REST)
     work = learn(blocks, plain.scale.information(blocks))
     record_hours = len(blocks.score) * block_samples(estimator) * estimator.dt / 3600
@@ -406,8 +422,10 @@ def _tails(
 
 
 def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts, left_out: int = UNUSABLE) -> Blocks:
-    """The blocks of a record of normal work, once the model has its velocity. Raises UsageError if hardly any are
-    left."""
+    """Return the blocks of a record of normal work, from the time when the model has the velocity of the plant.
+
+    Raises UsageError if too few blocks remain.
+    """
     start = start_blocks(estimator, theta)
     blocks = scores(estimator, theta, u, counts, left_out)[start:]
     if len(blocks.score) < TUNING.least_record_blocks:
@@ -427,7 +445,10 @@ def replays(
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Blocks]:
-    """Blocks of simulated runs of run_time, `hours` in all: the input from a random moment on, over and over."""
+    """Yield the blocks of simulated runs of `run_time`, `hours` in total.
+
+    Each run repeats the input from a random moment.
+    """
     samples, runs = round(TUNING.run_time / estimator.dt), max(1, round(hours * 3600 / TUNING.run_time))
     for run in range(runs):
         start = int(rng.integers(u.size))
@@ -438,7 +459,10 @@ def replays(
 
 
 def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: float) -> Counts:
-    """Counts (n,) of the model at theta (p,) under u (n,); phase: of the start on the lattice, in counts."""
+    """Return the counts (n,) of the model with the parameters theta (p,) under the input u (n,).
+
+    `phase` is the start on the encoder's lattice, in counts.
+    """
     mean = mean_velocity(estimator.equation, theta, estimator.dt, u)
     position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
     if not np.max(np.abs(position)) < TUNING.most_counts * estimator.encoder.resolution:
@@ -451,7 +475,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
 
 
 def fit_tail(statistic: Floats, block_time: float, top: int = TUNING.calibration_tail) -> Tail:
-    """The tail of the `top` maxima over intervals of the statistic (runs, n) of blocks of block_time [s]."""
+    """Return the tail of the `top` interval maxima of the statistic (runs, n), for blocks of `block_time` [s]."""
     size = max(1, round(TUNING.interval_time / block_time))
     n = statistic.shape[1] // size
     maxima = np.sort(statistic[:, : n * size].reshape(-1, size).max(axis=1))[::-1]
@@ -462,7 +486,10 @@ def fit_tail(statistic: Floats, block_time: float, top: int = TUNING.calibration
 
 
 def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
-    """(p,) standard deviation of the blocks of a record over that of the scale; 1 if it could be chance."""
+    """Return the standard deviation (p,) of the blocks of a record over the one of the scale.
+
+    The ratio is 1 if the difference could be chance.
+    """
     x, _ = scale.standardise(blocks)
     power = (x**2).mean(axis=0)
     error = (x**2).std(axis=0) / math.sqrt(len(x))
@@ -470,7 +497,7 @@ def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
 
 
 def _precision(detector: ChiSquare, x: Floats, w: Floats) -> tuple[tuple[float, ...], ...]:
-    """Inverse covariance of the deviation of the estimate in normal work x, w: (runs, n, p)."""
+    """Return the inverse covariance of the estimate's deviation in normal work x, w (runs, n, p)."""
     found, total = detector.deviations(x, w), np.zeros((x.shape[-1], x.shape[-1]))
     for k in range(x.shape[1]):
         total += found[:, k].T @ found[:, k]

@@ -1,4 +1,4 @@
-"""The one cause that explains the block scores best: its parameter, size and time."""
+"""The cause that explains the block scores best: its parameter, size and time."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ from pmfid.monitor.scores import Blocks, Scale
 from pmfid.monitor.tuning import TUNING
 from pmfid.types import Flags, Floats
 
-#: A guide that runs dry has more friction of every kind.
+#: A dry guide has more friction of every kind.
 FRICTION = "friction"
 
 
 @dataclass(frozen=True)
 class Cause:
-    """name: of the parameter, INPUT_GAIN or FRICTION; change, std: [its unit], of FRICTION relative; relative: change
-    over the reference value, over std if that value is 0; start: index of the first block that shows it; others: causes
-    that are as likely; None if there was no estimate to compare them."""
+    """One possible cause of a change.
+
+    `name` is the parameter, INPUT_GAIN or FRICTION. `change` and `std` have the unit of the parameter; for FRICTION
+    they are relative. `relative` is the change over the reference value, or over `std` if the reference value is 0.
+    `start` is the index of the first block that shows the change. `others` has the causes that are equally likely, or
+    None if no estimate existed for a comparison.
+    """
 
     name: str
     change: float
@@ -31,13 +35,13 @@ class Cause:
 
     @property
     def largest(self) -> float:
-        """Relative size that three standard errors leave possible."""
+        """Largest relative size within three standard errors."""
         return abs(self.relative) * (1 + 3 * self.std / abs(self.change)) if self.change else np.inf
 
 
 @dataclass(frozen=True)
 class ChangeEvidence:
-    """A recursive estimate from the samples since the suspicion. theta (p,); covariance (p, p) of its error."""
+    """A recursive estimate theta (p,) from the samples since the suspicion, and the covariance (p, p) of its error."""
 
     theta: Floats
     covariance: Floats
@@ -54,27 +58,28 @@ def explain(
     friction: Floats | None = None,
     evidence: ChangeEvidence | None = None,
 ) -> Cause:
-    """The most likely single change, at one of the blocks' starts.
+    """Return the most likely single change, which starts with one of the blocks.
 
-    For a direction v and the blocks from a start on, with sums S, W, Z,
+    For a direction v and the sums S, W, Z of the blocks from a start, the ratio
 
         gain = (v^T W^T Z^-1 S)^2 / (v^T W^T Z^-1 W v)
 
-    is the generalised likelihood ratio of theta0 + size v (Willsky and Jones 1976), but for the noise. theta: (p,)
-    reference; directions: each parameter but those that are known to stay, fixed, and theta itself for a loss of
-    force, which looks as if all parameters had grown alike; latest: the last start that is possible, as the deviation
-    was noticed then; friction: (p,) theta with 0 for parameters other than friction, if all friction may grow alike.
+    is the generalised likelihood ratio of theta0 + size v (Willsky and Jones 1976), except for the noise. theta (p,) is
+    the reference. The directions are all parameters except the constant ones in `fixed`. The direction theta itself
+    stands for a loss of force, which looks as if all parameters had grown alike. `latest` is the last possible start,
+    because the deviation was noticed then. `friction` (p,) is theta with 0 for all other parameters, if all frictions
+    may grow alike.
 
-    The blocks use a motion simulated with the reference. It reverses at other instants than the changed plant, which
-    looks like a part of the change. The simulated motion of the estimate reverses at the same time as the plant. So
-    causes that the estimate excludes are left out, and the size combines blocks and estimate.
+    The blocks use a motion that is simulated with the reference. This motion reverses at other instants than the
+    changed plant, which looks like a part of the change. The simulated motion of the estimate reverses at the same time
+    as the plant. Causes that the estimate excludes are therefore left out, and the size combines blocks and estimate.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + TUNING.cause_ridge * np.diag(np.diagonal(Z[0]))
     free = [i for i, name in enumerate(names) if name not in fixed]
     further = {INPUT_GAIN: theta} | ({} if friction is None else {FRICTION: friction})
     directions, called = np.vstack([np.eye(theta.size)[free], *further.values()]), [*(names[i] for i in free), *further]
-    weighted = np.linalg.solve(Z, W @ directions.T)  # (n, p, directions)
+    weighted = np.linalg.solve(Z, W @ directions.T)  # shape (n, p, directions)
     match = np.einsum("npd,np->nd", weighted, S)
     known = np.maximum(np.einsum("npd,npd->nd", weighted, W @ directions.T), np.finfo(float).tiny)
     gain = match**2 / known
@@ -87,8 +92,10 @@ def explain(
 
 
 def _measure_along(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> tuple[Floats, Floats, float]:
-    """Sizes (k,) along directions (k, p) that the estimate gives a change of each alone, their information (k,), and
-    the squared deviation of the estimate from theta (p,) in standard errors."""
+    """Return sizes (k,) and information (k,) of a change along each of the directions (k, p) alone, by the estimate.
+
+    The third result is the squared deviation of the estimate from theta (p,) in standard errors.
+    """
     precision = np.linalg.pinv(evidence.covariance, hermitian=True)
     deviation, weighted = evidence.theta - theta, directions @ precision
     known = np.maximum(np.einsum("kp,kp->k", weighted, directions), np.finfo(float).tiny)
@@ -96,7 +103,7 @@ def _measure_along(evidence: ChangeEvidence, theta: Floats, directions: Floats) 
 
 
 def _possible(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> Flags:
-    """(k,) whether the estimate leaves a change along each of the directions (k, p) possible."""
+    """Return whether the estimate leaves a change along each of the directions (k, p) possible, (k,)."""
     size, known, total = _measure_along(evidence, theta, directions)
     left = total - size**2 * known
     return np.asarray(left < left.min() + TUNING.cause_excluded)
@@ -105,8 +112,10 @@ def _possible(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> Fl
 def _combine_sizes(
     by_blocks: tuple[float, float], evidence: ChangeEvidence | None, theta: Floats, direction: Floats
 ) -> tuple[float, float]:
-    """Size along a direction (p,) and its standard deviation, from blocks and estimate. A difference beyond their
-    standard errors is an error of the blocks."""
+    """Return the size along a direction (p,) and its standard deviation, from blocks and estimate.
+
+    A difference beyond their standard errors is an error of the blocks.
+    """
     size, std = by_blocks
     doubt = std**2 + (TUNING.cause_moved * size) ** 2
     if evidence is None:
@@ -118,7 +127,10 @@ def _combine_sizes(
 
 
 def new_gain(evidence: ChangeEvidence, theta: Floats, input_gain: float) -> tuple[float, float, float]:
-    """The gain of the input, its standard deviation, and the one of before, if it alone has moved theta (p,)."""
+    """Return the new input gain, its standard deviation and the previous gain.
+
+    The gain alone must have moved theta (p,).
+    """
     size, known, _ = (np.ravel(part)[0] for part in _measure_along(evidence, theta, theta[None]))
     cause = _scale_cause(Cause(INPUT_GAIN, 0.0, 0.0, 0.0, 0), float(size), float(known**-0.5), theta, (), input_gain)
     return input_gain + cause.change, cause.std, input_gain
@@ -127,7 +139,7 @@ def new_gain(evidence: ChangeEvidence, theta: Floats, input_gain: float) -> tupl
 def _scale_cause(
     cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float
 ) -> Cause:
-    """The cause with its size along its direction in terms of what has changed."""
+    """Return the cause with its size along its direction, expressed as a change of the parameter."""
     if cause.name == FRICTION:
         return replace(cause, change=size, std=std, relative=size)
     if cause.name != INPUT_GAIN:
@@ -139,18 +151,21 @@ def _scale_cause(
 
 
 def _start(gain: Floats) -> int:
-    """The start whose best cause explains most. Among equal starts the last: no block before it shows the change."""
+    """Return the start whose best cause explains most.
+
+    Among equal starts the last counts, because no block before it shows the change.
+    """
     late = gain[::-1]
     return len(gain) - 1 - int(np.argmax(late.max(axis=1) >= (1 - 1e-9) * late.max()))
 
 
 def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[float, float]:
-    """The change along a direction (p,), and its standard deviation.
+    """Return the change along a direction (p,), and its standard deviation.
 
     Blocks in which the change occurs and the filters settle show only a part of the change. They are left out if enough
     information remains. The uncertainty of the start is the change of the size by one more block, or one fewer.
     """
-    by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the parameters that it moves
+    by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the moved parameters
     information = np.cumsum(by_block[::-1])[::-1]
     possible = range(start, min(start + TUNING.cause_transition + 1, len(information)))
     found = [_fit(blocks[k:], scale, direction) for k in possible if k == start or information[k] > 0]
@@ -161,8 +176,11 @@ def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[
 
 
 def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]:
-    """The change along a direction (p,) that all blocks show, and its standard deviation: the larger one of what the
-    noise of normal work makes it, and of what the blocks leave unexplained, with its correlation."""
+    """Return the change along a direction (p,) that all blocks show, and its standard deviation.
+
+    The standard deviation is the larger of two values. The first comes from the noise of normal work. The second comes
+    from the unexplained part of the blocks, with its correlation.
+    """
     W, Z = blocks.cross.sum(axis=0), blocks.square.sum(axis=0)
     weight = np.linalg.solve(
         Z + TUNING.cause_ridge * np.diag(np.diagonal(Z)) + np.finfo(float).tiny * np.eye(len(Z)), W @ direction
@@ -170,7 +188,7 @@ def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]
     match, known = blocks.score @ weight, blocks.cross @ direction @ weight
     total = max(float(known.sum()), np.finfo(float).tiny)
     size = float(match.sum()) / total
-    # of the parameters that the direction moves
+    # noise of the parameters that the direction moves
     noise = float(np.mean((scale.sigma**2 / scale.energy)[direction != 0]))
     rest = match - size * known
     n = len(rest)

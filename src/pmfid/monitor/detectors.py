@@ -1,9 +1,9 @@
 """Detectors of a change, on standardised block deviations x and their information w (see `scores.Scale`).
 
-Each is a frozen configuration; its state is an array (rows, p) for each axis, and what a block makes of it is computed
-one axis after the other (`_stage.Detection`). The statistic grows with the evidence for a change of any parameter in
-either direction; what it may reach by chance is the business of `calibration`. A block without information changes
-nothing.
+Each detector is a frozen configuration. Its state is an array (rows, p) for each axis, which the kernel
+`_stage.Detection` updates axis by axis. The statistic grows with the evidence for a change of any parameter in either
+direction. The module `calibration` finds the values that the statistic may reach by chance. A block without information
+changes nothing.
 """
 
 from __future__ import annotations
@@ -31,21 +31,23 @@ __all__ = [
 
 
 class Detector(ABC):
-    """name: as in AXIS.toml."""
+    """A detector of changes, with its `name` in AXIS.toml."""
 
     name: ClassVar[DetectorName]
 
     @abstractmethod
     def detection(self, p: int) -> Detection:
-        """The recursion of the statistic for p parameters."""
+        """Return the recursion of the statistic for p parameters."""
 
     def start(self, shape: tuple[int, ...]) -> Floats:
-        """The state (..., rows, p) before the first block; shape: (..., p) of x."""
+        """Return the state (..., rows, p) before the first block, for x of the shape (..., p)."""
         return np.zeros((*shape[:-1], self.detection(shape[-1]).rows, shape[-1]))
 
     def update(self, state: Floats, x: Floats, w: Floats, tolerance: Floats) -> tuple[Floats, Floats]:
-        """The state after a block x, w: (..., p), and the statistic (...,); tolerance: (..., p) deviations in standard
-        deviations that are no change."""
+        """Return the state after a block x, w (..., p), and the statistic (...,).
+
+        `tolerance` (..., p) is the deviation that is no change, in standard deviations.
+        """
         after = state.copy()
         found = _run(self, after, x[..., None, :], w[..., None, :], tolerance)
         return after, found[..., 0]
@@ -55,7 +57,7 @@ class Detector(ABC):
 class Cusum(Detector):
     """Two-sided cumulative sum (Page 1954): g = max(0, g +- x - (drift + tolerance) w), the largest of all.
 
-    drift: half the deviation that it is tuned for, in standard deviations of a block.
+    `drift` is half the deviation for which the detector is tuned, in standard deviations of a block.
     """
 
     name: ClassVar[DetectorName] = "cusum"
@@ -67,10 +69,11 @@ class Cusum(Detector):
 
 @dataclass(frozen=True)
 class PageHinkley(Detector):
-    """Page-Hinkley (Hinkley 1971): the same sum, but about the mean of the past in place of the reference.
+    """Page-Hinkley (Hinkley 1971): a cumulative sum about the mean of the past in place of the reference.
 
-    So a reference that is slightly wrong raises no alarm, and a slow drift is followed in silence. memory: of that
-    mean, in blocks of average information; it starts as if a tenth of that had been seen without a deviation.
+    A slightly wrong reference therefore raises no alarm, and a slow drift is followed in silence. `memory` is the
+    memory of the mean, in blocks of average information. The mean starts as if a tenth of the memory had passed without
+    a deviation.
     """
 
     name: ClassVar[DetectorName] = "page-hinkley"
@@ -90,7 +93,8 @@ class PageHinkley(Detector):
 class Glr(Detector):
     """Generalised likelihood ratio (Willsky and Jones 1976): the best start of a shift of any size.
 
-    T = max over the last `window` starts and the parameters of (|sum x| - tolerance sum w)^2 / (2 (sum w + edge)).
+    The statistic is the maximum of (|sum x| - tolerance sum w)^2 / (2 (sum w + edge)) over the last `window` starts and
+    the parameters.
     """
 
     name: ClassVar[DetectorName] = "glr"
@@ -102,10 +106,11 @@ class Glr(Detector):
 
 @dataclass(frozen=True)
 class ChiSquare(Detector):
-    """T = d^T C^-1 d of the deviation of the estimate within the memory, with its covariance.
+    """Statistic d^T C^-1 d of the deviation d of the estimate within its memory, with the covariance C.
 
-    d = sum x / sqrt(sum w + edge), both discounted: the deviation of an estimate with that memory in its standard
-    deviations. keep: discount of a block; precision: (p, p) C^-1, inverse covariance of d in normal work, row by row.
+    The deviation d = sum x / sqrt(sum w + edge), with discounted sums, is in standard deviations of an estimate with
+    the same memory. `keep` is the discount of a block. `precision` (p, p) is C^-1, the inverse covariance of d in
+    normal work, row by row.
     """
 
     name: ClassVar[DetectorName] = "chi-square"
@@ -116,24 +121,27 @@ class ChiSquare(Detector):
         return Detection(CHI_SQUARE, p, drift=self.keep, precision=self.precision)
 
     def deviations(self, x: Floats, w: Floats) -> Floats:
-        """d (runs, n, p) after each of the blocks x, w: (runs, n, p)."""
+        """Return d (runs, n, p) after each of the blocks x, w (runs, n, p)."""
         p = x.shape[-1]
         return self.detection(p).deviations(self.start((len(x), p)), x, w, np.zeros((len(x), p)))
 
 
 def make_detectors(keep: float, precision: tuple[tuple[float, ...], ...] = ()) -> dict[str, Detector]:
-    """All detectors by name; keep: discount of a block in the memory of the estimate; precision: see `ChiSquare`."""
+    """Return all detectors by name.
+
+    `keep` is the discount of a block in the memory of the estimate; `precision` belongs to `ChiSquare`.
+    """
     made: list[Detector] = [Cusum(), PageHinkley(), Glr(), ChiSquare(keep, precision)]
     return {detector.name: detector for detector in made}
 
 
 def statistics(detector: Detector, x: Floats, w: Floats, tolerance: Floats) -> Floats:
-    """The statistic after each of the blocks x, w: (..., n, p); returns (..., n)."""
+    """Return the statistic (..., n) after each of the blocks x, w (..., n, p)."""
     return _run(detector, detector.start((*x.shape[:-2], x.shape[-1])), x, w, tolerance)
 
 
 def _run(detector: Detector, state: Floats, x: Floats, w: Floats, tolerance: Floats) -> Floats:
-    """The statistic from a state (..., rows, p), which is updated."""
+    """Return the statistic after each block, and update the state (..., rows, p)."""
     *many, n, p = x.shape
     axes, blocks = int(np.prod(many)), (-1, n, p)
     tolerances = np.broadcast_to(tolerance, (*many, p)).reshape(axes, p)

@@ -18,13 +18,13 @@ STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING = (
     "suspicious",
     "settling",
 )
-#: All of them, in the order of their numbers.
+#: All states, in the order of their numbers.
 STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
 
 
 @dataclass(frozen=True)
 class Watch:
-    """What to watch for.
+    """The settings of a monitor: detector, rate of false alarms and tolerance.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ class Alarm:
     change, std
         Size of the change and its standard deviation [unit]; relative if the parameter is "friction".
     relative
-        Change over the reference; over std if the reference is 0.
+        Change over the reference, or over std if the reference is 0.
     statistic, threshold
         Statistic at the first suspicion, and its threshold.
     others
-        Causes that the samples so far do not exclude.
+        Other causes that the samples so far do not exclude.
 
     Examples
     --------
@@ -116,8 +116,8 @@ class Settled:
     before
         (q,) previous reference.
     gain
-        After an alarm on the input gain: the new gain, its standard deviation and the previous gain. Theta is then
-        expressed with the previous gain. None otherwise.
+        New gain, its standard deviation and the previous gain after an alarm on the input gain, otherwise None. After
+        such an alarm, theta refers to the previous gain.
 
     Examples
     --------
@@ -196,12 +196,12 @@ class FleetRows:
     innovation
         (k, n) errors of the equation before the update.
     status
-        (k, n) bits of the estimates, as of `Status`.
+        (k, n) status bits of the estimates; see `Status`.
     state
         (k, n) states of the monitors after each sample: 0 starting, 1 watching, 2 cannot tell, 3 suspicious, 4
         settling.
     events
-        (row, sample, event), row by row, each row in the order of time.
+        Tuples (row, sample, event), sorted by row and then by time.
 
     Examples
     --------
@@ -220,27 +220,30 @@ class FleetRows:
 
     @classmethod
     def empty(cls, axes: int, samples: int, parameters: int) -> FleetRows:
-        """Uninitialised arrays for `axes` axes, `samples` samples and `parameters` parameters."""
+        """Return uninitialised arrays for `axes` axes, `samples` samples and `parameters` parameters."""
         shape = (axes, samples)
         theta, std = np.empty((*shape, parameters)), np.empty((*shape, parameters))
         return cls(theta, std, np.empty(shape), np.empty(shape, np.uint32), np.empty(shape, np.uint8), [])
 
     def part(self, rows: slice) -> FleetRows:
-        """Some rows themselves, without events."""
+        """Return views of some rows, without events."""
         theta, std, innovation = self.theta[rows], self.std[rows], self.innovation[rows]
         return FleetRows(theta, std, innovation, self.status[rows], self.state[rows], [])
 
     def take(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
-        """Copies `part` into the rows `rows` (k,), which rise, and the samples `time`; kept: (k,) rows, None: all."""
+        """Copy `part` into the rows `rows` (k,), in rising order, and the samples `time`.
+
+        Only the rows with a true entry in `kept` (k,) are copied; None copies all.
+        """
         taken = np.ones(rows.size, np.bool_) if kept is None else kept
-        whole = taken.all() and rows[-1] - rows[0] == rows.size - 1  # rows rise: they follow one another
+        whole = taken.all() and rows[-1] - rows[0] == rows.size - 1  # consecutive rows, because rows rise
         place, source = (slice(rows[0], rows[-1] + 1), slice(None)) if whole else (rows[taken], taken)
         for name in ("theta", "std", "innovation", "status", "state"):
             getattr(self, name)[place, time] = getattr(part, name)[source]
         self.tell(part, rows, time, taken)
 
     def tell(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags) -> None:
-        """The events of a part, as in `take`."""
+        """Append the events of a part, as `take` does."""
         for row, sample, event in part.events:
             if kept[row]:
                 self.events.append((int(rows[row]), time.start + sample, event))

@@ -1,4 +1,4 @@
-"""Monitors of many axes; quiet axes are computed together."""
+"""Monitors of many axes, where quiet axes are computed together."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ UNEASY = (STATES.index(SUSPICIOUS), STATES.index(SETTLING))
 
 
 class Quiet:
-    """Runs pieces of quiet axes with the configuration of a monitor."""
+    """A runner for pieces of quiet axes, with the configuration of a monitor."""
 
     def __init__(self, monitor: Monitor) -> None:
         self._watching = monitor.watching
         self._estimator, self._filter = monitor.packers
         self._scoring, self._dt = monitor.scoring, monitor.estimator.dt
-        alone = monitor.known is not None  # prior information is combined with each estimate separately
+        alone = monitor.known is not None  # each estimate needs its own combination with prior information
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
         self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
-        self._one_reference = monitor.estimator.equation.dead_time == ESTIMATE  # the kernel is configured with it
+        self._one_reference = monitor.estimator.equation.dead_time == ESTIMATE  # the kernel has one reference
         self._theta = monitor.calibration.theta
 
     def may_run(self, watched: Watched, index: Places) -> Flags:
-        """(k,) which of these axes can be run here."""
+        """Return which of these axes can run here, (k,)."""
         quiet = self._calm[watched.state[index]]
         return quiet & np.all(watched.theta[index] == self._theta, axis=1) if self._one_reference else quiet
 
     def run(
         self, every: AxisStates, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows
     ) -> Flags:
-        """Runs a piece u, counts: (k, n), n >= 1, of k axes. index (k,): their rows in `every`.
+        """Run a piece u, counts (k, n), n >= 1, of k axes, and return whether each axis stayed quiet, (k,).
 
-        sampled: of these axes alone, is updated. `every.watched` is updated for the axes that stay quiet. rows: filled
-        as if all stayed quiet. Returns (k,) whether each axis stayed quiet.
+        `index` (k,) has the rows of the axes in `every`. `sampled` has these axes alone, and is updated.
+        `every.watched` is updated for the axes that stay quiet. `rows` is filled as if all axes stayed quiet.
         """
         samples, filled = sampled.samples.copy(), sampled.progress[:, 0].astype(np.int64)
         own = follow_many(sampled.whole, sampled.real, u, counts)
@@ -74,7 +74,7 @@ class Quiet:
         bars(factor, variance, inflation, rows.std)
 
     def _room(self, k: int, n: int, p: int) -> tuple[Floats, Floats, Floats]:
-        """Work arrays for results that are not returned; their memory is reused."""
+        """Return work arrays for results that are not returned; their memory is reused."""
         if self._memory[0].shape != (k, n, p):
             self._memory = np.empty((k, n, p)), np.empty((k, n, p)), np.empty((k, n))
         return self._memory
@@ -90,7 +90,7 @@ class Quiet:
     def _changes(
         self, rows: FleetRows, wanted: NDArray[np.uint8], reason: NDArray[np.uint8], filled: Places, samples: Places
     ) -> None:
-        """Reports changes of state; wanted: (k, most) the state after each block."""
+        """Report changes of state. `wanted` (k, most) is the state after each block."""
         if (wanted == rows.state[:, :1]).all():
             return
         before = np.concatenate([rows.state[:, :1], wanted[:, :-1]], axis=1)
@@ -107,19 +107,19 @@ T = TypeVar("T")
 class MonitorFleet:
     """Many axes watched with the configuration and calibration of one monitor.
 
-    Each axis has a state of its own, and the same bits as a `Monitor` alone.
+    Each axis has its own state. Its results have the same bits as those from a single `Monitor`.
 
     Parameters
     ----------
     monitor
-        All axes start from its present state; it does not change.
+        Monitor from whose present state all axes start; the monitor does not change.
     axes
         Number of axes, >= 0.
 
     Raises
     ------
     UsageError
-        If `axes` is another number.
+        If `axes` is not a whole number >= 0.
 
     Notes
     -----
@@ -146,18 +146,20 @@ class MonitorFleet:
         self._source, self._first = monitor, monitor.pack_state()
         self.dt, self.names, self.units = monitor.estimator.dt, monitor.names, monitor.units
         self._all = self._first.repeat_rows(axes)
-        self._scratch = _like(monitor)  # for the axes that are not quiet, one after the other
+        self._scratch = _like(monitor)  # computes the axes that are not quiet, one after the other
         self._quiet = Quiet(self._scratch)
 
     @property
     def axes(self) -> int:
-        """How many there are now."""
+        """Number of axes."""
         return self._all.axes
 
     def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> FleetRows:
-        """The next n samples of the axes `index` (k,), each at most once; u, counts: (k, n), u not finite: the sample
-        is lost, as in `Monitor.step`. Raises UsageError if an axis is not there or comes twice, or the arrays do not
-        fit."""
+        """Take the next n samples u, counts (k, n) of the axes `index` (k,), each at most once.
+
+        If u is not finite, the sample is lost, as in `Monitor.step`. Raises UsageError if an axis does not exist or
+        comes twice, or if the arrays do not fit.
+        """
         places, inputs, read_counts = self._check_arrays(index, u, counts)
         rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
         for group in _slices(len(inputs), TUNING.fleet_group):
@@ -167,7 +169,7 @@ class MonitorFleet:
         return rows
 
     def _run(self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice]) -> None:
-        """A piece of a group of axes: the quiet ones at once, the others one after the other."""
+        """Run a piece of a group of axes: the quiet axes together, the others one after the other."""
         quiet = self._quiet.may_run(self._all.watched, index)
         if quiet.all():
             quiet = self._run_quiet(index, u, counts, rows, part, np.arange(index.size))
@@ -180,11 +182,14 @@ class MonitorFleet:
     def _run_quiet(
         self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice], at: Places
     ) -> Flags:
-        """Whether each stayed so, (k,); of those that did the states and rows are as they should be."""
+        """Run a piece of quiet axes, and return whether each axis stayed quiet, (k,).
+
+        The states and rows are valid for the axes that stayed quiet.
+        """
         group, time = part
         u, counts = np.ascontiguousarray(u), np.ascontiguousarray(counts)
         own = rows.part(group)
-        if own.status.shape != u.shape:  # not all axes of the group, or not all samples
+        if own.status.shape != u.shape:  # only some axes of the group, or some samples
             found = FleetRows.empty(u.shape[0], u.shape[1], len(self.names))
             kept = self._run_rows(index, u, counts, found)
             rows.take(found, group.start + at, time, kept)
@@ -194,7 +199,7 @@ class MonitorFleet:
         return kept
 
     def _run_rows(self, index: Places, u: Floats, counts: Counts, rows: FleetRows) -> Flags:
-        """A copy with the rows of these axes only. Axes that follow one another are computed in their place."""
+        """Run a copy with the rows of these axes only. Consecutive axes are computed in place."""
         every = self._all
         if index[-1] - index[0] == index.size - 1 and (np.diff(index) == 1).all():
             sampled = every.sampled.take_rows(slice(int(index[0]), int(index[-1]) + 1))
@@ -209,7 +214,7 @@ class MonitorFleet:
         return kept
 
     def _with(self, axis: int, action: Callable[[Monitor], T]) -> T:
-        """Result of an action of an axis' monitor; the new state of that monitor is stored."""
+        """Return the result of an action on the monitor of an axis, and store the new state of this monitor."""
         self._scratch.go_on(self._all, axis)
         found = action(self._scratch)
         self._all.put(slice(axis, axis + 1), self._scratch.pack_state())
@@ -240,64 +245,66 @@ class MonitorFleet:
         return int(self._places([axis])[0])
 
     def skip(self, axis: int, samples: int) -> list[Event]:
-        """`Monitor.skip` of an axis."""
+        """Call `Monitor.skip` for one axis."""
         return self._with(self._place(axis), lambda monitor: monitor.skip(samples))
 
     @property
     def longest(self) -> int:
-        """`Monitor.longest` of all."""
+        """The common value of `Monitor.longest`."""
         return self._source.longest
 
     def fill_gap(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
-        """`Monitor.between` of an axis."""
+        """Call `Monitor.fill_gap` for one axis."""
         return self._with(self._place(axis), lambda monitor: monitor.fill_gap(missing, u, counts))
 
     def rebase(self, axis: int, counts: int) -> None:
-        """`Monitor.rebase` of an axis."""
+        """Call `Monitor.rebase` for one axis."""
         self._with(self._place(axis), lambda monitor: monitor.rebase(counts))
 
     def refer(self, axis: int, theta: ArrayLike | None = None) -> list[Event]:
-        """`Monitor.refer` of an axis."""
+        """Call `Monitor.refer` for one axis."""
         return self._with(self._place(axis), lambda monitor: monitor.refer(theta))
 
     def monitor(self, axis: int) -> Monitor:
-        """A monitor of its own in the state of an axis."""
+        """Return a new monitor in the state of an axis."""
         single = _like(self._source)
         single.go_on(self._all, self._place(axis))
         return single
 
     def samples(self) -> NDArray[np.int64]:
-        """(axes,) `Monitor.samples` of each."""
+        """`Monitor.samples` of each axis, (axes,)."""
         return self._all.sampled.samples.copy()
 
     def states(self) -> NDArray[np.uint8]:
-        """(axes,) numbers of `STATES`."""
+        """Numbers of the states in `STATES`, (axes,)."""
         return self._all.watched.state.copy()
 
     def statistics(self) -> Floats:
-        """(axes,) `Monitor.statistic` of each."""
+        """`Monitor.statistic` of each axis, (axes,)."""
         return self._all.watched.statistic.copy()
 
     def references(self) -> Floats:
-        """(axes, p) `Monitor.reference` of each."""
+        """`Monitor.reference` of each axis, (axes, p)."""
         return self._all.watched.theta.copy()
 
     def add(self, count: int = 1) -> range:
-        """Adds `count` axes in the state that all axes started with; returns their numbers."""
+        """Add `count` axes in the start state of the fleet, and return their numbers."""
         before = self.axes
         more = whole_number("count", count, 0, "it is a number of axes")
         self._all = self._all.join_rows(self._first.repeat_rows(more))
         return range(before, self.axes)
 
     def join(self, state: bytes) -> range:
-        """Appends the axes of saved states; returns their numbers. Raises UsageError as `set_state`."""
+        """Append the axes of saved states, and return their numbers. Raises UsageError as `set_state` does."""
         before = self.axes
         self._all = self._all.join_rows(self._read(state))
         return range(before, self.axes)
 
     def remove(self, index: ArrayLike) -> NDArray[np.int64]:
-        """Remove these axes; the others move up in their order. Returns (axes before,) their new numbers, -1 for
-        removed ones. Raises UsageError for an axis that is not there or comes twice."""
+        """Remove axes, and return the new numbers (axes before,) of all axes, -1 for the removed ones.
+
+        The remaining axes keep their order. Raises UsageError for an axis that does not exist or comes twice.
+        """
         kept, moved = np.ones(self.axes, np.bool_), np.full(self.axes, -1, np.int64)
         kept[self._places(index)] = False
         moved[kept] = np.arange(kept.sum())
@@ -305,18 +312,26 @@ class MonitorFleet:
         return moved
 
     def get_state(self) -> bytes:
-        """The states of all axes, with a version and checksums; `set_state` of a fleet with the same configuration goes
-        on from them."""
+        """Return the states of all axes, with a version and checksums.
+
+        `set_state` of a fleet with the same configuration continues from these states.
+        """
         return write_states(self._all, self._source.configuration_number)
 
     def unsealed_state(self) -> list[memoryview]:
-        """The same in pieces, most of them the arrays themselves, and without the checksum of all, which takes longer
-        than a copy: `pmfid.monitor.saved.seal_parts` puts it in, of a copy in any thread."""
+        """Return the states of all axes in pieces, without the checksum.
+
+        Most pieces are the arrays themselves. The checksum takes longer than a copy. `pmfid.monitor.saved.seal_parts`
+        adds the checksum to a copy, in any thread.
+        """
         return make_parts(self._all, self._source.configuration_number)
 
     def set_state(self, state: bytes) -> None:
-        """Resumes from saved states; the number of axes must be the same. States of another configuration, damaged
-        states, and impossible numbers raise UsageError and change nothing."""
+        """Continue from saved states of the same number of axes.
+
+        Raises UsageError, and changes nothing, for states of another configuration, damaged states and impossible
+        numbers.
+        """
         self._all = self._read(state)
 
     def _read(self, state: bytes) -> AxisStates:
@@ -324,7 +339,7 @@ class MonitorFleet:
 
 
 def _like(source: Monitor) -> Monitor:
-    """A monitor of its own with the configuration of another one."""
+    """Return a new monitor with the configuration of another one."""
     estimator = construct_estimator(type(source.estimator), configuration_of(source.estimator))
     return Monitor(estimator, source.calibration, copy(source.watch), source.known)
 

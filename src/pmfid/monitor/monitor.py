@@ -1,4 +1,4 @@
-"""Monitors, and samples that are lost."""
+"""Monitors, and their treatment of lost samples."""
 
 from __future__ import annotations
 
@@ -36,24 +36,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GuessedSamples:
-    """Lost samples: input and counts of each; doubt: number of following samples that are not used for learning."""
+    """The guessed input and counts of each lost sample.
+
+    `doubt` is the number of following samples that are not used for learning.
+    """
 
     samples: tuple[tuple[float, int], ...]
     doubt: int
 
 
 def longest(rate: float) -> int:
-    """Most lost samples that are guessed; after a longer gap the filters settle again. rate: a sample period over the
-    time constant of the filters."""
+    """Return the largest number of lost samples that is guessed; after a longer gap the filters settle again.
+
+    `rate` is the sample period over the time constant of the filters.
+    """
     return max(TUNING.monitor_few, round(TUNING.monitor_short / rate))
 
 
 def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> GuessedSamples | None:
-    """Values for the `missing` samples between `last` and the sample u, counts; counts continue those of `last`.
+    """Return values for the `missing` samples between `last` and the sample u, counts, or None if they are unknown.
 
-    The input lies on a straight line. The counts lie on a parabola that starts with the last known speed; a long gap
-    takes this speed over as many samples as are missing. rate: as in `longest`. None if the values are unknown: an
-    input is lost, or an input that is not held leaps.
+    The counts continue the counts of `last`. The guessed inputs lie on a straight line. The guessed counts lie on a parabola
+    that starts with the last known speed. In a long gap, this speed is the mean over as many samples as are missing.
+    `rate` is the sample period over the time constant of the filters. The values are unknown if an input is lost, or if
+    an input leaps that is not held.
     """
     if last.lost or not (last.known and math.isfinite(u)):
         return None
@@ -70,37 +76,37 @@ def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> Gue
 
 
 def _doubt(last: Inputs, rate: float, missing: int, leap: float) -> int:
-    """Number of samples to doubt, because a held input may have switched at any instant of the gap."""
+    """Return the number of samples to doubt, because a held input may have switched at any instant of the gap."""
     if abs(leap) * missing * rate / math.sqrt(12) <= TUNING.monitor_doubtful * math.sqrt(last.power):
         return 0
     return missing + round(TUNING.monitor_forgotten / rate)
 
 
-#: Signal of an outlier by its status bit.
+#: Signal of an outlier, by its status bit.
 OUTLIERS = {int(Status.COUNT_JUMP): "counts", int(Status.INVALID_INPUT): "input"}
 ANY_OUTLIER = sum(OUTLIERS)
 
 
 @dataclass(repr=False)
 class Monitor(WatchedAxis, Presentable):
-    """Watches one axis.
+    """A monitor that watches one axis for changes.
 
-    The estimator's covariance is reset at the first suspicion: all later samples are of the new plant, and are still
-    needed when the cause is clear and the alarm comes. The new value, once known, becomes the reference, so each change
-    is reported once.
+    The estimator's covariance is reset at the first suspicion. All later samples belong to the new plant, and are still
+    needed for the cause and the alarm. The new value, once known, becomes the reference, so each change is reported
+    once.
 
     Parameters
     ----------
     estimator
-        Recursive estimator, at its start.
+        Recursive estimator that has not seen a sample.
     calibration
         Calibration for its configuration and the reference parameters.
     watch
         Detector, mean time between false alarms, and tolerance.
     known
-        Prior information on the parameters. Given values are constant, so they are no causes of a change. If the input
-        gain is to be found, the estimator has the gain of the reference. Reported values are those of the machine with
-        its present gain.
+        Prior information on the parameters. Given values are constant, so they cannot cause a change. If the input gain
+        is unknown, the estimator has the gain of the reference. Reported values belong to the machine with its present
+        gain.
 
     Examples
     --------
@@ -123,7 +129,7 @@ class Monitor(WatchedAxis, Presentable):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the reported parameters: the estimator's, and the input gain if it is to be found."""
+        """Names of the reported parameters: the estimator's parameters, and the input gain if it is unknown."""
         return choose_naming(self.estimator, self.known).names
 
     @property
@@ -150,7 +156,7 @@ class Monitor(WatchedAxis, Presentable):
         )
 
     def columns(self) -> dict[str, object]:
-        """A row for each parameter of the reference."""
+        """A table with a row for each parameter of the reference."""
         return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
@@ -166,14 +172,14 @@ class Monitor(WatchedAxis, Presentable):
         }
 
     def apply_known(self, estimate: Estimate) -> Estimate | Seen:
-        """An estimate combined with the prior information."""
+        """Return an estimate combined with the prior information."""
         return estimate if self.known is None else Seen(self.known, estimate)
 
     def step(self, u: float, counts: int) -> tuple[Estimate, list[Event]]:
-        """Takes one sample as `RecursiveEstimator.step` does; returns the estimate and the events.
+        """Take one sample as `RecursiveEstimator.step` does, and return the estimate and the events.
 
-        A sample is lost if u is not finite. The counts after it continue the last ones, whatever the counter did in
-        the gap.
+        A sample is lost if u is not finite. The counts after a lost sample continue the last ones, whatever the counter
+        did in the gap.
         """
         own = self._inputs.step(u, counts)
         estimate = self.estimator.step(u, own)
@@ -182,13 +188,15 @@ class Monitor(WatchedAxis, Presentable):
         return estimate, events if rows is None else events + self._on_block(rows, disturbed, estimate)
 
     def _outliers(self, status: int) -> list[Event]:
-        """An outlier that lasts over several samples is reported once."""
+        """Return the outliers of a status. An outlier that lasts over several samples is reported once."""
         signals, self._flagged = new_outliers(status, self._flagged) if status & ANY_OUTLIER else [], status
         return [Outlier(self._time, signal) for signal in signals]
 
     def run(self, u: ArrayLike, counts: ArrayLike) -> FleetRows:
-        """Many samples at once, u, counts: (n,), with the bits of `step` in a loop: the rows of a fleet of one. Raises
-        UsageError if the arrays do not fit."""
+        """Take many samples u, counts (n,) at once, and return the rows of a fleet of one axis.
+
+        The results have the bits of `step` in a loop. Raises UsageError if the arrays do not fit.
+        """
         inputs, read_counts = check_arrays(u, counts)
         rows = FleetRows.empty(1, inputs.size, len(self.names))
         start = 0
@@ -199,7 +207,10 @@ class Monitor(WatchedAxis, Presentable):
         return rows
 
     def _run(self, u: NDArray[np.float64], counts: NDArray[np.int64], rows: FleetRows, start: int) -> None:
-        """Takes samples of one block; the last may complete it. With prior information, a single sample."""
+        """Take samples of one block. The last sample may complete the block.
+
+        With prior information, only a single sample is allowed.
+        """
         before, lost = self.samples, ~np.isfinite(u)
         own, part = self._inputs.run(u, counts), slice(start, start + u.size)
         track = Track(self.estimator.names, self.estimator.units, *self.estimator.runner.kernel.run(u, own))
@@ -217,11 +228,14 @@ class Monitor(WatchedAxis, Presentable):
             rows.state[0, part.stop - 1] = self._own.state[0]
 
     def rebase(self, counts: int) -> None:
-        """The counter was reset: it would have read `counts` at the last sample. Raises TypeError for no integer."""
+        """Continue after a reset of the counter, as if the counter had read `counts` at the last sample.
+
+        Raises TypeError if `counts` is not an integer.
+        """
         self._inputs.rebase(counts)
 
     def skip(self, samples: int) -> list[Event]:
-        """Skips lost samples: time advances, and the filters settle again. Returns the events."""
+        """Skip lost samples, and return the events. Time advances, and the filters settle again."""
         few, events = min(samples, self._front.settle_samples), []
         for _ in range(few):
             events += self.step(float("nan"), 0)[1]
@@ -230,19 +244,19 @@ class Monitor(WatchedAxis, Presentable):
 
     @property
     def _rate(self) -> float:
-        """A sample period over the time constant of the filters."""
+        """The sample period over the time constant of the filters."""
         return self.estimator.cutoff * self.estimator.dt
 
     @property
     def longest(self) -> int:
-        """Most lost samples that `fill_gap` takes; a longer gap needs `skip`."""
+        """Largest number of lost samples that `fill_gap` takes; a longer gap needs `skip`."""
         return longest(self._rate)
 
     def fill_gap(self, missing: int, u: float, counts: int) -> list[Event]:
-        """Imputes a few samples that were lost before the sample u, counts (`guess`); returns the events.
+        """Impute a few samples that were lost before the sample u, counts (`guess`), and return the events.
 
         If a held input switched in the gap, learning stops for a while, because the instant is unknown. Samples that
-        cannot be guessed are passed over as in `skip`.
+        cannot be guessed are skipped as in `skip`.
         """
         last = self._inputs
         found = guess(last, self._rate, missing, u, counts + last.zero)
@@ -257,9 +271,11 @@ class Monitor(WatchedAxis, Presentable):
         return events
 
     def refer(self, theta: ArrayLike | None = None) -> list[Event]:
-        """Makes theta (p,), None: the present estimate, the reference. Returns the events: the new reference, and a
-        change of state if the axis was suspicious or settling. Raises UsageError, and changes nothing, while there is
-        no estimate and for parameters that are impossible for a machine."""
+        """Make theta (p,) the reference, and return the events. None takes the present estimate.
+
+        The events are the new reference, and a change of state if the axis was suspicious or settling. Raises
+        UsageError, and changes nothing, if no estimate exists or if a machine cannot have the parameters.
+        """
         estimate = self.estimator.estimate
         unknown = estimate.status & (Status.STARTING | Status.FALLBACK) or not np.all(np.isfinite(estimate.theta_std))
         if theta is None and unknown:
@@ -290,12 +306,12 @@ class Monitor(WatchedAxis, Presentable):
 
     @cached_property
     def packers(self) -> tuple[ManyKernel, ManyKernel]:
-        """Kernels that pack the states of the estimator and of the filter, and that run many of them."""
+        """Kernels that pack and run many states of the estimator and of the filter."""
         words = whole_words(self.estimator.precision)
         return self.estimator.runner.kernel.many(1, words), self._filter.kernel.many(1, words)
 
     def pack_state(self) -> AxisStates:
-        """The state as arrays of one row."""
+        """Return the state as arrays of one row."""
         kernels = self.estimator.runner.kernel, self._filter.kernel
         estimator, filtered = (_pack_kernel(many, kernel) for many, kernel in zip(self.packers, kernels, strict=True))
         whole, real = self._inputs.numbers
@@ -305,7 +321,7 @@ class Monitor(WatchedAxis, Presentable):
         return AxisStates(sampled, self._own.take_rows(FIRST), self._rest.take_rows(FIRST))
 
     def go_on(self, saved: AxisStates, axis: int) -> None:
-        """Continues from the state of an axis, without a check of its numbers."""
+        """Continue from the state of an axis, without a check of its numbers."""
         row, sampled = slice(axis, axis + 1), saved.sampled
         self._own.put(slice(0, 1), saved.watched.take_rows(row))
         self._rest.put(slice(0, 1), saved.disturbed.take_rows(row))
@@ -319,17 +335,22 @@ class Monitor(WatchedAxis, Presentable):
             many.load(kernel, 0)
 
     def get_state(self) -> bytes:
-        """The state with a version and checksums; `set_state` of a monitor with the same configuration continues from
-        it."""
+        """Return the state with a version and checksums.
+
+        `set_state` of a monitor with the same configuration continues from this state.
+        """
         return write_states(self.pack_state(), self.configuration_number)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Copies and pickles are made from the configuration and the saved state."""
+        """Make copies and pickles from the configuration and the saved state."""
         return _resume_monitor, (self.estimator, self.calibration, self.watch, self.known, self.get_state())
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError, and changes nothing, for a state of another configuration, a
-        damaged one, and numbers that no sample could have made."""
+        """Continue from a saved state.
+
+        Raises UsageError, and changes nothing, for a state of another configuration, a damaged state, and numbers that
+        no sample could have made.
+        """
         found = check_states(self, read(state, self.pack_state(), self.configuration_number))
         if found.axes != 1:
             raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
@@ -345,20 +366,22 @@ def _resume_monitor(
 
 
 def _pack_kernel(many: ManyKernel, kernel: Kernel) -> NDArray[np.uint8]:
-    """(1, bytes): a kernel's state."""
+    """Return the state of a kernel as an array (1, bytes)."""
     many.hold(np.zeros((1, many.states.shape[1]), np.uint8))
     many.store(kernel, 0)
     return many.states
 
 
 def new_outliers(status: int, before: int) -> list[str]:
-    """The signals that are flagged in a status and were not in the one before."""
+    """Return the signals that are flagged in a status and were not flagged in the previous one."""
     return [signal for bit, signal in OUTLIERS.items() if status & bit and not before & bit]
 
 
 def outliers(status: NDArray[np.uint32], lost: NDArray[np.bool_], flagged: int) -> tuple[list[tuple[int, str]], int]:
-    """The samples of status (n,) at which a signal is newly flagged, with that signal, and the last status; lost
-    samples (n,) are left out. flagged: the previous status."""
+    """Return the samples of status (n,) at which a signal is newly flagged, with this signal, and the last status.
+
+    Samples with a true entry in `lost` (n,) are left out. `flagged` is the previous status.
+    """
     kept, found = np.flatnonzero(~lost), list[tuple[int, str]]()
     if not kept.size:
         return found, flagged

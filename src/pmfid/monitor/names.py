@@ -1,4 +1,4 @@
-"""Names of the detectors, for those who must not import them yet; `detectors.make_detectors` has the classes."""
+"""Names of the detectors, for modules that must not import the classes yet (see `detectors.make_detectors`)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The states of monitored axes as bytes: one array for each part of a state, a row for each axis.
+"""The states of monitored axes as bytes: one array for each part of a state, with a row for each axis.
 
-Bytes of a file are hostile until they are checked: whole numbers against their bounds, real numbers for being finite,
-the kernels' states by the kernels.
+The bytes of a file are not trusted until they are checked. Whole numbers are checked against their bounds, and real
+numbers must be finite. The kernels check their own states.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS
 from pmfid.monitor.scores import Disturbed, RowArrays, Sampled, Scoring, Watched
 from pmfid.types import Floats, Places
 
-#: Header of the saved states. layout: of a row; config: number of the configuration; checksum: CRC-32 of all else.
+#: Header of the saved states. `layout` is the checksum of a row's layout, `config` the number of the configuration,
+#: `checksum` the CRC-32 of everything else.
 HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 MAGIC, VERSION = 0x4D464D50, 1  # "PMFM"
-#: Most axes of a fleet; a header with more is refused.
+#: Largest number of axes of a fleet. A header with a larger number is refused.
 MOST_AXES = 2**24
 #: Largest number of samples and blocks in a state.
 MOST = 2**60
@@ -58,48 +59,48 @@ class AxisStates:
         return self.sampled, self.watched, self.disturbed
 
     def arrays(self) -> Iterator[NDArray[np.generic]]:
-        """All that is saved."""
+        """Yield all arrays that are saved."""
         for part in self._parts:
             yield from (array for _, array in part.parts(saved_only=True))
 
     def row_type(self) -> np.dtype[np.void]:
-        """The type of one axis."""
+        """Return the data type of one axis."""
         named = [one for part in self._parts for one in part.parts(saved_only=True)]
         return np.dtype([(f"{k} {name}", array.dtype, array.shape[1:]) for k, (name, array) in enumerate(named)])
 
     def take_rows(self, index: Places | slice) -> AxisStates:
-        """Some axes: an array of numbers gives copies, a slice gives views."""
+        """Return some axes: copies for an array of numbers, views for a slice."""
         return AxisStates(self.sampled.take_rows(index), self.watched.take_rows(index), self.disturbed.take_rows(index))
 
     def put(self, index: Places | slice, other: AxisStates) -> None:
-        """Overwrites the states of some axes."""
+        """Overwrite the states of some axes."""
         for part, rows in zip(self._parts, (other.sampled, other.watched, other.disturbed), strict=True):
             part.put(index, rows)
 
     def repeat_rows(self, times: int) -> AxisStates:
-        """Each axis, `times` times."""
+        """Return the states with each axis repeated `times` times."""
         again = self.sampled.repeat_rows(times), self.watched.repeat_rows(times)
         return AxisStates(*again, self.disturbed.repeat_rows(times))
 
     def join_rows(self, other: AxisStates) -> AxisStates:
-        """The states of these axes, followed by the states of `other`."""
+        """Return the states of these axes, followed by the states of `other`."""
         parts = self.sampled.join_rows(other.sampled), self.watched.join_rows(other.watched)
         return AxisStates(*parts, self.disturbed.join_rows(other.disturbed))
 
 
 def write_states(saved: AxisStates, config: int) -> bytes:
-    """The bytes of all axes; config: checksum of the configuration."""
+    """Return the bytes of all axes. `config` is the checksum of the configuration."""
     return b"".join(seal_parts(make_parts(saved, config)))
 
 
 def make_parts(saved: AxisStates, config: int) -> list[memoryview]:
-    """The saved bytes in parts, without the checksum. All parts but the first are the arrays themselves."""
+    """Return the saved bytes in parts, without the checksum. All parts but the first are the arrays themselves."""
     parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
 
 
 def seal_parts(parts: Sequence[memoryview]) -> list[memoryview]:
-    """The result of `make_parts`, or a copy of it, with the checksum. Any thread may compute it."""
+    """Return the result of `make_parts`, or a copy of it, with the checksum. Any thread may compute it."""
     head = np.frombuffer(parts[0], HEAD)[0].copy()
     checksum = zlib.crc32(head.tobytes()[:-4])
     for part in parts[1:]:
@@ -109,8 +110,10 @@ def seal_parts(parts: Sequence[memoryview]) -> list[memoryview]:
 
 
 def read(data: bytes, like: AxisStates, config: int) -> AxisStates:
-    """The states that `write_states` wrote, of any number of axes with the layout of `like`. Raises UsageError for
-    anything else; `check_states` checks the numbers."""
+    """Read the states that `write_states` wrote, of any number of axes with the layout of `like`.
+
+    Raises UsageError for all other bytes; `check_states` checks the numbers.
+    """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     data = bytes(data)
@@ -150,7 +153,7 @@ class Judge(Protocol):
 
 
 def check_states(judge: Judge, saved: AxisStates) -> AxisStates:
-    """The states with their derived arrays. Raises UsageError for numbers that no sample could have made."""
+    """Return the states with their derived arrays. Raises UsageError for numbers that no sample could have made."""
     sampled, watched = saved.sampled, saved.watched
     references = np.unique(watched.theta, axis=0)
     fine = all(np.all(np.isfinite(array)) for array in saved.arrays() if array.dtype.kind == "f")
@@ -167,7 +170,7 @@ def check_states(judge: Judge, saved: AxisStates) -> AxisStates:
 
 
 def _counts_fit(judge: Judge, saved: AxisStates) -> bool:
-    """Whether whole numbers, and real ones that have a sign, are within their bounds."""
+    """Return whether the whole numbers, and the real numbers with a given sign, are within their bounds."""
     sampled, watched, rest = saved.sampled, saved.watched, saved.disturbed
     samples = sampled.samples
     uneasy = np.isin(watched.state, [STATES.index(SUSPICIOUS), STATES.index(SETTLING)])

@@ -24,13 +24,16 @@ if TYPE_CHECKING:
 
 #: Status bits of samples that are not used.
 UNUSABLE = int(Status.SETTLING | Status.SAMPLE_REJECTED)
-#: The scores for an axis with unmodelled static friction: the axis rests while its model still creeps.
+#: Status bits for an axis with unmodelled static friction, which rests while its model still creeps.
 UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """n blocks of p parameters. score: (n, p) S_b; cross: (n, p, p) W_b; square: (n, p, p) sum zeta zeta^T."""
+    """The sums of n blocks for p parameters: `score` S_b (n, p), `cross` W_b (n, p, p), `square` Z_b (n, p, p).
+
+    The matrix Z_b is the sum of zeta zeta^T.
+    """
 
     score: Floats
     cross: Floats
@@ -41,37 +44,41 @@ class Blocks:
 
     @classmethod
     def concatenate(cls, parts: Iterable[Blocks]) -> Blocks:
-        """The blocks of all parts in order."""
+        """Join the blocks of all parts in order."""
         score, cross, square = zip(*((part.score, part.cross, part.square) for part in parts), strict=True)
         return cls(np.concatenate(score), np.concatenate(cross), np.concatenate(square))
 
     @classmethod
     def from_rows(cls, rows: Floats, p: int) -> Blocks:
-        """Blocks as views of rows (n, p + 2 p^2) of all their numbers."""
+        """Return blocks as views of rows (n, p + 2 p^2) with all their numbers."""
         ends = p, p + p * p
         cross, square = (part.reshape(len(rows), p, p) for part in (rows[:, ends[0] : ends[1]], rows[:, ends[1] :]))
         return cls(rows[:, :p], cross, square)
 
     @property
     def rows(self) -> Floats:
-        """(n, p + 2 p^2) all their numbers."""
+        """All numbers of the blocks, (n, p + 2 p^2)."""
         return np.concatenate([part.reshape(len(part), -1) for part in (self.score, self.cross, self.square)], axis=1)
 
 
 def block_samples(estimator: Estimator) -> int:
-    """Samples of a block: the filters have forgotten what was before the one before it."""
+    """Return the number of samples in a block.
+
+    After one whole block, the filters have forgotten everything before it.
+    """
     return estimator.settle_samples
 
 
 def reference_kernel(estimator: Estimator, theta: Sequence[float]) -> tuple[Kernel, int]:
-    """A kernel whose auxiliary model keeps theta (p,), and its first instrumental column."""
+    """Return a kernel whose auxiliary model keeps theta (p,), and the kernel's first instrumental column."""
     return make_auxiliary_kernel(estimator, 1.0, list(theta), adapt=False)
 
 
 def start_blocks(estimator: Estimator, theta: Floats) -> int:
-    """Blocks that count for nothing after a start or a gap, until the model's velocity is the plant's velocity.
+    """Return the number of blocks that do not count after a start or a gap.
 
-    It converges with the plant's own time constant, mass over viscous friction.
+    The velocity of the model converges to the velocity of the plant with the plant's own time constant, mass over
+    viscous friction.
     """
     mass, viscous = estimator.equation.role_values(theta)[:2]
     time = TUNING.start_time_constants * mass / max(viscous, 1e-300)
@@ -80,8 +87,11 @@ def start_blocks(estimator: Estimator, theta: Floats) -> int:
 
 @dataclass(frozen=True)
 class Scoring:
-    """Configuration of the kernel for blocks. first: column of phi, z, zeta; parameters: p; size: samples of a
-    block; left_out: status of samples that count for nothing, UNUSABLE among it."""
+    """The configuration of the kernel that makes blocks.
+
+    `first` is the column of phi, z, zeta. `parameters` is p. `size` is the number of samples in a block. `left_out` has
+    the status bits of samples that do not count, UNUSABLE included.
+    """
 
     first: int
     parameters: int
@@ -94,33 +104,39 @@ class Scoring:
 
     @property
     def width(self) -> int:
-        """Numbers of a block."""
+        """Number of values in a block."""
         return width_of(self.parameters)
 
     def start(self, axes: int = 1) -> tuple[Floats, NDArray[np.uint32]]:
-        """The sums (axes, width) of the blocks under way, and (axes, 2) their samples and how many were disturbed."""
+        """Return the empty sums (axes, width) of the open blocks, and the counters (axes, 2) of their samples.
+
+        The counters are the number of samples and the number of disturbed samples.
+        """
         return np.zeros((axes, self.width)), np.zeros((axes, 2), np.uint32)
 
 
 def width_of(p: int) -> int:
-    """Numbers of a block of p parameters."""
+    """Return the number of values in a block of p parameters."""
     return p + 2 * p * p
 
 
 def scores(
     estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64], left_out: int = UNUSABLE
 ) -> Blocks:
-    """All whole blocks of u, counts: (n,) at reference theta (p,); left_out: as in `Scoring`."""
+    """Return all whole blocks of u, counts (n,) at the reference theta (p,). `left_out` is as in `Scoring`."""
     return ScoreFilter(estimator, theta, left_out=left_out).run(u, counts)
 
 
 class ScoreFilter:
-    """The blocks of one axis, in pieces of any number of samples."""
+    """A filter that makes the blocks of one axis, from pieces of any number of samples."""
 
     def __init__(
         self, estimator: Estimator, theta: Floats, before: ScoreFilter | None = None, left_out: int = UNUSABLE
     ) -> None:
-        """before: of the same axis with another reference, whose guard knows the motion; left_out: as in `Scoring`."""
+        """Take over the guard of `before`, a filter of the same axis with another reference.
+
+        This guard knows the motion. `left_out` is as in `Scoring`.
+        """
         self.theta = np.array(theta, np.float64)
         self.kernel, first = reference_kernel(estimator, self.theta.tolist())
         if before is not None:
@@ -132,21 +148,24 @@ class ScoreFilter:
 
     @property
     def missing(self) -> int:
-        """Samples until the block under way is whole."""
+        """Number of samples until the open block is whole."""
         return self.scoring.size - int(self.progress[0, 0])
 
     def rows(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, NDArray[np.uint8]]:
-        """The blocks (m, width) that samples u, counts: (n,) complete, and (m,) whether all of one were disturbed."""
+        """Return the blocks (m, width) that samples u, counts (n,) complete.
+
+        The second result (m,) is true for a block with only disturbed samples.
+        """
         return self.kernel.score(u, counts, self.scoring.numbers, self.theta, self.sums[0], self.progress[0])
 
     def sample(self, u: float, count: int) -> tuple[Floats | None, NDArray[np.uint8]]:
-        """Adds one sample. Returns None while the block is incomplete."""
+        """Add one sample. Returns None while the block is incomplete."""
         self._u[0], self._count[0] = u, count
         rows, lost = self.rows(self._u, self._count)
         return (rows if len(rows) else None), lost
 
     def run(self, u: Floats, counts: NDArray[np.int64]) -> Blocks:
-        """The scores of blocks, which are 0 while the filter waits."""
+        """Return the scores of blocks, which are 0 while the filter waits."""
         rows, lost = self.rows(np.ascontiguousarray(u), np.ascontiguousarray(counts))
         used = np.empty(len(rows))
         for k in range(len(rows)):
@@ -155,11 +174,11 @@ class ScoreFilter:
         return Blocks.from_rows(rows * used[:, None], self.theta.size)
 
     def doubt(self, samples: int) -> None:
-        """The next `samples` samples count for nothing."""
+        """Leave the next `samples` samples out."""
         self.kernel.doubt(samples)
 
     def step(self, u: float, count: int) -> Blocks | None:
-        """One sample; the block that it completes, or None."""
+        """Take one sample, and return the block that it completes, or None."""
         self._u[0], self._count[0] = u, count
         found = self.run(self._u, self._count)
         return found if len(found.score) else None
@@ -167,10 +186,11 @@ class ScoreFilter:
 
 @dataclass(frozen=True)
 class Scale:
-    """What makes scores comparable: x = R^-1 S / sigma is, for each parameter, a deviation in standard deviations.
+    """The scale that makes scores comparable: x = R^-1 S / sigma is in standard deviations of each parameter.
 
-    inverse: (p, p), R^-1, R the mean W_b of normal work; energy: (p,) mean of diag(R^-1 Z_b R^-T); sigma: (p,)
-    standard deviation of a block's deviation [unit of theta] in normal work, or (n, p) that of each block.
+    `inverse` (p, p) is R^-1, with R the mean W_b of normal work. `energy` (p,) is the mean of diag(R^-1 Z_b R^-T).
+    `sigma` (p,) is the standard deviation of a block's deviation in normal work [unit of theta]; (n, p) has a value for
+    each block.
     """
 
     inverse: Floats
@@ -179,30 +199,30 @@ class Scale:
 
     @property
     def norms(self) -> Norms:
-        """Kernel of the methods below."""
+        """Kernel of the methods of this class."""
         return Norms(self.inverse, self.energy)
 
     def standardise(self, blocks: Blocks) -> tuple[Floats, Floats]:
-        """x (n, p): deviations; w (n, p): the information in them, 1 on average, 0 at standstill.
+        """Return the deviations x (n, p) and their information w (n, p), which is 1 on average and 0 at standstill.
 
-        A parameter that deviates by d standard deviations has E x = d w, variance of x about w.
+        A parameter that deviates by d standard deviations gives x the mean d w and a variance of about w.
         """
         return self.norms.deviations(blocks.score, self.sigma), self.norms.expect(blocks.square)
 
     def information(self, blocks: Blocks) -> Floats:
-        """(n,) information of blocks on all parameters, in average blocks."""
+        """Return the information (n,) of blocks on all parameters, in average blocks."""
         return self.norms.information(blocks.square)
 
 
 def make_scale(blocks: Blocks) -> Scale:
-    """The scale of the blocks of normal work; sigma about a deviation of zero."""
+    """Return the scale of the blocks of normal work, with sigma about a deviation of zero."""
     inverse = np.linalg.inv(blocks.cross.mean(axis=0))
     unscaled = Scale(inverse, np.ones(len(inverse)), np.ones(len(inverse)))
     x, w = unscaled.standardise(blocks)
     return Scale(inverse, w.mean(axis=0), np.sqrt((x**2).mean(axis=0)))
 
 
-#: Arrays that are derived from others and are not saved.
+#: Metadata of arrays that are derived from others and are not saved.
 DERIVED = {"saved": False}
 
 
@@ -212,17 +232,17 @@ class RowArrays:
     __dataclass_fields__: dict[str, object]
 
     def parts(self, saved_only: bool = False) -> Iterator[tuple[str, NDArray[np.generic]]]:
-        """The arrays by name."""
+        """Return the arrays by name."""
         return ((name, getattr(self, name)) for name in _names(type(self), saved_only))  # type: ignore[arg-type]  # a class has a hash
 
     def take_rows(self, index: Places | slice) -> Self:
-        """Some rows: an array of numbers gives copies, a slice gives views."""
+        """Return some rows: copies for an array of numbers, views for a slice."""
         if isinstance(index, slice):
             return type(self)(**{name: part[index] for name, part in self.parts()})
         return type(self)(**{name: part.take(index, axis=0) for name, part in self.parts()})
 
     def put(self, index: Places | slice, rows: Self) -> None:
-        """Overwrites some rows."""
+        """Overwrite some rows."""
         for name, part in self.parts():
             if isinstance(index, slice):
                 part[index] = getattr(rows, name)
@@ -230,15 +250,15 @@ class RowArrays:
                 put_rows(part, index, getattr(rows, name))
 
     def copy_rows(self) -> Self:
-        """A copy of all rows."""
+        """Return a copy of all rows."""
         return type(self)(**{name: part.copy() for name, part in self.parts()})
 
     def repeat_rows(self, times: int) -> Self:
-        """Each row, `times` times."""
+        """Return the rows, each repeated `times` times."""
         return type(self)(**{name: np.repeat(part, times, axis=0) for name, part in self.parts()})
 
     def join_rows(self, other: Self) -> Self:
-        """These rows, followed by the rows of `other`."""
+        """Return these rows, followed by the rows of `other`."""
         return type(self)(**{name: np.concatenate([part, getattr(other, name)]) for name, part in self.parts()})
 
 
@@ -249,8 +269,11 @@ def _names(kind: type[RowArrays], saved_only: bool) -> tuple[str, ...]:
 
 @dataclass
 class Sampled(RowArrays):
-    """What the samples of an axis change. whole, real: of its `Inputs`; flagged: status of the last sample that was not
-    lost; estimator, filter: states of the kernels, packed; sums, progress: of the block under way, see `Scoring`."""
+    """The state of an axis that changes with each sample.
+
+    `whole` and `real` belong to its `Inputs`. `flagged` is the status of the last sample that was not lost. `estimator`
+    and `filter` are the packed states of the kernels. `sums` and `progress` belong to the open block (see `Scoring`).
+    """
 
     whole: NDArray[np.int64]
     real: Floats
@@ -262,36 +285,44 @@ class Sampled(RowArrays):
 
     @property
     def samples(self) -> NDArray[np.int64]:
-        """(n,) so far, the lost ones among them."""
+        """Number of samples so far (n,), lost samples included."""
         return self.whole[:, SAMPLES]
 
     @property
     def yes_or_no(self) -> NDArray[np.int64]:
-        """(n, 3) 1 or 0: whether the last sample was lost, any was not, the input changed in the last that was not."""
+        """Flags (n, 3), 1 or 0, of the last samples.
+
+        They say whether the last sample was lost, whether any sample was not lost, and whether the input changed in the
+        last sample that was not lost.
+        """
         return self.whole[:, [LOST, KNOWN, CHANGED]]
 
     @property
     def fresh(self) -> NDArray[np.int64]:
-        """(n,) counts that are kept and follow one another."""
+        """Number of kept counts that follow one another, (n,)."""
         return self.whole[:, FRESH]
 
     @property
     def sizes(self) -> Floats:
-        """(n, 2), not negative: what the input changes by from sample to sample, and its mean square."""
+        """Usual change of the input from sample to sample, and mean square of the input, (n, 2), not negative."""
         return self.real[:, [USUAL, POWER]]
 
     @property
     def shares(self) -> Floats:
-        """(n, 2) from 0 to 1: samples in which the input stays the same, and its changes that come alone."""
+        """Share of samples with an unchanged input, and share of single changes among all changes, (n, 2), from 0 to 1."""
         return self.real[:, [SAME, ALONE]]
 
 
 @dataclass
 class Watched(RowArrays):
-    """What the blocks of an axis change. theta: (n, p) reference; state: number of `STATES`; waiting: blocks that count
-    for nothing; silence: blocks since the last one with information; opened: information of the unit under way,
-    opening: its sum (n, width), members: its blocks, begun: its time; detection: of the detector; units: so far with
-    this reference. wait, sigma, tolerance: of the reference."""
+    """The state of an axis that changes with each block.
+
+    `theta` (n, p) is the reference, `state` the number in `STATES`. `waiting` is the number of blocks that do not
+    count. `silence` is the number of blocks since the last one with information. The open unit has the information
+    `opened`, the sum `opening` (n, width), the blocks `members` and the time `begun`. `detection` is the state of the
+    detector, and `units` the number of units with this reference. `wait`, `sigma` and `tolerance` are derived from the
+    reference.
+    """
 
     theta: Floats
     state: NDArray[np.uint8]
@@ -310,7 +341,7 @@ class Watched(RowArrays):
 
     @classmethod
     def empty(cls, axes: int, p: int, detection: int) -> Watched:
-        """`axes` axes that have no reference yet."""
+        """Return the state of `axes` axes that have no reference yet."""
         none, nowhere, vector = np.zeros(axes), np.zeros(axes, np.int64), np.zeros((axes, p))
         return cls(
             theta=vector,
@@ -332,11 +363,14 @@ class Watched(RowArrays):
 
 @dataclass
 class Disturbed(RowArrays):
-    """Data that alarms use and change. units: (n, look_back, width) the last, in a ring; begun: (n, look_back) their
-    times; gathered: information since the suspicion, or since the alarm; suspected: units since the suspicion; crossed:
-    the statistic at it; refined: whether the estimate is the model already; before: (n, p) the reference until then;
-    settled: (n, width) sum of the blocks relative to that model; gain: of the input, over that of the estimator;
-    by_gain: whether the alarm was of the gain of the input."""
+    """The data of an axis that alarms use and change.
+
+    `units` (n, look_back, width) is a ring with the last units, and `begun` (n, look_back) has their times. `gathered`
+    is the information since the suspicion or the alarm. `suspected` is the number of units since the suspicion, and
+    `crossed` the statistic at the suspicion. `refined` is true if the estimate is already the model. `before` (n, p) is
+    the reference until then. `settled` (n, width) is the sum of the blocks relative to this model. `gain` is the input
+    gain over the gain of the estimator. `by_gain` is true after an alarm on the input gain.
+    """
 
     units: Floats
     begun: Floats
@@ -351,7 +385,7 @@ class Disturbed(RowArrays):
 
     @classmethod
     def empty(cls, axes: int, p: int) -> Disturbed:
-        """`axes` axes without an alarm."""
+        """Return the data of `axes` axes without an alarm."""
         width = width_of(p)
         return cls(
             np.zeros((axes, TUNING.look_back, width)),
@@ -367,6 +401,9 @@ class Disturbed(RowArrays):
         )
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:
-        """The last units (m, width) of an axis and their times (m,), in order; units: number of all so far."""
+        """Return the last units (m, width) of an axis and their times (m,), in order.
+
+        `units` is the number of all units so far.
+        """
         order = np.arange(max(0, units - TUNING.look_back), units) % TUNING.look_back
         return self.units[axis, order], self.begun[axis, order]

@@ -33,8 +33,11 @@ from pmfid.types import Floats
 def followed_figure(
     t: Floats, signals: tuple[Floats, Floats], output: str, error: Floats, left: str, shaded: float = 0.0
 ) -> Figure:
-    """Measured and simulated output (n,) over time t (n,) [s], below them an error (n,); output, left: labels of both.
-    shaded: time [s] of the first samples, which the start was fitted to."""
+    """Draw the measured and the simulated output (n,) over time t (n,) [s], with an error (n,) below.
+
+    `output` and `left` are the labels of output and error. `shaded` is the time [s] of the first samples, to which the
+    start of the simulation was fitted.
+    """
     with open_figure(4.4, 2, sharex=True, height_ratios=(3, 2)) as (figure, (upper, lower)):
         for signal, label, style in zip(signals, ("measured", "simulated"), ("-", "--"), strict=True):
             i = decimation(signal)
@@ -52,7 +55,7 @@ def followed_figure(
 
 
 def simulation_figure(balance: Balance) -> Figure:
-    """Filtered velocity measured and simulated, and the position measured less simulated, over time."""
+    """Draw the measured and the simulated filtered velocity, and the difference of the positions, over time."""
     followed = balance.measured, balance.simulated
     own = balance.estimator.equation.motion
     left = f"position, measured\nless simulated [{own.travel}]"
@@ -60,7 +63,7 @@ def simulation_figure(balance: Balance) -> Figure:
 
 
 def residual_figure(balance: Balance) -> Figure:
-    """The residual over velocity and position: samples, and means with two standard errors."""
+    """Draw the residual over velocity and position: samples, and means with two standard errors."""
     own = balance.estimator.equation.motion
     with open_figure(3.4, 1, 2, sharey=True) as (figure, panels):
         views = (
@@ -79,7 +82,7 @@ def residual_figure(balance: Balance) -> Figure:
 
 
 def friction_figure(balance: Balance) -> Figure:
-    """Friction force over velocity, measured, with the model's line."""
+    """Draw the measured friction force over velocity, with the line of the model."""
     own = balance.estimator.equation.motion
     with open_figure(3.8) as (figure, (axes,)):
         if balance.friction is not None:
@@ -97,7 +100,9 @@ def friction_figure(balance: Balance) -> Figure:
 
 
 def correlation_figure(balance: Balance) -> Figure:
-    """Correlation of the residual with itself and with the input force, with bounds of three standard deviations."""
+    """Draw the correlation of the residual with itself and with the input force, and bounds of three standard
+    deviations.
+    """
     found, dt = correlations(balance), balance.estimator.dt
     lags = np.arange(found.own.size) * dt
     with open_figure(3.2, 1, 2) as (figure, (own, cross)):
@@ -128,7 +133,7 @@ def _means(axes: Axes, found: Binned, mean: Floats) -> None:
 
 
 def _limits(axes: Axes, y: Floats) -> None:
-    """Limits of an axis, chosen so that a few wild samples do not flatten the rest."""
+    """Set limits of an axis that a few outliers do not widen."""
     low, high = (float(limit) for limit in np.quantile(y, (0.002, 0.998)))
     margin = 0.1 * (high - low) or 1e-6
     axes.set_ylim(low - margin, high + margin)
@@ -146,13 +151,13 @@ __all__ = [
 
 
 def model_checks(result: DriveResult) -> list[Section]:
-    """Sections on the fit of the model at the result's theta; of a recursive method the last one.
+    """Return sections on the fit of the model at the result's theta, for a recursive method at the last theta.
 
-    With a forgetting factor below 1 only the last three memories of the record are judged. If the parameters are
-    impossible for a drive, as a mass that is not positive, or nothing can be simulated, one section says so.
+    With a forgetting factor below 1, only the last three memories of the record are judged. One section gives the
+    reason if the parameters are impossible for a drive, for example a negative mass, or if nothing can be simulated.
     """
     try:
-        theta = result.theta[: len(result.estimator.names)]  # without a gain of the input that was found
+        theta = result.theta[: len(result.estimator.names)]  # without an estimated input gain
         balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)
     except PmfidError as error:
         return [Section("Model checks", f"Not possible here: {error}.")]

@@ -1,4 +1,4 @@
-"""The report of all methods side by side."""
+"""The report that compares all methods."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pmfid.report.tuning import TUNING
 
 
 def write_comparison(out: Path, comparison: Comparison) -> None:
-    """Writes compare.html and compare.json into the folder `out`."""
+    """Write compare.html and compare.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "compare.json", comparison.to_json())
     header, rows = comparison_rows(comparison)
@@ -32,7 +32,7 @@ def _thin(comparison: Comparison) -> str:
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Header and one row of text for each method."""
+    """Return the header and one row of text for each method."""
     first = next(iter(comparison.results.values()))
     names = [f"{name} [{unit}]" if unit else name for name, unit in zip(first.names, first.units, strict=True)]
     fitted = any(isinstance(result, ProcessResult) for result in comparison.results.values())
@@ -47,17 +47,16 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
 
 
 def _fit(percent: float | None) -> str:
-    """A useless estimate's fit may have any number of digits; an unstable one has none."""
+    """Format a fit in percent. An unstable estimate has no fit, and the fit of a useless one may have many digits."""
     if percent is None:
         return "–"
     return f"{percent:.2f}" if abs(percent) < TUNING.comparison_huge else f"{percent:.2g}"
 
 
 def comparison_dots(comparison: Comparison) -> Figure:
-    """One panel for each parameter, comparison_panels in a row: estimates by method with error bars of two standard
-    deviations.
+    """Draw one panel for each parameter, with the estimate of each method and two standard deviations.
 
-    Thin lines show the model spread if it is known.
+    Up to `comparison_panels` panels stand in a row. Thin lines show the model spread if it is known.
     """
     first = next(iter(comparison.results.values()))
     methods = list(comparison.results)

@@ -25,12 +25,12 @@ __all__ = ["ellipse_figure", "gathering_figure", "motion_figure"]
 
 LINE_STYLES = ("-", "--", "-.", ":")
 
-#: name -> (input (n,), position (n+1,), velocity (n+1,))
+#: Map from the name to input (n,), position (n+1,) and velocity (n+1,).
 Inputs = Mapping[str, tuple[Floats, Floats, Floats]]
 
 
 def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
-    """Input, velocity and position over time, with their limits dashed."""
+    """Draw input, velocity and position over time, with dashed lines for their limits."""
     with open_figure(6.2, 3, sharex=True) as (figure, panels):
         for axes, label, limit in zip(
             panels,
@@ -53,7 +53,7 @@ def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
 
 
 def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -> Figure:
-    """Value of the criterion for the samples so far; curves: name -> (t (N,), value (N,))."""
+    """Draw the value of the criterion for the samples so far, from the time (N,) and value (N,) of each curve."""
     with open_figure(3.2) as (figure, (axes,)):
         for name, look in _looks(curves):
             axes.plot(*curves[name], **look)
@@ -63,9 +63,10 @@ def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -
 
 
 def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, Floats]) -> Figure | None:
-    """95 % confidence ellipse of each pair of parameters in percent of `scale` (p,); None for one parameter.
+    """Draw the 95 % confidence ellipse of each pair of parameters, in percent of `scale` (p,).
 
-    fishers: name -> information (p, p) in the units of the parameters.
+    `fishers` has the information (p, p) of each input, in the units of the parameters. The result is None for a single
+    parameter.
     """
     pairs = list(combinations(range(len(names)), 2))
     if not pairs:
@@ -92,7 +93,10 @@ def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: Style) -> 
 
 
 def _looks(names: Iterable[str]) -> list[tuple[str, Style]]:
-    """Name and style of each curve: the first one, the design, broad, so that it shows below one that covers it."""
+    """Return name and style of each curve.
+
+    The first curve, the design, is broad, so that it stays visible below a curve that covers it.
+    """
     styles = cycle([(colour, style) for style in LINE_STYLES for colour in COLOURS])
     looks = []
     for number, (name, (colour, style)) in enumerate(zip(names, styles, strict=False)):
@@ -118,12 +122,12 @@ def _words(name: str) -> str:
 
 Rows = tuple[list[str], list[list[str]]]
 
-#: Standard inputs in the figures, next to the design; the tables have all.
+#: Standard inputs in the figures next to the design. The tables have all standard inputs.
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
 def write_design(out: Path, appraisal: Appraisal) -> None:
-    """Writes report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
+    """Write report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "design.json", appraisal.to_dict())
     design = appraisal.design
@@ -135,14 +139,17 @@ def write_design(out: Path, appraisal: Appraisal) -> None:
 
 
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
-    """Columns t, u, x, v at the nodes. The input of a row holds until the next row; the last input is 0."""
+    """Write the columns t, u, x, v at the nodes.
+
+    The input of a row holds until the next row; the last input is 0.
+    """
     rows = zip(t.tolist(), [*u.tolist(), 0.0], x.tolist(), v.tolist(), strict=True)
     lines = ["t,u,x,v", *(",".join(repr(round(value, 12)) for value in row) for row in rows)]
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
 
 
 def criteria_table(appraisal: Appraisal) -> Rows:
-    """One row for each input: value, gain of the design over it, part that survives stiction, what was bent."""
+    """Return one row for each input: value, gain of the design, part that survives stiction, and change of the profile."""
     header = ["input", appraisal.design.criterion, "gain of design", "survives stiction", "profile"]
     rows = []
     for name, worth in appraisal.worths.items():
@@ -155,7 +162,7 @@ def criteria_table(appraisal: Appraisal) -> Rows:
 
 
 def std_table(appraisal: Appraisal, *, through_encoder: bool = False) -> Rows:
-    """Predicted standard deviation of every unknown parameter, by input, in percent of its nominal value."""
+    """Return the predicted standard deviations of the unknown parameters by input, in percent of the nominal values."""
     problem = appraisal.design.problem
     header = ["input", *(f"{_words(name)} [% of {problem.nominal[name]:.4g}]" for name in problem.unknown)]
     rows = []
@@ -209,8 +216,10 @@ _STD_TEXT = (
 
 
 def rounds_table(state: Commissioning) -> Rows:
-    """One row for each round: value and standard deviation of each parameter, distance travelled, and what the model
-    leaves: counts that it misses, or the inflation of normal noise."""
+    """Return one row for each round: parameters with standard deviations, travelled distance, and misfit.
+
+    The misfit is the number of missed counts, or the inflation for normal noise.
+    """
     counted = is_counted(state.problem)
     last = "misfit [counts]" if counted else "inflation"
     header = ["round", *(_words(name) for name in state.problem.names), "travel [m]", last]
@@ -224,7 +233,7 @@ def rounds_table(state: Commissioning) -> Rows:
 
 
 def _with_std(value: float, std: float) -> str:
-    """A number to two digits of its standard deviation."""
+    """Format a number to two digits of its standard deviation."""
     digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 
@@ -236,7 +245,7 @@ _ENCODER_TEXT = (
 
 
 def proof(design: Design) -> str:
-    """How near the optimum is, and how the design was found."""
+    """Return sentences on the distance to the optimum, and on the search for the design."""
     proved = (
         "No bound is proved: another input may be better."
         if design.gap is None
@@ -249,7 +258,7 @@ def proof(design: Design) -> str:
 
 
 def price_words(price: float) -> str:
-    """What robustness costs."""
+    """Return a sentence on the price of robustness."""
     return f"That the limits hold in every scenario costs {100 * price:.1f} % of the nominal information."
 
 
@@ -261,7 +270,7 @@ def _summary(appraisal: Appraisal) -> str:
 
 
 def motions_of(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Input, position and velocity by name of the input."""
+    """Return input, position and velocity of each input by its name."""
     design = appraisal.design
     return {"design": (design.u, design.x, design.v)} | {
         name: (found.u, found.x, found.v) for name, found in appraisal.standard.items()

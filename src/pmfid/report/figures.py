@@ -1,4 +1,4 @@
-"""Figures of estimates, signals, status and residuals: matplotlib without pyplot, nothing shared or shown."""
+"""Figures of estimates, signals, status and residuals, by matplotlib without pyplot and without shared state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-#: Okabe and Ito (2008): eight colours that colour-blind readers tell apart; yellow and black are left out.
+#: Okabe and Ito (2008): eight colours that colour-blind readers can distinguish, here without yellow and black.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
 MAGENTA = "#CC0099"
 GREY = "#777777"
@@ -31,9 +31,9 @@ GREY = "#777777"
 DOUBTFUL = Status.POOR_EXCITATION | Status.COMPENSATION_HELD
 NO_ESTIMATE = Status.STARTING | Status.SETTLING
 
-#: Keywords of matplotlib, each of a type of its own.
+#: Keywords of matplotlib, each with its own type.
 Style = dict[str, Any]
-_STYLE: dict[Any, Any] = {  # its keys are a list of hundreds of literals
+_STYLE: dict[Any, Any] = {  # the type of the keys is a list of hundreds of literals
     "axes.axisbelow": True,
     "axes.edgecolor": GREY,
     "axes.grid": True,
@@ -47,14 +47,14 @@ _STYLE: dict[Any, Any] = {  # its keys are a list of hundreds of literals
     "grid.color": "#E4E4E4",
     "legend.frameon": False,
     "lines.linewidth": 1.3,
-    "svg.fonttype": "none",  # text stays text: small, searchable
+    "svg.fonttype": "none",  # text stays text, which is small and searchable
     "svg.hashsalt": "pmfid",  # the same figure gives the same bytes
 }
 
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """The style of all figures, whatever a matplotlibrc of the user says."""
+    """Apply the style of all figures, whatever the user's matplotlibrc says."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
@@ -64,16 +64,20 @@ def figure_style() -> Iterator[None]:
 
 @contextmanager
 def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any) -> Iterator[tuple[Figure, list[Axes]]]:
-    """A figure in the style of reports, `height` inches high, and its panels, row by row. subplots: arguments of
-    `Figure.subplots`."""
+    """Open a figure of `height` inches in the style of reports, with its panels row by row.
+
+    `subplots` are arguments of `Figure.subplots`.
+    """
     with figure_style():
         figure = Figure(figsize=(TUNING.figures_width, height), layout="constrained")
         yield figure, list(figure.subplots(rows, columns, squeeze=False, **subplots).ravel())
 
 
 def plain_ticks(axis: Axis) -> None:
-    """Plain numbers at the ticks of a logarithmic axis; call it after the scale is set. Else they are formulas, which
-    `figure_style` does not typeset."""
+    """Set plain numbers at the ticks of a logarithmic axis. Call this function after the scale is set.
+
+    Other ticks would be formulas, which `figure_style` does not typeset.
+    """
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())
 
@@ -85,9 +89,9 @@ def save_png(figure: Figure, path: Path, width: int = 1200) -> None:
 
 
 def decimation(y: ArrayLike, limit: int = TUNING.max_points) -> NDArray[np.int64]:
-    """Indices of at most `limit` (>= 4) samples of y (n,), rising: the ends, and the extremes of equal parts.
+    """Return rising indices of at most `limit` (>= 4) samples of y (n,): the ends, and the extremes of equal parts.
 
-    All n where these are not more; a sample that is not finite is no extreme.
+    A record of at most `limit` samples keeps all its samples. Samples that are not finite are never extremes.
     """
     y = np.asarray(y, float)
     if y.size <= limit:
@@ -100,9 +104,9 @@ def decimation(y: ArrayLike, limit: int = TUNING.max_points) -> NDArray[np.int64
 
 
 def stretches(t: ArrayLike, flags: Flags) -> list[tuple[float, float]]:
-    """(start, length) in s of the stretches where flags (n,) is set, at most max_points / 2 of them.
+    """Return start and length [s] of the stretches in which flags (n,) are set, at most max_points / 2 stretches.
 
-    Of a long record each group of neighbouring samples counts as set where one of them is.
+    In a long record, a group of neighbouring samples counts as set if one of its samples is set.
     """
     t = np.asarray(t, float)
     starts = np.arange(0, t.size, -(-t.size // TUNING.max_points))
@@ -113,10 +117,10 @@ def stretches(t: ArrayLike, flags: Flags) -> list[tuple[float, float]]:
 
 
 def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike] | None = None) -> Figure:
-    """Estimate, +-2 standard deviations and nominal value of each physical parameter over time.
+    """Draw estimate, +-2 standard deviations and nominal value of each physical parameter over time t (n,) [s].
 
-    t: (n,) [s]; nominal: value, or (n,) values, by parameter name. Shaded: poor excitation or compensation
-    held. Raises UsageError if t and the track differ in length.
+    `nominal` has a value, or (n,) values, for each parameter name. Poor excitation and held compensation are shaded.
+    Raises UsageError if t and the track differ in length.
     """
     values = {name: np.asarray(value, float) for name, value in (nominal or {}).items()}
     over_time = {f"nominal {name}": value for name, value in values.items() if value.ndim}
@@ -158,10 +162,10 @@ def _shade(axes: Axes, spans: list[tuple[float, float]]) -> None:
 def comparison_figure(
     t: ArrayLike, tracks: Mapping[str, Mapping[str, Track]], parameter: str, truth: ArrayLike
 ) -> Figure:
-    """One parameter by several methods on several records, with the truth: paper figure 4.
+    """Draw one parameter by several methods on several records, with the true value, as in paper figure 4.
 
-    t: (n,) [s]; tracks: title of the panel -> label of the curve -> track; truth: (n,), unit of the parameter.
-    Raises UsageError if a length differs from that of t.
+    The time t is (n,) [s]. `tracks` maps the title of a panel to the tracks of its labelled curves. `truth` (n,) has
+    the unit of the parameter. Raises UsageError if a length differs from the length of t.
     """
     named = {f"{title}, {name}": k.status for title, curves in tracks.items() for name, k in curves.items()}
     t, settled = _time(t, {"truth": truth, **named}), []
@@ -187,7 +191,7 @@ def signals_figure(
     input_unit: str = "unit of u",
     velocity_unit: str = "m/s",
 ) -> Figure:
-    """Input and velocity over time, each (n,). Raises UsageError if the lengths differ."""
+    """Draw input and velocity over time, each (n,). Raises UsageError if the lengths differ."""
     t = _time(t, {"u": u, "velocity": velocity})
     with open_figure(0.9 + 1.7 * 2, 2, sharex=True) as (figure, panels):
         signals = ((u, "input", input_unit), (velocity, "velocity", velocity_unit))
@@ -199,9 +203,9 @@ def signals_figure(
 
 
 def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
-    """When each status bit was set: one row per bit that occurs. t: (n,) [s]; status: (n,) `Status` bits.
+    """Draw the times at which each occurring status bit was set, with one row for each bit.
 
-    Raises UsageError if the lengths differ.
+    The time t is (n,) [s], and `status` (n,) has bits of `Status`. Raises UsageError if the lengths differ.
     """
     t, bits = _time(t, {"status": status}), np.asarray(status)
     occurring = [bit for bit in Status if np.any(bits & bit)]
@@ -218,7 +222,7 @@ def status_figure(t: ArrayLike, status: ArrayLike) -> Figure:
 
 
 def residual_figure(t: ArrayLike, residual: ArrayLike, *, unit: str = "N") -> Figure:
-    """Residual (n,) over time t (n,) [s], and its histogram. Raises UsageError if the lengths differ."""
+    """Draw the residual (n,) over time t (n,) [s], and its histogram. Raises UsageError if the lengths differ."""
     t, e = _time(t, {"residual": residual}), np.asarray(residual, float)
     with open_figure(2.6, 1, 2, sharey=True, width_ratios=(4, 1)) as (figure, (axes, side)):
         _line(axes, t, e, lw=0.8)
@@ -243,7 +247,7 @@ def _time(t: ArrayLike, others: Mapping[str, ArrayLike]) -> Floats:
 
 
 def _end(t: Floats) -> float:
-    """The end of the last sample, one period after its beginning."""
+    """Return the end of the last sample, one period after its beginning."""
     return float(t[-1] + (t[-1] - t[0]) / max(1, t.size - 1))
 
 
@@ -253,12 +257,15 @@ def _line(axes: Axes, t: Floats, y: Floats, **style: Any) -> None:
 
 
 def _mask_start(track: Track, name: str) -> Floats:
-    """The track of one parameter, NaN if there is no estimate yet."""
+    """Return the track of one parameter, with NaN where no estimate exists yet."""
     return np.where(track.has_status(Status.STARTING), np.nan, track[name])
 
 
 def _select_settled(track: Track, y: Floats) -> Floats:
-    """The finite values of y (n,) after the start-up: the first tenth is left out if something remains."""
+    """Return the finite values of y (n,) after the start-up.
+
+    The first tenth is left out if other values remain.
+    """
     usable = np.isfinite(y) & ~track.has_status(NO_ESTIMATE)
     late = usable & (np.arange(y.size) >= y.size // 10)
     return y[late if late.any() else usable]
@@ -281,7 +288,7 @@ def _finish_time(axes: Axes, t: Floats) -> None:
 
 
 def _legend(figure: Figure, panels: list[Axes]) -> None:
-    """One legend above all panels: each label once."""
+    """Draw one legend above all panels, with each label once."""
     entries = {
         label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }

@@ -28,18 +28,21 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: Colours of the verdicts, and of the quality of a period, worst first.
+#: Colours of the verdicts, and of the quality of a period, with the worst first.
 KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0], "wanders": COLOURS[5]}
-#: The map without colours, and the overlaid lines of parameters.
+#: Markers of the verdicts for prints without colour, and styles of the overlaid lines of parameters.
 MARKERS = {"changed": "o", "drifts": "^", "differs": "s", "wanders": "d"}
 LINES = (("-", "o"), ("--", "^"), (":", "s"), ("-.", "d"))
 MAP = {"change": COLOURS[1], "no estimate": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
-#: Kinds of verdicts with a course over time, and the least height of a panel of it [%].
+#: Kinds of verdicts with a course over time, and the least height of a panel of such an axis [%].
 MOVING, LEAST_HEIGHT = ("changed", "drifts"), 2.0
 
 
 def spread_figure(found: History) -> Figure:
-    """A panel for each parameter: relative distance from the median of the type, and relative change, of each axis."""
+    """Draw a panel for each parameter: the distance of each axis from the median of its type, and its change.
+
+    Distance and change are relative.
+    """
     with open_figure(3.4, 1, len(found.names)) as (figure, panels):
         for panel, name in zip(panels, found.names, strict=True):
             _panel(panel, found, name)
@@ -74,7 +77,7 @@ def _panel(panel: Axes, found: History, name: str) -> None:
 
 
 def _choose_labels(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
-    """The first fleet_names places whose names do not overlap."""
+    """Return the first `fleet_names` places whose names do not overlap."""
     width, height = max(float(np.ptp(x)), 1e-9), max(float(np.ptp(y)), 1e-9)
     found: list[int] = []
     for k in places:
@@ -84,7 +87,7 @@ def _choose_labels(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
 
 
 def _set_least_height(panel: Axes) -> None:
-    """Extends the range of a panel to LEAST_HEIGHT, so that scatter does not fill the panel."""
+    """Extend the range of a panel to LEAST_HEIGHT, so that mere scatter does not fill the panel."""
     low, high = panel.get_ylim()
     missing = max(0.0, LEAST_HEIGHT - (high - low)) / 2
     panel.set_ylim(low - missing, high + missing)
@@ -92,14 +95,14 @@ def _set_least_height(panel: Axes) -> None:
 
 
 def moving(found: History) -> pl.DataFrame:
-    """The first axes whose course over time is their matter."""
+    """Return the first axes whose verdict concerns their course over time."""
     import polars as pl
 
     return found.named.filter(pl.col("kind").is_in(MOVING)).head(TUNING.fleet_trends)
 
 
 def ticks_of(times: Floats) -> list[str]:
-    """Times [s] as they are written at an axis: by the date alone where that tells them apart."""
+    """Return the labels of times [s] at an axis, by the date alone if the dates distinguish the times."""
     texts = [when(float(time)) for time in times]
     days = (times[-1] - times[0]) / FLEET_TUNING.plan_day if times.size else 0.0
     if days >= TUNING.fleet_dates or (times.size > 1 and len({text.partition(" ")[0] for text in texts}) == times.size):
@@ -108,8 +111,10 @@ def ticks_of(times: Floats) -> list[str]:
 
 
 def trend_figure(found: History) -> Figure:
-    """A panel for each of the first axes that move: every parameter by period, relative to its first value, with 95 %
-    intervals."""
+    """Draw a panel for each of the first moving axes: every parameter by period, with 95 % intervals.
+
+    The values are relative to the first value of the parameter.
+    """
     import polars as pl
 
     named = moving(found)["axis"].to_list()
@@ -139,13 +144,13 @@ def trend_figure(found: History) -> Figure:
 
 
 def label_of(axis: str) -> str:
-    """A name as it can be drawn: short, without control characters, and no formula."""
+    """Return a short name for a figure, without control characters and formulas."""
     text = printable(axis).replace("\n", " ").replace("$", r"\$")
     return text if len(text) <= TUNING.fleet_longest else f"{text[: TUNING.fleet_longest - 1]}…"
 
 
 def map_figure(found: History) -> Figure:
-    """Axes by periods: where a change came, where there is no estimate, where it is in doubt."""
+    """Draw a map of axes by periods: changes, periods without an estimate, and doubtful periods."""
     order = _order(found)
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
@@ -170,7 +175,7 @@ def map_figure(found: History) -> Figure:
 
 
 def _order(found: History) -> list[str]:
-    """The axes that are named or unknown, in their order, then those with most periods that are not good."""
+    """Return the named and the unknown axes in their order, then the axes with most periods that are not good."""
     periods = found.periods.filter(found.periods["quality"] != "good")["axis"].value_counts()
     doubts = dict(periods.iter_rows())
     rows = enumerate(found.axes.select("axis", "kind").iter_rows())
@@ -191,7 +196,7 @@ def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> 
 
 
 def write_fleet(out: Path, found: History, name: str) -> None:
-    """Writes fleet.html and fleet.json into the folder `out`."""
+    """Write fleet.html and fleet.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "fleet.json", found.to_json())
     sections = [_attention(found), _unknown(found), _trends(found), _wandering(found), _spread(found), _map(found)]
@@ -229,7 +234,7 @@ def _attention(found: History) -> Section:
 
 
 def _besides(found: History) -> str:
-    """Sentences on what the table of axes that need attention leaves out."""
+    """Return sentences on everything that the table of axes with need of attention leaves out."""
     unknown, wander = found.unknown.height, _kind(found, "wanders").height
     files = found.problems.filter((found.problems["code"] == "unreadable") & (found.problems["file"] != ""))
     text = f"\n\n{_many(unknown, 'axis has', 'axes have')} no estimate, listed below." if unknown else ""
@@ -250,7 +255,7 @@ def _kind(found: History, kind: str) -> pl.DataFrame:
 
 
 def _unknown(found: History) -> Section | None:
-    """The axes without an estimate, with the findings of their records."""
+    """Return the section on axes without an estimate, with the findings of their records."""
     import polars as pl
 
     if not found.unknown.height:
@@ -292,7 +297,7 @@ def _wandering(found: History) -> Section | None:
 
 
 def _strength(score: float) -> str:
-    """The strength of a finding, in multiples of what chance would name."""
+    """Format the strength of a finding, in multiples of the strength that chance explains."""
     return f"{score:.1f} ×" if score < 10 else f"{score:.0f} ×" if score < 100 else "over 100 ×"
 
 
@@ -317,7 +322,7 @@ def _trends(found: History) -> Section | None:
 
 
 def _slope(slope: float, std: float) -> str:
-    """A slope in %, with the digits that its standard error leaves: two at most after the point."""
+    """Format a slope in %, with the digits that its standard error justifies, at most two after the point."""
     digits = min(2, max(0, 1 - math.floor(math.log10(max(100 * std, 1e-9))))) if math.isfinite(std) else 2
     return f"{100 * slope:+.{digits}f} ± {max(100 * std, 0.01):.2g}" if math.isfinite(slope) else ""
 

@@ -14,7 +14,7 @@ from pmfid.report.html import Section, svg, write_json, write_report
 
 
 def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
-    """Writes friction.html and friction.json into the folder `out`."""
+    """Write friction.html and friction.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "friction.json", curve_json(found, name))
     (back, _), (slow, ahead) = found.visited
@@ -33,7 +33,10 @@ def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
 
 
 def curve_figure(found: FrictionCurve) -> Figure:
-    """The curve with a band of two standard deviations, in grey what the record does not visit."""
+    """Draw the curve with a band of two standard deviations.
+
+    The range of velocity that the record does not visit is grey.
+    """
     with open_figure(3.8) as (figure, (axes,)):
         for number, way in enumerate((found.velocity < 0, found.velocity > 0)):
             v, force, std = found.velocity[way], found.force[way], found.std[way]

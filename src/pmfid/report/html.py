@@ -22,9 +22,10 @@ from pmfid.report.tuning import TUNING
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Writes `data` in place of what was at the path; a link is replaced, not followed; a device is written to.
+    """Write `data` in place of the file at the path.
 
-    Raises OSError if this fails; then the file is unchanged.
+    A link is replaced, not followed. A device is written to. Raises OSError if the data cannot be written; the file is
+    then unchanged.
     """
     if path.exists() and not path.is_file():
         path.write_bytes(data)
@@ -39,7 +40,7 @@ def replace_file(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Writes an object as JSON, as `replace_file` does."""
+    """Write an object as JSON, as `replace_file` does."""
     replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
@@ -51,10 +52,10 @@ Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 class Section:
     """A part of the report.
 
-    heading, text: plain text, an empty line in the text starts a new paragraph; table: (header, rows), numbers
-    are shown with 4 digits, text as it is; svg: an <svg> element as from `svg`, embedded as it is; first: it stands
-    above text and table, not below them; code: lines of a file, as they are.
-    Raises UsageError if the number of cells in a row differs from the header.
+    `heading` and `text` are plain text, in which an empty line starts a new paragraph. `table` has a header and rows;
+    numbers are shown with 4 digits, text unchanged. `svg` is an <svg> element, as the function `svg` returns it, and is
+    embedded unchanged. If `first` is set, the figure stands above text and table, otherwise below. `code` has the lines
+    of a file, which are shown unchanged. Raises UsageError if the number of cells in a row differs from the header.
     """
 
     heading: str
@@ -75,20 +76,20 @@ class Section:
 
 
 def svg(figure: Figure) -> str:
-    """The figure as an <svg> element to embed in HTML; the same figure gives the same text."""
+    """Return the figure as an <svg> element for HTML; the same figure gives the same text."""
     buffer = io.StringIO()
     with figure_style(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # text stays text, the reader has the letters
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # the reader's fonts have the glyphs
         figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     text = buffer.getvalue()
-    # In HTML the parser knows the namespaces of an <svg>; their addresses would look like links.
+    # In HTML the parser knows the namespaces of an <svg>. The addresses of the namespaces would look like links.
     return re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", text[text.index("<svg") :])
 
 
 def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     """Write the sections to one HTML file in UTF-8; the same sections give the same bytes.
 
-    It has no scripts, links or dates. Raises OSError if the file cannot be written.
+    The file has no scripts, links or dates. Raises OSError if the file cannot be written.
     """
     source = files("pmfid.report").joinpath("templates", "report.html.j2").read_text("utf-8")
     environment = jinja2.Environment(
@@ -96,7 +97,7 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     )
     parts = [_part(section, f"s{number}-") for number, section in enumerate(sections, 1)]
     page = environment.from_string(source).render(title=title, sections=parts)
-    # a file name need not be text: what has no letters is shown as a question mark
+    # A file name may contain bytes that are no text. Such bytes are shown as a question mark.
     replace_file(path, (page + "\n").encode("utf-8", "replace"))
 
 
@@ -132,5 +133,5 @@ def _is_number(text: str) -> bool:
 
 
 def _own_ids(svg: str, prefix: str) -> str:
-    """Puts a prefix before each id, because two figures on a page use the same numbers for their elements."""
+    """Put a prefix before each id, because two figures on a page use the same numbers for their elements."""
     return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{prefix}", svg)

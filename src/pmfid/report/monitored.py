@@ -36,7 +36,7 @@ from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-#: Rows of the strip, from above: state of the monitor, or status bits of the estimate.
+#: Rows of the strip, from the top: states of the monitor, then status bits of the estimate.
 STATES = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
 STRIP_BITS = {
     "poor excitation": Status.POOR_EXCITATION,
@@ -45,14 +45,17 @@ STRIP_BITS = {
     "unmodelled": Status.UNMODELLED,
     "bad input": Status.SAMPLE_REJECTED | Status.RESET,
 }
-#: Samples with one of these were left out.
+#: Status bits of samples that were left out.
 LEFT_OUT = Status.SAMPLE_REJECTED
 
 
 @dataclass(frozen=True)
 class RunData:
-    """n rows of p parameters. t: (n,) [s]; u, velocity, innovation: (n,); theta, std: (n, p); status: (n,) bits;
-    state: (n,) words; nominal: (p,); alarms: as for JSON."""
+    """The data of a monitored run: n rows of p parameters.
+
+    The time `t` is (n,) [s]; `u`, `velocity` and `innovation` are (n,); `theta` and `std` are (n, p). `status` (n,) has
+    bits, `state` (n,) words. `nominal` is (p,). `alarms` have the form for JSON.
+    """
 
     names: Sequence[str]
     units: Sequence[str]
@@ -70,7 +73,7 @@ class RunData:
 
 
 def run_figure(data: RunData) -> Figure:
-    """Estimates against nominal, state and validity as a strip, input, motion and innovation."""
+    """Draw the estimates with nominal values, a strip of states and status bits, input, motion and innovation."""
     p, strip = len(data.names), _strip_rows(data)
     heights = [1.9] * p + [0.25 + 0.2 * len(strip)] + [1.1] * 3
     with open_figure(1.1 + sum(heights), p + 4, sharex=True, height_ratios=heights) as (figure, panels):
@@ -111,16 +114,16 @@ def _estimate_panel(axes: Axes, data: RunData, i: int) -> None:
 
 
 def _select_trusted(data: RunData) -> Flags:
-    """(n,) samples at which the estimate is neither starting nor settling after an alarm."""
+    """Return the samples (n,) at which the estimate is neither starting nor settling after an alarm."""
     doubtful = Status.NOT_AN_ESTIMATE
     return np.asarray(((data.status & doubtful) == 0) & (data.state != SUSPICIOUS))
 
 
 def _show_accepted(axes: Axes, values: Floats, status: NDArray[np.uint32]) -> None:
-    """Sets the range of the axis without samples that were left out, as at a jump of the counts.
+    """Set the range of the axis without samples that were left out, for example at a jump of the counts.
 
-    Their neighbours do not count either, because their difference quotients use such a sample. With them all other
-    samples would look flat.
+    The neighbours of such a sample are left out as well, because their difference quotients use the sample. With these
+    samples, all others would look flat.
     """
     left_out = np.pad((status & LEFT_OUT) != 0, 1)
     shown = values[~(left_out[:-2] | left_out[1:-1] | left_out[2:]) & np.isfinite(values)]
@@ -138,7 +141,7 @@ def _limits(axes: Axes, values: Floats, nominal: float) -> None:
 
 
 def _strip_rows(data: RunData) -> list[tuple[str, str, Flags]]:
-    """Label, colour and flags (n,) of the rows that occur."""
+    """Return label, colour and flags (n,) of the rows that occur."""
     rows = [(state, colour, data.state == state) for state, colour in STATES.items()]
     rows += [
         (name, COLOURS[4 if name == "standstill" else 1], (data.status & int(bits)) != 0)
@@ -162,7 +165,10 @@ def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
 
 
 def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) -> Figure:
-    """Rate of false alarms over the threshold, of each detector relative to its threshold for mtbf_hours."""
+    """Draw the rate of false alarms over the threshold of each detector.
+
+    The thresholds are relative to the threshold for `mtbf_hours`.
+    """
     with open_figure(3.4) as (figure, (axes,)):
         for colour, (name, tail) in zip(cycle(COLOURS), tails.items(), strict=False):
             unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
@@ -181,7 +187,7 @@ def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) 
 
 
 def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory) -> None:
-    """Writes one self-contained HTML file on a run. Raises OSError if it cannot be written."""
+    """Write one self-contained HTML file on a run. Raises OSError if the file cannot be written."""
     sections = [_verdict(setup, run)]
     if len(history.rows) > 1:
         sections.append(
@@ -192,7 +198,7 @@ def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, hist
 
 
 def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
-    """The columns that the figure shows."""
+    """Return the columns that the figure shows."""
     time, u, counts, theta, std, innovation, status, state = zip(*history.rows, strict=True)
     estimator = setup.monitor.estimator
     t = np.array(time)
@@ -215,7 +221,7 @@ def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
 
 
 def _velocity(position: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(n,); a clock that was set may give two samples the same time."""
+    """Return the velocity (n,). A clock that was set may give two samples the same time."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.gradient(position, t))
 
@@ -249,7 +255,7 @@ def _verdict(setup: Setup, run: MonitoredRun) -> Section:
 
 
 def _alarm_row(run: MonitoredRun, alarm: Notice) -> list[str]:
-    """The row of an alarm, with the value on which the parameter settled before the next alarm, if it did."""
+    """Return the row of an alarm, with the settled value of the parameter if it settled before the next alarm."""
     later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
     found = later[0]["parameters"].get(alarm["parameter"]) if later and later[0]["event"] == "settled" else None
     return [

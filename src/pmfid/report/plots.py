@@ -53,7 +53,7 @@ SAMPLES = "sample [-]"
 
 
 def with_samples(figure: Figure) -> Figure:
-    """A figure over sample numbers, for results without a sample period."""
+    """Label the time of a figure as sample numbers, for results without a sample period."""
     for axes in figure.axes:
         if axes.get_xlabel() == "time [s]":
             axes.set_xlabel(SAMPLES)
@@ -61,7 +61,7 @@ def with_samples(figure: Figure) -> Figure:
 
 
 def bars_figure(names: Sequence[str], units: Sequence[str], theta: Sequence[float], std: Sequence[float]) -> Figure:
-    """Each parameter on an axis of its own, with two standard deviations where they are known."""
+    """Draw each parameter on its own axis, with two standard deviations if they are known."""
     with open_figure(0.3 + 0.85 * len(names), len(names)) as (figure, panels):
         for axes, name, unit, value, bar in zip(panels, names, units, theta, std, strict=True):
             known = np.isfinite(bar)
@@ -77,7 +77,7 @@ def bars_figure(names: Sequence[str], units: Sequence[str], theta: Sequence[floa
 
 
 def fleet_figure(t: ArrayLike, tracks: Tracks, label: str) -> Figure:
-    """The estimates of the first axes over t (m,), and the median of all."""
+    """Draw the estimates of the first axes over t (m,), and the median of all axes."""
     time, single = np.asarray(t, float), np.size(t) == 1
     theta = np.where(tracks.has_status(Status.STARTING)[..., None], np.nan, tracks.theta)
     with open_figure(0.9 + 1.9 * len(tracks.names), len(tracks.names), sharex=True) as (figure, panels):
@@ -94,7 +94,7 @@ def fleet_figure(t: ArrayLike, tracks: Tracks, label: str) -> Figure:
 
 
 def experiment_figure(experiment: Experiment) -> Figure:
-    """Input, output and reference over time."""
+    """Draw input, output and reference over time."""
     signals = {"u": experiment.u, "y": experiment.y, "reference": experiment.reference}
     there = {name: values for name, values in signals.items() if values is not None}
     with open_figure(0.9 + 1.7 * len(there), len(there), sharex=True) as (figure, panels):
@@ -107,7 +107,7 @@ def experiment_figure(experiment: Experiment) -> Figure:
 
 
 class Drawing(Figure):
-    """A figure that a notebook shows by itself, also without an import of pyplot."""
+    """A figure that a notebook shows by itself, even without an import of pyplot."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -117,15 +117,18 @@ class Drawing(Figure):
 
 
 def figure_of(shown: object, **options: object) -> Drawing:
-    """The figure of a result; options: the keywords of the function for its kind below. Raises UsageError for other
-    names, and for results without a figure."""
+    """Return the figure of a result.
+
+    `options` are the keywords of the function for the kind of the result in this module. Raises UsageError for other
+    keywords, and for results without a figure.
+    """
     try:
         figure = _draw(shown, **options)
     except TypeError as error:
         if "unexpected keyword" in str(error):
             raise UsageError(f"the figure of {type(shown).__name__} has no such option: {error}") from None
         raise
-    figure.__class__ = Drawing  # also of a figure that another function made
+    figure.__class__ = Drawing  # holds for figures of other functions, too
     return cast(Drawing, figure)
 
 
@@ -136,12 +139,14 @@ def _draw(shown: object) -> Figure:
 
 @_draw.register
 def _drive(result: DriveResult) -> Figure:
-    """The estimates of a recursive method over time. For other methods, the simulated and the measured motion; if
-    nothing can be simulated, the measured motion."""
+    """Draw the estimates of a recursive method over time, or the simulated and measured motion of another method.
+
+    If nothing can be simulated, the measured motion is drawn alone.
+    """
     if result.track is not None:
         return estimate_figure(result.record.times, result.track)
     try:
-        theta = result.theta[: len(result.estimator.names)]  # without a gain of the input that was found
+        theta = result.theta[: len(result.estimator.names)]  # without an estimated input gain
         balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)
     except PmfidError:
         balance = None
@@ -152,13 +157,13 @@ def _drive(result: DriveResult) -> Figure:
 
 @_draw.register
 def _process_result(result: ProcessResult) -> Figure:
-    """Measured and simulated output; of an unstable process the frequency response."""
+    """Draw the measured and simulated output, or the frequency response of an unstable process."""
     return bode_of(result.process, result.estimator.dt) if result.fit is None else output_figure(result)
 
 
 @_draw.register
 def _fit(fit: Fit, t: ArrayLike | None = None) -> Figure:
-    """The residual; t: (n,) times of the samples in use [s], None: their numbers."""
+    """Draw the residual over the times t (n,) of the samples in use [s], or over their numbers if t is None."""
     time = np.arange(fit.residual.size) if t is None else t
     figure = residual_figure(time, fit.residual, unit="unit of the target")
     return with_samples(figure) if t is None else figure
@@ -166,14 +171,17 @@ def _fit(fit: Fit, t: ArrayLike | None = None) -> Figure:
 
 @_draw.register
 def _track(track: Track, t: ArrayLike | None = None, nominal: dict[str, ArrayLike] | None = None) -> Figure:
-    """The estimates; t: (n,) times [s], None: numbers of the samples; nominal: values by name to compare with."""
+    """Draw the estimates over the times t (n,) [s], or over the numbers of the samples if t is None.
+
+    `nominal` has values for comparison by the names of the parameters.
+    """
     figure = estimate_figure(np.arange(track.status.size) if t is None else t, track, nominal)
     return with_samples(figure) if t is None else figure
 
 
 @_draw.register
 def _tracks(tracks: Tracks, t: ArrayLike | None = None) -> Figure:
-    """The estimates of all axes; t: (m,) times of the samples that were kept [s], None: their numbers."""
+    """Draw the estimates of all axes over the times t (m,) of the kept samples [s], or over their numbers."""
     return fleet_figure(tracks.samples if t is None else t, tracks, SAMPLES if t is None else "time [s]")
 
 
@@ -181,7 +189,7 @@ def _tracks(tracks: Tracks, t: ArrayLike | None = None) -> Figure:
 @_draw.register(Seen)
 @_draw.register(Estimate)
 def _bars(shown: Posterior | Seen | Estimate) -> Figure:
-    """The parameters with two standard deviations."""
+    """Draw the parameters with two standard deviations."""
     columns = shown.to_frame()
     return bars_figure(*(columns[name].to_list() for name in ("parameter", "unit", "value", "std")))
 
@@ -198,7 +206,10 @@ def _terms(found: TermSearch) -> Figure:
 
 @_draw.register
 def _validation(found: Validation, record: int | None = None) -> Figure:
-    """Measured and simulated output of a record, by its number; None: of a single one, or the errors of all."""
+    """Draw the measured and simulated output of one record, or the errors of all records.
+
+    `record` is the number of the record; None means the only record, or all records.
+    """
     if record is None and len(found.runs) > 1:
         return horizon_figure(found)
     return run_figure(found.runs[record or 0], found.unit)
@@ -206,7 +217,7 @@ def _validation(found: Validation, record: int | None = None) -> Figure:
 
 @_draw.register
 def _process(process: Process, dt: float | None = None) -> Figure:
-    """The step response; with a sample period [s] the frequency response up to half its rate."""
+    """Draw the step response; with a sample period [s], draw the frequency response up to half its rate."""
     return step_figure(process) if dt is None else bode_of(process, dt)
 
 
@@ -217,17 +228,17 @@ def _experiment(experiment: Experiment) -> Figure:
 
 @_draw.register
 def _design(design: Design) -> Figure:
-    """Input and nominal motion, with the limits."""
+    """Draw input and nominal motion, with the limits."""
     return designed_figure(design.problem, {"design": (design.u, design.x, design.v)})
 
 
 @_draw.register
 def _appraisal(appraisal: Appraisal) -> Figure:
-    """The figure of all inputs."""
+    """Draw the figure of all inputs."""
     return designed_figure(appraisal.design.problem, motions_of(appraisal))
 
 
 @_draw.register
 def _monitor(monitor: Monitor) -> Figure:
-    """False alarms over the threshold, of each detector."""
+    """Draw the rate of false alarms over the threshold of each detector."""
     return calibration_figure(monitor.calibration.tails, monitor.watch.detector, monitor.watch.mtbf_hours)

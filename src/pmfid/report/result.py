@@ -42,10 +42,10 @@ HOW_TO_READ = (
 
 
 def write_drive(out: Path, result: DriveResult) -> None:
-    """Writes report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
+    """Write report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
 
-    A track.parquet that is there stays under another name, track-2.parquet and so on: it is of an earlier run, or has
-    nothing to do with this program.
+    An existing track.parquet is kept under another name, such as track-2.parquet. It belongs to an earlier run or to
+    another program.
     """
     out.mkdir(parents=True, exist_ok=True)
     track = out / "track.parquet"
@@ -88,10 +88,10 @@ def _drive_parameters(result: DriveResult) -> Section:
 
 
 def motion_figure(record: Record, speed: str = LINEAR.speed) -> Figure:
-    """Input and velocity of a record; speed: its unit."""
+    """Draw input and velocity of a record; `speed` is the unit of the velocity."""
     velocity = np.gradient(record.counts * record.resolution, record.times)
     signals = signals_figure(record.times, record.u, velocity, velocity_unit=speed)
-    signals.axes[0].set_ylabel("input u")  # no record says in which unit
+    signals.axes[0].set_ylabel("input u")  # a record does not contain the unit
     return signals
 
 
@@ -111,7 +111,7 @@ def _figures(result: DriveResult) -> list[Section]:
 
 
 def write_process(out: Path, result: ProcessResult) -> None:
-    """Writes report.html and result.json into the folder `out`."""
+    """Write report.html and result.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "result.json", result.to_json())
     sections = [
@@ -150,7 +150,7 @@ def _residual_text(result: ProcessResult) -> str:
 
 
 def output_figure(result: ProcessResult) -> Figure:
-    """Measured and simulated output of every record over time."""
+    """Draw the measured and simulated output of every record over time."""
     records, checks = result.experiments, result.assessment
     parts = list(zip(checks.records, checks.samples, checks.simulated, strict=True))
     with open_figure(2.2 * len(records), len(records)) as (figure, panels):
@@ -170,7 +170,10 @@ def output_figure(result: ProcessResult) -> Figure:
 
 
 def bode_of(process: Process, dt: float) -> Figure:
-    """Magnitude and phase over frequency with two standard deviations, up to half the sampling frequency; dt [s]."""
+    """Draw magnitude and phase over frequency with two standard deviations, up to half the sampling frequency.
+
+    The sample period dt is in s.
+    """
     corners = np.abs(np.r_[process.poles, process.zeros])
     corners = corners[corners > 0]
     nyquist = np.pi / dt
@@ -193,9 +196,9 @@ def bode_of(process: Process, dt: float) -> Figure:
 
 
 def step_figure(process: Process) -> Figure:
-    """Step response with two standard deviations."""
+    """Draw the step response with two standard deviations."""
     speeds = np.abs(process.poles.real[process.poles != 0])
-    fastest = float(np.max(np.abs(process.poles), initial=0.0)) or 1.0  # integrators alone have no time of their own
+    fastest = float(np.max(np.abs(process.poles), initial=0.0)) or 1.0  # integrators alone have no time constant
     slowest = float(np.max(1 / np.maximum(speeds, 1e-3 * fastest), initial=1 / fastest))
     t = np.linspace(0, TUNING.result_settling * slowest + 2 * process.delay, TUNING.result_points)
     y, std = process.step_response(t)
@@ -207,7 +210,7 @@ def step_figure(process: Process) -> Figure:
 
 
 def correlation_figure(result: ProcessResult) -> Figure:
-    """Autocorrelation of the residual, its correlation with the input, and their bounds."""
+    """Draw the autocorrelation of the residual, its correlation with the input, and their bounds."""
     checks, lags = result.assessment, np.arange(result.assessment.autocorrelation.size)
     whose = "reference" if any(e.reference is not None for e in result.experiments) else "input"
     parts = (
@@ -234,7 +237,7 @@ SEARCH_HEADER = ("n", "m", "delay", "criterion", "fit [%]", "condition")
 
 
 def search_rows(search: Search) -> list[list[str]]:
-    """The best structures; the criterion as the distance from the best."""
+    """Return the rows of the best structures, with the criterion as the distance from the best."""
     return [
         [
             str(row.n),
@@ -249,7 +252,7 @@ def search_rows(search: Search) -> list[list[str]]:
 
 
 def search_figure(search: Search) -> Figure:
-    """Criterion of the best structure of each size, and which it is."""
+    """Draw the criterion of the best structure of each size, labelled with the structure."""
     best: dict[int, int] = {}
     for index, row in enumerate(search.candidates):
         best.setdefault(row.n + row.m + 1, index)
@@ -271,7 +274,7 @@ def search_figure(search: Search) -> Figure:
 
 
 def write_search(out: Path, search: Search, name: str) -> None:
-    """Writes order.html and order.json into the folder `out`."""
+    """Write order.html and order.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "order.json", search_json(search))
     text = (
@@ -288,8 +291,7 @@ def write_search(out: Path, search: Search, name: str) -> None:
 
 
 def write_result(out: Path, result: Result) -> None:
-    """Writes report.html and result.json, and of a recursive method on a machine track.parquet, into the folder
-    `out`."""
+    """Write report.html and result.json into the folder `out`, for a recursive method on a machine also track.parquet."""
     if isinstance(result, ProcessResult):
         write_process(out, result)
     elif isinstance(result, DriveResult):

@@ -1,4 +1,4 @@
-"""The report of a search over the terms of a drive: tables, the friction of the models side by side, numbers."""
+"""The report of a search over the terms of a drive: tables, friction of the models, and numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BODY = {"mass": (MASS,), "viscous": (VISCOUS_FORWARD, VISCOUS_BACKWARD), "Coulom
 
 
 def write_terms(out: Path, found: TermSearch) -> None:
-    """Writes terms.html and terms.json into the folder `out`."""
+    """Write terms.html and terms.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "terms.json", found.to_json())
     text = "\n\n".join([found.sentence, *(f"Note: {note}." for note in found.notes)])
@@ -56,7 +56,7 @@ HIDDEN = "A term that is not in the model would be seen from this size on, four 
 
 
 def model_rows(found: TermSearch) -> Rows:
-    """Header and a row of text for each of the nested models."""
+    """Return the header and a row of text for each of the nested models."""
     header = ["model", "log-likelihood", "held out", "[counts]", "unexplained [%]", "at low speed [%]", *BODY]
     return header, [
         [
@@ -72,7 +72,7 @@ def model_rows(found: TermSearch) -> Rows:
 
 
 def _value(model: NestedModel, roles: tuple[int, ...]) -> str:
-    """A parameter with its standard error; for a directional parameter both values."""
+    """Format a parameter with its standard error; a directional parameter has both values."""
     equation: Equation = model.trial.model.equation
     indices = dict.fromkeys(index for index in (equation.roles[role] for role in roles) if index is not None)
     std = None if model.fit is None else model.fit.theta_std
@@ -80,7 +80,7 @@ def _value(model: NestedModel, roles: tuple[int, ...]) -> str:
 
 
 def term_rows(found: TermSearch) -> Rows:
-    """Header and a row of text for each term that was fitted: those of the chosen model first."""
+    """Return the header and a row of text for each fitted term, with the terms of the chosen model first."""
     header = ["set", "value", "kept", "held out with", "without", "verdict"]
     return header, [
         [
@@ -100,7 +100,7 @@ def _format_value(name: str, value: float, std: float, unit: str) -> str:
 
 
 def step_rows(found: TermSearch) -> Rows:
-    """Header and a row of text for each term that was fitted."""
+    """Return the header and a row of text for each fitted term, step by step."""
     header = ["step", "set", "score", "gain", "needed", "held out", "verdict"]
     rows = []
     for number, tried in enumerate(found.terms.steps, 1):
@@ -112,7 +112,7 @@ def step_rows(found: TermSearch) -> Rows:
 
 
 def hidden_rows(found: TermSearch) -> Rows:
-    """Header and a row of text for each term that the model has not."""
+    """Return the header and a row of text for each term that the model does not have."""
     return ["term", "seen from", "unit"], [[one.says, f"{one.size:.2g}", one.unit] for one in found.hidden]
 
 
@@ -121,7 +121,7 @@ def _number(value: float, digits: int = 4) -> str:
 
 
 def friction_figure(found: TermSearch) -> Figure:
-    """Friction over velocity: what the record says at the chosen model's mass, and the models."""
+    """Draw the friction over velocity: the friction from the record at the chosen model's mass, and the models."""
     last = found.chosen.balance
     models = [(model.label, model.balance) for model in found.models if model.balance is not None]
     with open_figure(4.2) as (figure, (axes,)):
@@ -144,6 +144,6 @@ def friction_figure(found: TermSearch) -> Figure:
 
 
 def _sides(speeds: Floats) -> list[Floats]:
-    """Velocities to draw at, to either side of rest."""
+    """Return the velocities at which a curve is drawn, on either side of rest."""
     ends = float(np.min(speeds, initial=0.0)), float(np.max(speeds, initial=0.0))
     return [np.linspace(end / TUNING.terms_points, end, TUNING.terms_points) for end in ends if end]

@@ -1,4 +1,4 @@
-"""Thresholds, limits and counts of `pmfid.report`, each with what it decides."""
+"""Thresholds, limits and counts of `pmfid.report`, each with its purpose."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class ReportTuning:
-    """One value for each decision of `pmfid.report`, by module."""
+    """All thresholds of `pmfid.report`, ordered by module."""
 
     # checks
     max_dots: int = 1200
 
     # comparison
-    #: Most panels in a row; the numbers of more would not fit.
+    #: Largest number of panels in a row. The numbers of more panels would not fit.
     comparison_panels: int = 4
-    #: A fit beyond this [percent] is shown by its size alone.
+    #: Size of a fit [percent] above which only its magnitude is shown.
     comparison_huge: float = 1e5
 
     # design
-    #: chi-square of two degrees of freedom at 95 %.
+    #: Chi-square of two degrees of freedom at 95 %.
     design_chi2: float = 5.991
 
     # figures
@@ -27,49 +27,49 @@ class ReportTuning:
     figures_width: float = 9.0
 
     # fleet
-    #: Names that are written into a panel, and of a change of so much [%]; rows of the map, and periods of it.
+    #: Number of names in a panel, and the least change [%] with a name; numbers of rows and periods of the map.
     fleet_names: int = 6
     fleet_shown: float = 2.0
     fleet_rows: int = 50
     fleet_columns: int = 400
-    #: Axes whose trend is drawn; letters of a name; rows of the map in which nothing is the matter, to compare with.
+    #: Number of drawn trends, letters of a name, and quiet rows of the map for comparison.
     fleet_trends: int = 6
     fleet_longest: int = 24
     fleet_quiet: int = 10
-    #: Days of a history from which its times are labelled by the date alone.
+    #: Length of a history [days] from which its times are labelled by the date alone.
     fleet_dates: float = 2.0
-    #: Most axes and problems in the tables; the files of the same folder have all.
+    #: Largest number of axes and problems in the tables. The files in the same folder have all of them.
     fleet_most_axes: int = 60
     fleet_problems: int = 40
     fleet_others: int = 20
 
     # html
-    #: Letters from which on a cell goes over several lines.
+    #: Number of letters from which a cell may be broken into several lines.
     html_long: int = 24
 
     # monitored
     shown_alarms: int = 200
 
     # plots
-    #: Axes of a fleet that are drawn one by one.
+    #: Number of axes of a fleet that are drawn individually.
     plots_most_axes: int = 50
     #: Resolution of a figure in a notebook: 9 inches are 900 pixels.
     plots_dpi: int = 100
 
-    # result
+    # Decades of frequency below the slowest and above the fastest corner, and time constants in a step response.
     #: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
     result_decades: float = 1.0
     result_settling: float = 8.0
     result_points: int = 400
-    #: Structures in the table of a search.
+    #: Number of structures in the table of a search.
     result_rows: int = 15
 
     # terms
-    #: Velocities at which a curve is drawn to either side.
+    #: Number of velocities at which a curve is drawn, on either side of rest.
     terms_points: int = 400
 
     # validation
-    #: Records that have a figure of their own.
+    #: Largest number of records that have their own figure.
     most_figures: int = 12
 
 

@@ -1,4 +1,4 @@
-"""The report of a validation: figures, tables, numbers."""
+"""The report of a validation: figures, tables and numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Rows = tuple[list[str], list[list[str]]]
 
 
 def write_validation(out: Path, found: Validation) -> None:
-    """Writes validation.html and validation.json into the folder `out`."""
+    """Write validation.html and validation.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "validation.json", found.to_json())
     sections = [
@@ -55,7 +55,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def run_rows(found: Validation) -> Rows:
-    """Header and a row of text for each record."""
+    """Return the header and a row of text for each record."""
     header = ["record", *(_with_unit(name, found.unit) for name in ("error", "largest"))]
     header += ["fit [%]", "relative [%]", *(_with_unit(n, found.unit) for n in ("encoder", "mean", "standstill"))]
     return header, [
@@ -70,7 +70,7 @@ def run_rows(found: Validation) -> Rows:
 
 
 def horizon_rows(found: Validation) -> Rows:
-    """Header and a row of text for each record and horizon."""
+    """Return the header and a row of text for each record and horizon."""
     header = ["record", "every [s]", "runs", _with_unit("error", found.unit), _with_unit("standstill", found.unit)]
     return header, [
         [run.name, f"{part.seconds:g}", str(part.runs), _number(part.rmse), _number(part.standstill)]
@@ -84,13 +84,13 @@ def _number(value: float | None) -> str:
 
 
 def run_figure(run: FreeRun, unit: str) -> Figure:
-    """Measured and simulated output, and their difference, over time."""
+    """Draw the measured and simulated output, and their difference, over time."""
     labels = _with_unit("output", unit), _with_unit("measured\nless simulated", unit)
     return followed_figure(run.t, (run.measured, run.simulated), labels[0], run.error, labels[1], run.read)
 
 
 def horizon_figure(found: Validation) -> Figure:
-    """Errors over the interval of restarts; the last point is the error without a restart."""
+    """Draw the errors over the interval between restarts; the last point is the error without a restart."""
     with open_figure(3.6) as (figure, (axes,)):
         for number, run in enumerate(found.runs):
             colour, duration = COLOURS[number % len(COLOURS)], float(run.t[-1] - run.t[0])
