@@ -144,7 +144,8 @@ class Appraisal(Presentable):
 
     @property
     def gain(self) -> dict[str, float]:
-        """Value of the design over the value of each standard input, infinite where a standard input has the value 0."""
+        """Value of the design over the value of each standard input, infinite where a standard input has the value
+        0."""
         own = self.worths["design"].value
         values = {name: self.worths[name].value for name in self.standard}
         return {name: own / value if value > 0 else math.inf for name, value in values.items()}
@@ -156,7 +157,8 @@ class Appraisal(Presentable):
         return best_input(self.design.problem, self.rule, covariances)
 
     def summary(self) -> Summary:
-        """Return the predicted standard deviations of each input, with lines for the design and the recommended input."""
+        """Return the predicted standard deviations of each input, with lines for the design and the recommended
+        input."""
         unknown = self.design.problem.unknown
         rows = [(name, *(f"{worth.predicted_std[own]:.2g}" for own in unknown)) for name, worth in self.worths.items()]
         title = f"{self.design.criterion}, standard deviations after one run; to be run: {self.recommended}"

@@ -343,7 +343,8 @@ class Problem:
 
     @property
     def cases(self) -> tuple[Mapping[str, float], ...]:
-        """Parameters of each case of the criterion: the nominal ones and, with an average, the ones of each scenario."""
+        """Parameters of each case of the criterion: the nominal ones and, with an average, the ones of each
+        scenario."""
         return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
     @property

@@ -193,7 +193,8 @@ class WatchedAxis:
         rest.gathered[0], rest.refined[0], rest.crossed[0], rest.suspected[0] = 0.0, 0, 0.0, 0
 
     def _on_block(self, rows: Floats, lost: NDArray[np.uint8], estimate: Estimate) -> list[Event]:
-        """Return the events after a block (1, width). `lost` (1,) is true if all samples of the block were disturbed."""
+        """Return the events after a block (1, width). `lost` (1,) is true if all samples of the block were
+        disturbed."""
         watcher, own = self.watching.watcher, self._own
         rows, information = watcher.informed(own, rows, bool(lost[0]))
         if self.state == SETTLING:

@@ -59,8 +59,8 @@ def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edg
 def piece_length(x: Floats) -> int:
     """Return the number of units in a piece of x (n, p) that keeps the correlation of neighbouring units.
 
-    The result is the smallest number with the right variance per unit. Within chance, sums of this number of units have the
-    same variance per unit as sums of four times as many.
+    The result is the smallest number with the right variance per unit. Within chance, sums of this number of units have
+    the same variance per unit as sums of four times as many.
     """
     for length in TUNING.calibration_pieces[:-1]:
         n = len(x) // (4 * length)

@@ -292,8 +292,8 @@ class Sampled(RowArrays):
     def yes_or_no(self) -> NDArray[np.int64]:
         """Flags (n, 3), 1 or 0, of the last samples.
 
-        They say whether the last sample was lost, whether any sample was not lost, and whether the input changed in the
-        last sample that was not lost.
+        The first flag means a lost last sample, the second that any sample was not lost. The third means that the input
+        changed in the last sample that was not lost.
         """
         return self.whole[:, [LOST, KNOWN, CHANGED]]
 
@@ -309,7 +309,8 @@ class Sampled(RowArrays):
 
     @property
     def shares(self) -> Floats:
-        """Share of samples with an unchanged input, and share of single changes among all changes, (n, 2), from 0 to 1."""
+        """Share of samples with an unchanged input, and share of single changes among all changes, (n, 2), from 0 to
+        1."""
         return self.real[:, [SAME, ALONE]]
 
 

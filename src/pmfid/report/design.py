@@ -149,7 +149,8 @@ def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.nd
 
 
 def criteria_table(appraisal: Appraisal) -> Rows:
-    """Return one row for each input: value, gain of the design, part that survives stiction, and change of the profile."""
+    """Return one row for each input: value, gain of the design, part that survives stiction, and change of the
+    profile."""
     header = ["input", appraisal.design.criterion, "gain of design", "survives stiction", "profile"]
     rows = []
     for name, worth in appraisal.worths.items():

@@ -291,7 +291,8 @@ def write_search(out: Path, search: Search, name: str) -> None:
 
 
 def write_result(out: Path, result: Result) -> None:
-    """Write report.html and result.json into the folder `out`, for a recursive method on a machine also track.parquet."""
+    """Write report.html and result.json into the folder `out`, for a recursive method on a machine also
+    track.parquet."""
     if isinstance(result, ProcessResult):
         write_process(out, result)
     elif isinstance(result, DriveResult):

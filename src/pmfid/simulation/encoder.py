@@ -112,7 +112,8 @@ NO_FAULTS = Faults()
 
 
 def wrap_counts(counts: Counts, bits: int | None) -> Counts:
-    """Return the counts modulo 2**bits, as an unsigned register holds them. If `bits` is None, return them unchanged."""
+    """Return the counts modulo 2**bits, as an unsigned register holds them. If `bits` is None, return them
+    unchanged."""
     if bits is None:
         return counts
     check_whole("bits", bits, 1, 63, "give the width of the counter register")
