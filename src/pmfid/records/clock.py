@@ -371,16 +371,17 @@ def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tupl
 def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the rows without the few rows that follow another row too early, as at the start of a logger.
 
-    A grid has no place for two rows close together.
+    A grid has no place for two rows close together, unless each row is a point of it and the stamps scatter.
     """
-    steps = np.diff(_take_rows(time, rows))
+    stamps = _take_rows(time, rows)
+    steps = np.diff(stamps)
     early = (
         np.r_[False, (steps > 0) & (steps < TUNING.clock_early * np.median(steps))]
         if steps.size
         else np.zeros(rows.size, bool)
     )
     count = int(np.count_nonzero(early))
-    if not 0 < count <= max(1, TUNING.clock_rare * rows.size):
+    if not 0 < count <= max(1, TUNING.clock_rare * rows.size) or even_grid(stamps)[1]:
         return rows, ()
     note = "rows come" if count > 1 else "row comes"
     return rows[~early], (f"{count} {note} less than {TUNING.clock_early:g} of a period after another: left out",)
