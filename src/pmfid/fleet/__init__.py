@@ -1,5 +1,4 @@
-"""Histories of many axes: estimates per axis and period out of a data set, who changed, and who differs from the
-rest."""
+"""Histories of many axes: estimates of each axis and period, changed axes, and axes that differ from the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps, drifts and wander in a series, and sorts of machines."""
+"""Steps, drifts and wander in a series, and kinds of machines in a fleet."""
 
 from __future__ import annotations
 
@@ -14,20 +14,23 @@ from pmfid.fleet.tuning import TUNING
 from pmfid.monitor.cause import FRICTION
 from pmfid.types import Floats
 
-#: Segments on each side of a step, at least.
+#: Least number of segments on each side of a step.
 SIDE = 2
-#: Segments after a step that mix samples from before and after it. The size of the step leaves them out if enough
-#: segments remain.
+#: Number of segments after a step that mix samples from before and after the step. The size of the step leaves them out
+#: if enough segments remain.
 MIXED = 1
 
 
 @dataclass(frozen=True)
 class Step:
-    """cause: name of a parameter, FRICTION or INPUT_GAIN; size, std: relative; since, until: [s] of the segment in
-    which it came; settled: [s] from which on estimates are of the time after it; score: the largest deviation
-    beyond the tolerance, in standard deviations; relative, stds: (p,) change of every parameter with its standard
-    deviation; misfit: sum of squares that it leaves, in standard deviations; middle: (p,) standard deviations that a
-    step in the middle of the series would have."""
+    """A step in the parameters of an axis.
+
+    `cause` is a parameter, FRICTION or INPUT_GAIN. `size` and `std` are relative. `since` and `until` [s] are the ends
+    of the segment with the step. Estimates from `settled` [s] on belong to the time after the step. `score` is the
+    largest deviation beyond the tolerance, in standard deviations. `relative` and `stds` (p,) are the change of every
+    parameter and its standard deviation. `misfit` is the sum of squares that the step leaves, in standard deviations.
+    `middle` (p,) has the standard deviations of a step in the middle of the series.
+    """
 
     cause: str
     size: float
@@ -44,9 +47,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Trend:
-    """cause: as of a `Step`; size, std: of the change over the span, relative to its begin; span: [s] of the history;
-    score: of the change over the span beyond the tolerance, in standard deviations; misfit: as of a `Step`; slopes,
-    stds: (p,) of all parameters, relative to their means [1/s]."""
+    """A straight line through the parameters of an axis.
+
+    `cause` is as in `Step`. `size` and `std` belong to the change over the history, relative to its begin. `span` is
+    the length of the history [s]. `score` is this change beyond the tolerance, in standard deviations. `misfit` is as
+    in `Step`. `slopes` and `stds` (p,) belong to all parameters, relative to their means [1/s].
+    """
 
     cause: str
     size: float
@@ -59,8 +65,10 @@ class Trend:
 
 
 def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | None:
-    """The step that explains most of a series (n, p) of usable segments; None of too few. tolerance: relative change
-    that is none."""
+    """Return the step that explains most of a series (n, p) of usable segments, or None for too few segments.
+
+    `tolerance` is the relative change that does not count.
+    """
     n = series.start.size
     if n < 2 * SIDE:
         return None
@@ -73,7 +81,7 @@ def step_of(series: Series, names: Sequence[str], tolerance: float) -> Step | No
 
 
 def _sums(part: Floats, places: np.ndarray) -> tuple[Floats, Floats]:
-    """Sums of part (n, p) before each place and from each place on."""
+    """Return the sums of part (n, p) before each place, and from each place on."""
     total = np.cumsum(part, axis=0)
     left = total[places - 1]
     return left, total[-1] - left
@@ -101,13 +109,17 @@ def _measure_step(series: Series, k: int, names: Sequence[str], tolerance: float
 
 
 def _date_step(series: Series, k: int) -> float:
-    """From when on the step at place k may have come [s]: in the segment, or in those before that say nothing."""
+    """Return the earliest time [s] of the step at place k: in the segment, or in earlier segments without
+    information."""
     start, before = float(series.start[k]), float(series.end[k - 1])
     return before if start - before > 0.5 * (float(series.end[k]) - start) else start
 
 
 def _correlation(rest: Floats) -> Floats:
-    """(p, p) of the parameters' errors, from deviations (n, p); shrunk to none where these are few."""
+    """Return the correlation (p, p) of the parameters' errors, from deviations (n, p).
+
+    For few deviations the correlation shrinks towards 0.
+    """
     n, p = rest.shape
     size = np.sqrt(np.mean(rest**2, axis=0))
     if not np.all(size > 0):
@@ -119,9 +131,11 @@ def _correlation(rest: Floats) -> Floats:
 def attribute_change(
     relative: Floats, stds: Floats, correlation: Floats, names: Sequence[str]
 ) -> tuple[str, float, float]:
-    """The one cause that explains relative changes (p,) best, with its relative size and standard deviation. A cause is
-    a parameter, all friction in the same proportion, or the gain of the input. A lower gain looks as if all parameters
-    had grown in the same proportion."""
+    """Return the cause that explains relative changes (p,) best, with its relative size and standard deviation.
+
+    A cause is a parameter, all frictions in the same proportion, or the input gain. A lower gain looks as if all
+    parameters had grown in the same proportion.
+    """
     covariance = correlation * np.outer(stds, stds) + TUNING.changes_floor**2 * np.eye(stds.size)
     friction = np.array([FRICTION in name for name in names], float)
     directions = dict(zip(names, np.eye(len(names)), strict=True)) | {INPUT_GAIN: np.ones(len(names))}
@@ -139,12 +153,15 @@ def attribute_change(
 
 
 def _onset(series: Series, k: int) -> int:
-    """The first segment that has some of the step at place k: what explains most may be the next."""
+    """Return the first segment with a part of the step at place k.
+
+    The place that explains most may be one segment later.
+    """
     old, new = mean_of(series[: max(SIDE, k - TUNING.changes_back)])[0], mean_of(series[k:])[0]
     whole = np.abs(new - old)
     for place in range(max(SIDE, k - TUNING.changes_back), k):
         before = series[:place]
-        moves = np.sqrt(np.mean((before.theta - old) ** 2, axis=0))  # friction that breathes with the temperature
+        moves = np.sqrt(np.mean((before.theta - old) ** 2, axis=0))  # friction may follow the temperature
         apart = np.abs(series.theta[place] - old)
         if np.any(
             (apart > TUNING.changes_part * whole)
@@ -155,7 +172,7 @@ def _onset(series: Series, k: int) -> int:
 
 
 def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | None:
-    """The straight line through a series (n, p) of usable segments; None of too few."""
+    """Return the straight line through a series (n, p) of usable segments, or None for too few segments."""
     n = series.start.size
     if n < 2 * SIDE:
         return None
@@ -176,16 +193,18 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, stds)
 
 
-#: Noise of the segments, in standard errors; steps of the walk from one segment to the next, in root mean square
-#: differences of neighbours.
+#: Candidates for the noise of the segments, in standard errors. The candidates for the steps of a walk between
+#: segments are in root mean square differences of neighbours.
 NOISE = np.geomspace(1, 100, 9)
 WALK = np.r_[0.0, np.geomspace(1e-3, 2, 16)]
 
 
 @dataclass(frozen=True)
 class Beyond:
-    """How much better a step and a line explain a series than a random walk does, as Student's t. size: (p,) relative
-    root mean square about the mean."""
+    """The evidence that a step or a line explains a series better than a random walk, as Student's t.
+
+    `size` (p,) is the relative root mean square about the mean.
+    """
 
     step: float
     line: float
@@ -193,8 +212,10 @@ class Beyond:
 
 
 def compare_with_wander(series: Series, since: float) -> Beyond:
-    """Evidence of step and trend beyond wandering, from a series (n, p) of at least three usable segments; since: start
-    of the first segment after the step [s]."""
+    """Return the evidence of step and trend beyond wandering, from a series (n, p) of at least three usable segments.
+
+    `since` is the start of the first segment after the step [s].
+    """
     place = int(np.searchsorted(series.start, since))
     theta, std, time = _together(series, place)
     n = len(theta)
@@ -210,7 +231,7 @@ def compare_with_wander(series: Series, since: float) -> Beyond:
 
 
 def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:
-    """Means of neighbours (m, p) with their standard errors and middle times (m,), never across a place."""
+    """Return means of neighbours (m, p), never across `place`, with their standard errors and middle times (m,)."""
     n = series.start.size
     many = -(-n // TUNING.changes_most)
     starts = np.r_[np.arange(place % many, place, many), np.arange(place, n, many)].astype(int)
@@ -223,15 +244,18 @@ def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _likelihoods(theta: Floats, std: Floats, shapes: Floats) -> tuple[Floats, ...]:
-    """(p,) largest logarithm of the likelihood of theta (n, p) with errors std (n, p), of the walk alone and with a
-    multiple of each shape (n, k); by a Kalman filter for all noises and walks at once."""
+    """Return the largest log likelihoods (p,) of theta (n, p) with errors std (n, p), for a random walk.
+
+    The first result is for the walk alone, the others for the walk with a multiple of each shape (n, k). One Kalman
+    filter runs for all noises and walks together.
+    """
     n, p = theta.shape
     seen = np.concatenate([theta[:, None, :], np.broadcast_to(shapes[:, :, None], (n, shapes.shape[1], p))], axis=1)
     noise, walk = (NOISE[:, None, None] * std[:, None, None, :]) ** 2, (WALK**2)[None, :, None]
     level = np.broadcast_to(seen[0][:, None, None, :], (seen.shape[1], NOISE.size, WALK.size, p))
     variance = np.broadcast_to(noise[0], (NOISE.size, WALK.size, p))
     logs = np.zeros(variance.shape)
-    products = np.zeros((seen.shape[1], *variance.shape))  # of the innovations with those of theta
+    products = np.zeros((seen.shape[1], *variance.shape))  # products with the innovations of theta
     squares = np.zeros((seen.shape[1], *variance.shape))
     for now, error in zip(seen[1:], noise[1:], strict=True):
         variance = variance + walk
@@ -248,9 +272,12 @@ def _likelihoods(theta: Floats, std: Floats, shapes: Floats) -> tuple[Floats, ..
 
 
 def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
-    """Members of each sort of axes at places (m, p), logarithms of their parameters over the median of the type.
+    """Return the members of each kind of axes, from the places (m, p) of the axes.
 
-    least: axes of a sort; tolerance: spread below which there is none. One sort, all, where no gap parts them."""
+    A place is the logarithm of the parameters over the median of the type. `least` is the least number of axes in a
+    kind. `tolerance` is the least spread within a kind. If no gap separates the axes, the result is one kind with all
+    axes.
+    """
     found = [np.arange(len(place))]
     for column in place.T:
         found = [part for members in found for part in _split_sort(members, column, least, tolerance)]
@@ -258,7 +285,7 @@ def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.int
 
 
 def _split_sort(members: NDArray[np.intp], column: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
-    """Splits the members by one parameter, repeatedly."""
+    """Split the members by one parameter, repeatedly."""
     ordered = members[np.argsort(column[members], kind="stable")]
     values = column[ordered]
     least = max(least, int(np.ceil(TUNING.least_part * values.size)))

@@ -1,4 +1,4 @@
-"""Engines, and the work that they do on parts of a history."""
+"""Engines, and their work on parts of a history."""
 
 from __future__ import annotations
 
@@ -31,19 +31,22 @@ B = TypeVar("B")
 
 
 class Engine(Protocol):
-    """Where the work of a history is done."""
+    """The place where the work of a history is done."""
 
     name: ClassVar[str]
 
     def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
-        """work of each item, in the order of the items."""
+        """Yield the result of `work` for each item, in the order of the items."""
         ...
 
 
 @dataclass(frozen=True)
 class Local:
-    """workers: number of threads, by default one for each processor. How many have a shard in memory is up to
-    `RowBudget`."""
+    """An engine of threads on this machine.
+
+    `workers` is the number of threads, by default one for each processor. A `RowBudget` limits how many threads have a
+    shard in memory.
+    """
 
     name: ClassVar[str] = "local"
     workers: int | None = None
@@ -53,7 +56,10 @@ class Local:
             whole_number("workers", self.workers, 1, "it is the number of threads; None: as many as processors")
 
     def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
-        """No more is under way than there are workers, and one result that waits for each."""
+        """Yield the result of `work` for each item, in order.
+
+        At any time, at most one item and one waiting result exist for each worker.
+        """
         processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         many = self.workers or processors or 1
         with ThreadPoolExecutor(many) as pool:
@@ -71,7 +77,7 @@ class Local:
 
 
 class RowBudget:
-    """Rows that threads may have in memory together, so that memory knows no number of processors."""
+    """A budget for the rows that threads have in memory together, independent of the number of processors."""
 
     def __init__(self, rows: int) -> None:
         self._rows, self._used = rows, 0
@@ -79,7 +85,7 @@ class RowBudget:
 
     @contextmanager
     def reserve(self, rows: int) -> Iterator[None]:
-        """Waits until this number of rows fits into the budget; a larger request waits for the whole budget."""
+        """Wait until this number of rows fits into the budget. A larger request waits for the whole budget."""
         own = min(rows, self._rows)
         with self._freed:
             self._freed.wait_for(lambda: self._used + own <= self._rows)
@@ -92,25 +98,27 @@ class RowBudget:
                 self._freed.notify_all()
 
 
-#: Shards whose first axes are looked at for one that tells the configuration.
+#: Number of shards, and of first axes in each, that may yield the configuration.
 TRIED = 5
 
 
 @dataclass(frozen=True)
 class Work:
-    """settings, columns: those of the history; length: duration of a slice [s]."""
+    """The work on parts of a history, with its settings and columns. `length` is the duration of a slice [s]."""
 
     settings: Settings
     columns: SourceColumns
     length: float
 
     def shard(self, shard: RowShard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
-        """The segments of a shard, from the files that have its rows, or from where these are put aside."""
+        """Return the segments of a shard, from the files with its rows, or from the place where rows were put aside."""
         return self._solve(*read_rows(shard, parts, self.columns, self.length, aside))
 
     def frame(self, frame: pl.DataFrame) -> Segments:
-        """The segments of rows that an engine has brought together, in any order: all those of a slice of an axis must
-        be there. frame: with the columns of `source`."""
+        """Return the segments of rows that an engine has gathered, in any order.
+
+        All rows of a slice of an axis must be present. `frame` has the columns of `source`.
+        """
         return self._solve(*rows_of(frame, self.columns))
 
     def _solve(self, rows: ShardRows, problems: tuple[RowProblem, ...]) -> Segments:
@@ -119,7 +127,9 @@ class Work:
 
 
 def first_table(frame: pl.DataFrame, columns: SourceColumns, length: float) -> Table | None:
-    """The table of the longest first piece in rows of one axis that an engine has gathered; None: there is no piece."""
+    """Return the table of the longest piece in the first slice, from gathered rows of one axis, or None without a
+    piece.
+    """
     pieces = list(pieces_of(rows_of(frame, columns)[0], columns, length))
     first = [one for one in pieces if one.start // length == pieces[0].start // length]
     return longest(first, columns) if pieces else None
@@ -130,7 +140,7 @@ def longest(pieces: Sequence[RecordPiece], columns: SourceColumns) -> Table:
 
 
 def check_columns(columns: SourceColumns, parts: Sequence[Part], found: Survey) -> None:
-    """Raises UsageError if no part has rows with the columns that are named."""
+    """Raise UsageError if no part has rows with the named columns."""
     if found.rows.height:
         return
     for part in parts[:1]:
@@ -142,13 +152,12 @@ def check_columns(columns: SourceColumns, parts: Sequence[Part], found: Survey) 
     raise UsageError(f"no file of the data set could be read{reason}; run pmfid check on one")
 
 
-#: Full shards that one machine holds in memory at a time, for any number of threads.
+#: Number of full shards that one machine holds in memory at a time, for any number of threads.
 FULL = 3
 
 
 class Parts:
-    """Files, or frames in memory, each a part. `SparkRows` has the same methods for rows that stay in Spark. length:
-    duration of a slice [s]."""
+    """Files or frames in memory, each of them a part; `SparkRows` has the same methods for rows that stay in Spark."""
 
     def __init__(self, parts: Sequence[Part], columns: SourceColumns, engine: Engine) -> None:
         self._parts = {part.name: part for part in parts}
@@ -158,14 +167,16 @@ class Parts:
 
     @property
     def engine(self) -> str:
-        """Name of what does the work."""
+        """Name of the engine that does the work."""
         return self._engine.name
 
     def survey(self, keep: Keep) -> Survey:
-        """Which axes there are, and when; called first. Parts that cannot be read are problems. Raises UsageError where
-        none can."""
+        """Find all axes and their times. This call comes first.
+
+        Parts that cannot be read are problems. Raises UsageError if no part can be read.
+        """
         if keep.lasting:
-            # a frame has no date, so its content is its stamp
+            # A frame has no date, so its content is its stamp.
             frames = {name: part for name, part in self._parts.items() if not part.stamp}
             stamped = {name: replace(part, stamp=content(part, self._columns)) for name, part in frames.items()}
             self._parts = {name: stamped.get(name, part) for name, part in self._parts.items()}
@@ -182,9 +193,11 @@ class Parts:
     def prepare_shards(
         self, shards: Sequence[RowShard], survey: Survey, length: float, folder: Path | None
     ) -> Iterator[None]:
-        """A context for all work on these shards of the survey. Sets aside the rows of files that mix axes; an engine
-        of many machines shuffles such files itself. folder: where these rows go, by default the folder of temporary
-        files."""
+        """Open a context for all work on these shards of the survey.
+
+        The context sets aside the rows of files that mix axes. An engine of many machines shuffles such files itself.
+        The rows go into `folder`, by default the folder of temporary files.
+        """
         names = find_mixed_parts(survey.rows, shards) if isinstance(self._engine, Local) else set()
         if not names:
             yield
@@ -195,11 +208,11 @@ class Parts:
         self._aside = None
 
     def stamp(self, shard: RowShard, length: float) -> object:
-        """Changes with the rows of a shard."""
+        """Return a value that changes with the rows of a shard."""
         return [(name, self._parts[name].stamp) for name in shard.parts]
 
     def tables(self, shards: Sequence[RowShard], length: float) -> Iterator[Table]:
-        """The longest piece of the first slice that has any, of the first axes."""
+        """Yield the longest piece of the first slice with a piece, for each of the first axes."""
         for shard in shards[:TRIED]:
             rows, _ = read_rows(shard, self._select_rows(shard, length), self._columns, length, self._aside)
             slices: dict[str, dict[int, list[RecordPiece]]] = defaultdict(lambda: defaultdict(list))
@@ -209,14 +222,14 @@ class Parts:
                 yield longest(slices[axis][min(slices[axis])], self._columns)
 
     def _select_rows(self, shard: RowShard, length: float) -> dict[str, Part]:
-        """The parts of a shard, each limited to the rows among which the shard may have some."""
+        """Return the parts of a shard, each limited to a range of rows that contains the shard's rows."""
         parts = {name: self._parts[name] for name in shard.parts}
         if self._places is None:
             return parts
         return {name: self._places.narrow(part, shard, length) for name, part in parts.items()}
 
     def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
-        """The segments of each shard, in their order."""
+        """Yield the segments of each shard, in order."""
         items = [(shard, self._select_rows(shard, work.length)) for shard in shards]
         if self._aside is not None:
             self._aside.only(shards)

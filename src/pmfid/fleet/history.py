@@ -1,4 +1,4 @@
-"""The history of a fleet: from a data set of any size to estimates per axis and period, and who needs attention."""
+"""The history of a fleet: from a data set of any size to estimates of each axis and period, and to verdicts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from pmfid.fleet.verdicts import (
 )
 from pmfid.presentation import plain_dict
 
-#: Said of an axis in which a step of this size might be overlooked.
+#: Finding for an axis in which a step of this relative size may go unnoticed.
 LITTLE, SOUGHT = "little_information", 0.1
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome, as in `History`."""
+    """The result, with the fields of `History`."""
 
     periods: pl.DataFrame
     axes: pl.DataFrame
@@ -62,8 +62,11 @@ def outcome_of(
     segment: float,
     tolerance: float,
 ) -> Outcome:
-    """groups: the segments of some axes each; types: of every axis that there is; segment: [s]; others: as in
-    `history.estimate`."""
+    """Judge the segments of all axes.
+
+    `groups` yields the segments of some axes at a time. `types` has the type of every existing axis. `segment` is in s.
+    The other arguments are as in `history.estimate`.
+    """
     codes: dict[str, set[tuple[float, str]]] = defaultdict(set)
     for problem in problems:
         if problem.axis:
@@ -94,7 +97,7 @@ def outcome_of(
 
 
 def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
-    """A problem for an axis whose sample period changes."""
+    """Return a problem for an axis whose sample period changes."""
     low, high = float(series.dt.min()), float(series.dt.max())
     if high - low <= TUNING.series_same * high:
         return []
@@ -104,7 +107,7 @@ def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
 
 
 def _others(follows: Iterable[Follow]) -> list[RowProblem]:
-    """Axes that are sampled otherwise than most."""
+    """Return a problem for each axis with another sample period than most axes."""
     known = [one for one in follows if one.segments]
     if not known:
         return []
@@ -118,7 +121,7 @@ def _others(follows: Iterable[Follow]) -> list[RowProblem]:
 
 
 def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[RowProblem]:
-    """Types that hold several sorts of machines."""
+    """Return a problem for each type that contains several kinds of machines."""
     found = []
     for kind, sorts in sorts_by_type(follows, tolerance).items():
         if len(sorts) > 1:
@@ -139,7 +142,7 @@ def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) ->
 def _nothing(
     axes: Sequence[str], types: Mapping[str, str], codes: Mapping[str, set[tuple[float, str]]]
 ) -> list[dict[str, object]]:
-    """A row for each axis without any estimate, so that none goes missing in silence."""
+    """Return a row for each axis without any estimate, so that no axis is missing in the result."""
     return [
         {
             "axis": axis,
@@ -164,7 +167,7 @@ def _period_schema(names: Sequence[str]) -> dict[str, pl.DataType]:
 
 
 def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Sequence[str]) -> pl.DataFrame:
-    """Those that need attention first."""
+    """Return a table of the axes, where axes with need of attention come first."""
     rows = []
     for k in ranking(verdicts):
         one, verdict = follows[k], verdicts[k]
@@ -185,7 +188,7 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Seq
 
 
 def _problems(problems: Sequence[RowProblem]) -> pl.DataFrame:
-    """Each kind of problem once for an axis or a file, with its number and its first time."""
+    """Return each kind of problem once for an axis or a file, with its number and its first time."""
     found: dict[tuple[str, str, str], list[RowProblem]] = defaultdict(list)
     for problem in problems:
         found[problem.axis, problem.part, problem.code].append(problem)
@@ -199,7 +202,7 @@ def _problems(problems: Sequence[RowProblem]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=kinds | {"text": pl.String})
 
 
-#: Called with the part of the work that is done, 0 to 1.
+#: A function that is called with the completed part of the work, 0 to 1.
 Progress = Callable[[float], None]
 
 
@@ -207,9 +210,10 @@ Progress = Callable[[float], None]
 class History:
     """The history of a fleet.
 
-    periods: a row for each axis and period; axes: a row for each axis, those that need attention first; problems: what
-    could not be used, and why; names, units: of the parameters; samples: that estimates were made of; segment: [s] of
-    one estimate; shards, reused: how many there were, and how many were there from an earlier call; engine: its name.
+    `periods` has a row for each axis and period. `axes` has a row for each axis, where axes with need of attention come
+    first. `problems` has the unusable rows and files, with reasons. `names` and `units` belong to the parameters.
+    `samples` is the number of samples in the estimates. `segment` is the length of one estimate [s]. `shards` is the
+    number of shards, and `reused` the number of shards known from an earlier call. `engine` is the name of the engine.
     """
 
     periods: pl.DataFrame
@@ -229,7 +233,7 @@ class History:
 
     @property
     def named(self) -> pl.DataFrame:
-        """The axes that need attention, most clearly first."""
+        """The axes that need attention, with the clearest first."""
         return self.axes.filter(pl.col("named"))
 
     @property
@@ -238,7 +242,7 @@ class History:
 
     @property
     def title(self) -> str:
-        """How many axes there are, how many need attention, and of how many nothing is known."""
+        """A sentence with the number of axes, of axes that need attention, and of axes without an estimate."""
         many, named, unknown = self.axes.height, self.named.height, self.unknown.height
         dark = f", {unknown} {'has' if unknown == 1 else 'have'} no estimate" if unknown else ""
         return f"{named} of {many} axes need{'s' * (named == 1)} attention{dark}"
@@ -248,7 +252,7 @@ class History:
         return "\n".join([self.title, *lines, *(["  ..."] if self.named.height > 8 else [])])
 
     def to_json(self) -> dict[str, object]:
-        """Numbers for programs, without the periods, which are a table."""
+        """Return the numbers for programs, without the periods, which are a table."""
         named = self.named.select("axis", "type", "kind", "cause", "size", "std", "since", "score", "why")
         return {
             "axes": self.axes.height,
@@ -265,7 +269,7 @@ class History:
 
 
 def data_of(data: object, columns: SourceColumns, engine: Engine | None, out: Path | None) -> Parts | SparkRows:
-    """Where the rows are. Raises UsageError for an engine that cannot go there."""
+    """Return the object that reads the rows. Raises UsageError for an engine that cannot reach the rows."""
     if is_spark(data):
         from pmfid.fleet.spark.frame import SparkRows
 
@@ -291,19 +295,22 @@ def estimate(
     tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> History:
-    """Estimates of every axis and period of a data set, and which axes need attention.
+    """Estimate every axis and period of a data set, and find the axes that need attention.
 
-    data: a folder of Parquet or Arrow files, partitioned in any way, a file of any format, or a frame of pandas, Polars
-    (lazy, too), Arrow or Spark; in it a row for each sample of each axis, in any order. axis: an AXIS.toml or its path,
-    which names the columns of time, input and counts, and what all axes have in common; by: the column, or the key of
-    the folders, that tells the axes. period: "day", "shift", "run" or a duration, "10min". type: the column of the
-    axes' type: spread is judged within one. engine: None: this machine, `Local()`; of a Spark DataFrame, its session.
-    out: a folder where what is done is kept: a second call does what is new or changed alone. segment: [s] of one
-    estimate, by which changes are found; None: 60 s, or by [estimator] forgetting. tolerance: relative deviation that
-    is none; None: that of [monitor].
+    `data` is a folder of Parquet or Arrow files in any partition, a file of any format, or a frame. The frame may come
+    from pandas, Polars (lazy, too), Arrow or Spark. The data have a row for each sample of each axis, in any order.
+    `axis` is an AXIS.toml or its path. It names the columns of time, input and counts, and describes the common
+    properties of all axes. `by` is the column, or the key of the folders, with the names of the axes. `period` is
+    "day", "shift", "run" or a duration such as "10min". `type` is the column with the types of the axes; axes are
+    compared within a type. `engine` is by default this machine, `Local()`, or the session of a Spark DataFrame. `out`
+    is a folder that keeps finished work. A second call with the same folder processes only new or changed data.
+    `segment` is the length of one estimate [s], the unit in which changes are found. The default is 60 s, or a length
+    that fits [estimator] forgetting. `tolerance` is the relative deviation that does not count, by default the
+    tolerance of [monitor].
 
-    Axes, times and files that cannot be used are among the `problems` and the findings of the periods; the rest is
-    done. Raises UsageError if nothing can be: for other columns, methods that are not recursive, no moving axis.
+    Unusable axes, times and files appear in the `problems` and in the findings of the periods. All other data are
+    processed. Raises UsageError if no data can be processed: for other columns, for methods that are not recursive, and
+    without a moving axis.
     """
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     columns, periods = SourceColumns.from_axis(own, by, type), Periods.from_name(period)
@@ -314,7 +321,7 @@ def estimate(
     if out is None:
         return _Run(own, columns, data_of(data, columns, engine, None), None, tell).outcome(periods, segment, tolerance)
     out = Path(out)
-    check_folder(out)  # before anything is made
+    check_folder(out)  # before any file is created
     there = data_of(data, columns, engine, out)
     with closing(Store(out)) as store:
         found = _Run(own, columns, there, store, tell).outcome(periods, segment, tolerance)
@@ -325,7 +332,7 @@ def estimate(
 
 
 class _Run:
-    """One call: what is surveyed and planned, and where it is kept."""
+    """One call: its survey, its plan, and its store."""
 
     def __init__(
         self, axis: Axis, columns: SourceColumns, data: Parts | SparkRows, store: Store | None, tell: Progress
@@ -354,7 +361,7 @@ class _Run:
         lost = (problem for one in solved for problem in one.problems)
         problems = [*self.survey.problems, *self._several(), *lost]
         groups = self._groups(shards, solved)
-        # of several types of an axis the first by name
+        # If an axis has several types, the first by name counts.
         types = dict(self.survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
         found: Outcome = outcome_of(groups, types, problems, names, periods, settings.segment, tolerance)
         if self.store is not None:
@@ -365,8 +372,10 @@ class _Run:
         return History(found.periods, found.axes, found.problems, names, units, *facts)
 
     def _choose_filters(self, shards: Sequence[RowShard], length: float) -> Chosen:
-        """The choice of filters, from the first moving axis; a stored choice stays, so that new data change no old
-        estimate."""
+        """Choose the filters by the first moving axis.
+
+        A stored choice stays, so that new data change no old estimate.
+        """
         tables = self.data.tables(shards, length)
         if self.store is None:
             return choose(self.axis, tables)
@@ -383,7 +392,7 @@ class _Run:
         return chosen
 
     def _solve_shards(self, shards: Sequence[RowShard], work: Work, signature: str) -> list[Kept]:
-        """The segments of every shard, in their order; the rows stay on the disk if there is a folder."""
+        """Return the segments of every shard, in order. The rows stay on the disk if a folder is given."""
         found, done, rows = list[Kept](), 0, sum(shard.rows for shard in shards)
         keys = [
             digest("segments", signature, one.axes, one.first, one.last, self.data.stamp(one, work.length))
@@ -397,7 +406,7 @@ class _Run:
         return found
 
     def _groups(self, shards: Sequence[RowShard], solved: Sequence[Kept]) -> Iterator[pl.DataFrame]:
-        """The segments of some axes at a time, in the order of axes and time."""
+        """Yield the segments of some axes at a time, in the order of axes and time."""
         places: dict[str, list[int]] = defaultdict(list)
         for k, shard in enumerate(shards):
             for name in shard.axes:
@@ -410,7 +419,7 @@ class _Run:
             yield pl.concat(frames).sort(AXIS, "start")
 
     def _several(self) -> Iterator[RowProblem]:
-        """Axes that have other types in other files, or on other days."""
+        """Yield a problem for each axis that has several types in its files or days."""
         kinds = self.survey.rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
         for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
             yield RowProblem(axis, "", "types", f"of the types {', '.join(types)}: it is judged with the first")

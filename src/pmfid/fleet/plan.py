@@ -17,15 +17,18 @@ from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 
 PART, ROWS, LOST, FIRST, LAST, EXTENT = "part", "rows", "lost", "first", "last", "extent"
-#: First row in the part.
+#: Number of the first row in the part.
 START = "start"
 _PLACE, _END = "place in the part", "end"
 
 
 @dataclass(frozen=True)
 class RowProblem:
-    """Rows or a file that cannot be used. axis: empty if a file is concerned; part: empty if an axis is concerned; at:
-    time [s] from which on; code: its name among the findings."""
+    """Rows or a file that cannot be used.
+
+    `axis` is empty if the problem concerns a file, and `part` is empty if it concerns an axis. `at` is the time [s] at
+    which the problem begins. `code` is the name of the problem among the findings.
+    """
 
     axis: str
     part: str
@@ -36,16 +39,19 @@ class RowProblem:
 
 @dataclass(frozen=True)
 class Survey:
-    """rows: a row for each axis and day in each part, with the part's name, number of rows, first and last time [s],
-    type, in which row of the part they begin, and over how many they reach; problems: parts that are left out, and what
-    is odd of others."""
+    """The axes and days in the parts of a data set.
+
+    `rows` has a row for each axis and day in each part. Its columns are the part's name, number of rows, first and last
+    time [s], type, place of the first row, and extent in rows. `problems` has parts that are left out, and
+    peculiarities of other parts.
+    """
 
     rows: pl.DataFrame
     problems: tuple[RowProblem, ...]
 
 
 def survey_part(part: Part, columns: SourceColumns) -> Survey:
-    """The survey of one part; a part that cannot be read has no rows and a problem."""
+    """Return the survey of one part. A part that cannot be read has no rows and a problem."""
     try:
         with readable("data"):
             place, windows = pl.col(_PLACE).cast(pl.Int64), list[pl.DataFrame]()
@@ -64,7 +70,7 @@ def survey_part(part: Part, columns: SourceColumns) -> Survey:
 
 
 def _together(windows: pl.DataFrame) -> pl.DataFrame:
-    """The rows of all windows of a file, by axis and day."""
+    """Return the rows of all windows of a file, by axis and day."""
     kind = pl.col(TYPE).filter(pl.col(TYPE) != "").min().fill_null("")
     ends = (pl.min(FIRST), pl.max(LAST), pl.min(START))
     extent = (pl.max(_END) - pl.min(START) + 1).alias(EXTENT)
@@ -73,8 +79,10 @@ def _together(windows: pl.DataFrame) -> pl.DataFrame:
 
 
 def count_rows(rows: pl.LazyFrame, columns: SourceColumns, *more: pl.Expr) -> pl.LazyFrame:
-    """Numbers of rows and of lost rows for each axis and day, with first and last time, type, and further columns
-    `more`. rows: as `Part.rows` returns them."""
+    """Count the rows and the lost rows of each axis and day.
+
+    The result also has first and last time, type, and the further columns `more`. The rows come from `Part.rows`.
+    """
     known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
     kind = pl.col(TYPE).min() if columns.type else pl.lit("")
     return rows.group_by(AXIS, (pl.col(TIME) / TUNING.plan_day).floor().alias("day")).agg(
@@ -88,8 +96,11 @@ def count_rows(rows: pl.LazyFrame, columns: SourceColumns, *more: pl.Expr) -> pl
 
 
 def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float) -> Survey:
-    """Of what was counted in the part of this name, where it has no order without how far each axis reaches; odd: what
-    is odd of its columns; factor: seconds per unit of its times."""
+    """Return the survey from the counts of the part `name`.
+
+    A part without an order has no extent for its axes. `odd` has peculiarities of the part's columns. `factor` is the
+    number of seconds per unit of its times.
+    """
     problems = [RowProblem("", name, "type", text) for text in odd]
     if not found.height:
         problems.append(RowProblem("", name, "empty", "it has no rows"))
@@ -107,14 +118,16 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float)
 
 
 def mixture(columns: SourceColumns) -> pl.Expr:
-    """A number for each row of `Part.rows`, whose sum over rows changes with what stands in them, not with their
-    order; 32 bits, so that a sum of rows stays whole."""
+    """Return a number for each row of `Part.rows`, whose sum depends on the content of the rows, not on their order.
+
+    The number has 32 bits, so that a sum of rows stays whole.
+    """
     names = [*columns.carried, *([TYPE] if columns.type else [])]
     return (pl.struct(names).hash() // 2**32).cast(pl.Int64)
 
 
 def content(part: Part, columns: SourceColumns) -> str:
-    """The stamp of a part without a date, which depends on all its rows. Empty where it cannot be read."""
+    """Return the stamp of a part without a date, which depends on all its rows. An unreadable part gives ""."""
     try:
         with readable("data"):
             found = part.rows(columns).select(pl.len(), mixture(columns).sum().alias("sum")).collect(engine="streaming")
@@ -135,7 +148,8 @@ def _empty() -> pl.DataFrame:
 
 @dataclass(frozen=True)
 class RowShard:
-    """axes in the slices first <= k < last, and the parts that have rows of them; rows: about how many."""
+    """The axes of the slices first <= k < last, and the parts that contain their rows. `rows` is an approximate
+    number."""
 
     axes: tuple[str, ...]
     first: int
@@ -145,8 +159,11 @@ class RowShard:
 
 
 def slice_length(rows: pl.DataFrame, period: float | None) -> float:
-    """Length of a slice [s]: a part or a multiple of the period [s], or any length without a period. The usual sample
-    rate of the axes decides; the rows of the fastest axis must fit a shard."""
+    """Return the length of a slice [s].
+
+    With a period [s], the length is a fraction or a multiple of the period. The usual sample rate of the axes decides,
+    and the rows of the fastest axis must fit a shard.
+    """
     step = (pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)
     steps = rows.filter(pl.col(LAST) > pl.col(FIRST)).select(step.alias("dt"))["dt"].to_numpy()
     if not steps.size:
@@ -165,8 +182,10 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
 
 
 def _fastest(rows: pl.DataFrame) -> float:
-    """Rows per second of the fastest axis among those with more rows than a shard. A few rows close together make no
-    large slice of any length, so smaller axes do not count."""
+    """Return the rows per second of the fastest axis among axes with more rows than a shard.
+
+    A few close rows never make a large slice, so smaller axes do not count.
+    """
     span, many = (pl.col(LAST) - pl.col(FIRST)).sum(), (pl.col(ROWS) - 1).sum()
     axes = rows.group_by(AXIS).agg(span.alias("span"), many.alias("many"))
     large = axes.filter((pl.col("many") > TUNING.plan_budget) & (pl.col("span") > 0))
@@ -174,11 +193,14 @@ def _fastest(rows: pl.DataFrame) -> float:
 
 
 def shards_of(rows: pl.DataFrame, length: float) -> list[RowShard]:
-    """All shards, ordered by time and axis. rows: those of the `Survey`; length: duration of a slice [s]."""
+    """Return all shards, ordered by time and axis.
+
+    The rows come from the `Survey`. `length` is the duration of a slice [s].
+    """
     blocks: dict[int, dict[str, dict[str, float]]] = defaultdict(lambda: defaultdict(dict))
     for part, axis, count, first, last in rows.select(PART, AXIS, ROWS, FIRST, LAST).iter_rows():
         for block, share in _blocks(first, last, length * TUNING.plan_block):
-            # a block may hold several days of a part
+            # A block may hold several days of a part.
             own = blocks[block][axis]
             own[part] = own.get(part, 0.0) + count * share
     found: list[RowShard] = []
@@ -189,7 +211,7 @@ def shards_of(rows: pl.DataFrame, length: float) -> list[RowShard]:
 
 
 def _blocks(first: float, last: float, length: float) -> Iterator[tuple[int, float]]:
-    """Blocks that rows from first to last [s] fall into, with the part of the rows that does, if they are even."""
+    """Yield the blocks of time from first to last [s], each with its part of the rows, if the rows are even in time."""
     low, high = math.floor(first / length), math.floor(last / length)
     span = max(last - first, 1e-9)
     for block in range(low, high + 1):
@@ -198,7 +220,7 @@ def _blocks(first: float, last: float, length: float) -> Iterator[tuple[int, flo
 
 
 def _pack_axes(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, ...]]:
-    """The axes of a block in groups of at most plan_budget rows, or of one axis."""
+    """Yield the axes of a block in groups of at most `plan_budget` rows, or of one axis."""
     group: list[str] = []
     total = 0.0
     for axis in sorted(block):
@@ -215,7 +237,7 @@ def _pack_axes(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, 
 def _cut(
     axes: Sequence[str], block: Mapping[str, Mapping[str, float]], first: int, last: int, share: float = 1.0
 ) -> list[RowShard]:
-    """The slices of a group of axes, halved until their rows fit. share: their part of the rows of the block."""
+    """Return the slices of a group of axes, halved until their rows fit. `share` is the part of the block's rows."""
     total = share * sum(sum(block[axis].values()) for axis in axes)
     if total > TUNING.plan_budget and last - first > 1:
         middle = (first + last) // 2
@@ -225,7 +247,10 @@ def _cut(
 
 
 class Places:
-    """names: parts that can be read in windows; rows: those of the `Survey`. Files of one window are read whole."""
+    """The places of rows in the parts `names`, which can be read in windows.
+
+    The rows come from the `Survey`. Files of one window are read as a whole.
+    """
 
     def __init__(self, names: Set[str], rows: pl.DataFrame) -> None:
         large = pl.col(ROWS).sum().over(PART) > TUNING.source_window
@@ -234,7 +259,10 @@ class Places:
         self._rows = {str(key[0]): group for key, group in groups.items()}
 
     def narrow(self, part: Part, shard: RowShard, length: float) -> Part:
-        """The stretch from the first to the last row that may belong to the shard. length: duration of a slice [s]."""
+        """Limit a part to the rows from the first to the last one that may belong to the shard.
+
+        `length` is the duration of a slice [s].
+        """
         if part.name not in self._rows:
             return part
         inside = (pl.col(LAST) >= shard.first * length) & (pl.col(FIRST) < shard.last * length)

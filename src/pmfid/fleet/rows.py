@@ -1,4 +1,4 @@
-"""The rows of a shard: in order, each sample once, cut where an axis, a slice or the recording ends."""
+"""The rows of a shard, in order and each sample once, cut at the end of an axis, a slice or the recording."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from pmfid.io.safety import readable
 from pmfid.io.tables import Table
 from pmfid.types import Flags, Floats
 
-#: Begin of the names of folders in which rows are put aside during a call.
+#: Prefix of the folders that keep rows aside during a call.
 ASIDE = "aside-"
 
 
 def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]:
-    """Names of the parts that are set aside. rows: those of the `Survey`.
+    """Return the names of the parts that are set aside. The rows come from the `Survey`.
 
-    An axis whose rows reach over a part of the file makes its shard read that much; no shard reads more than all of it.
+    If the rows of an axis reach over a stretch of the file, the shard of the axis reads the whole stretch. No shard
+    reads more than the whole file.
     """
     readers = Counter(name for shard in shards for name in shard.parts)
     many = rows.group_by(PART).agg(pl.col(EXTENT).sum() / pl.col(ROWS).sum().alias("times"))
@@ -38,8 +39,11 @@ def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]
 
 @dataclass(frozen=True)
 class _Laid:
-    """Where the rows of a part are stored. axes: names by number; places: shard -> first row and number of rows of each
-    stretch; error: the reason if there are none."""
+    """The stored rows of a part.
+
+    `axes` has the names by number. `places` maps a shard to the first row and the number of rows of each stretch.
+    `error` is the reason if no rows are stored.
+    """
 
     path: Path
     axes: tuple[str, ...]
@@ -48,11 +52,13 @@ class _Laid:
 
 
 class Aside:
-    """Rows of files in which many axes are mixed row by row: each file is read once, and its rows are put aside on the
-    disk by shard. Otherwise every shard would read every such file as a whole.
+    """A store on the disk for rows of files that mix many axes row by row.
 
-    The rows are raw, and removed after the last shard that needs them. folder: holds their own folder, None: the one
-    for temporary files; to be closed. length: of a slice [s]."""
+    Each file is read once, and its rows are put aside by shard. Otherwise every shard would read every such file as a
+    whole. The rows are raw, and are removed after the last shard that needs them. `folder` contains the folder of the
+    rows; None takes the folder for temporary files. The caller must close this object. `length` is the duration of a
+    slice [s].
+    """
 
     def __init__(
         self,
@@ -80,22 +86,24 @@ class Aside:
         return name in self._waiting
 
     def prepare(self, shard: RowShard) -> None:
-        """Puts aside what the shard needs. Raises UsageError if the disk is full. A part that cannot be read raises it
-        when its rows are requested."""
+        """Put aside the rows that the shard needs. Raises UsageError if the disk is full.
+
+        For a part that cannot be read, the error is raised when its rows are requested.
+        """
         for name in shard.parts:
             if name in self:
-                with self._lock:  # one part at a time, so that memory knows no number of threads
+                with self._lock:  # only one part at a time, so that the memory does not depend on the number of threads
                     if name not in self._laid:
                         self._laid[name] = self._lay(name)
 
     def only(self, shards: Sequence[RowShard]) -> None:
-        """Only rows of these shards will be requested."""
+        """Note that only rows of these shards will be requested."""
         wanted = set(shards)
         for one in {shard for waiting in self._waiting.values() for shard in waiting} - wanted:
             self.release(one)
 
     def release(self, shard: RowShard) -> None:
-        """Removes what this shard was the last to need."""
+        """Remove the rows for which this shard was the last reader."""
         for name in shard.parts:
             if name in self:
                 with self._lock:
@@ -104,8 +112,11 @@ class Aside:
                         self._laid[name].path.unlink(missing_ok=True)
 
     def read(self, name: str, shard: RowShard) -> dict[str, NDArray[np.generic]]:
-        """The rows of a shard from one part that is put aside: the number of the axis in the shard's, and the columns
-        of `source`. Raises UsageError if the part could not be read."""
+        """Return the rows of a shard from one part that is put aside.
+
+        They have the number of the axis in the shard, and the columns of `source`. Raises UsageError if the part could
+        not be read.
+        """
         laid = self._laid[name]
         if laid.error is not None:
             raise UsageError(str(laid.error))
@@ -158,7 +169,7 @@ class Aside:
 
 
 def _batches(part: Part, target: ShardTable, columns: SourceColumns) -> Iterator[_Columns]:
-    """The rows of a part, of known axes, some at a time. Raises UsageError for a damaged part."""
+    """Yield the rows of a part that belong to known axes, some rows at a time. Raises UsageError for a damaged part."""
     with readable("data"):
         for window in part.windows():
             frame = window.rows(columns).select(target.number, *columns.carried[1:]).drop_nulls([AXIS, TIME])
@@ -167,14 +178,17 @@ def _batches(part: Part, target: ShardTable, columns: SourceColumns) -> Iterator
 
 
 class ShardTable:
-    """Finds the shard that a row belongs to. shards: they share no row; length: duration of a slice [s]; axes: sorted
-    names of all shards; times: (n,) [s] at which shards begin or end."""
+    """A table that finds the shard of a row.
+
+    The `shards` share no row. `length` is the duration of a slice [s]. `axes` has the sorted names of all shards.
+    `times` (n,) [s] has the begins and ends of shards.
+    """
 
     def __init__(self, shards: Sequence[RowShard], length: float) -> None:
         self.axes = tuple(sorted({axis for shard in shards for axis in shard.axes}))
         edges = np.unique([edge for shard in shards for edge in (shard.first, shard.last)])
         number = {axis: k for k, axis in enumerate(self.axes)}
-        # a column before or after all edges belongs to no axis
+        # A column before or after all edges belongs to no axis.
         self._table = np.full((len(self.axes), edges.size + 1), -1, np.int32)
         for k, shard in enumerate(shards):
             first, last = np.searchsorted(edges, [shard.first, shard.last])
@@ -183,16 +197,16 @@ class ShardTable:
 
     @property
     def number(self) -> pl.Expr:
-        """The number of an axis in place of its name, null for other axes."""
+        """Expression for the number of an axis in place of its name, null for other axes."""
         return pl.col(AXIS).cast(pl.Enum(self.axes), strict=False).to_physical().cast(pl.UInt32).alias(AXIS)
 
     def find(self, axis: NDArray[np.generic], time: NDArray[np.generic]) -> NDArray[np.int32]:
-        """(n,) index of the shard of each row, -1 for none; axis: (n,) its number; time: (n,) [s]."""
+        """Return the index (n,) of the shard of each row, -1 for no shard, from axis number (n,) and time (n,) [s]."""
         found: NDArray[np.int32] = self._table[axis, np.searchsorted(self.times, time, "right")]
         return found
 
 
-#: Problem of a file that changed while it was read; the next call reads the file again, because its stamp has changed.
+#: Problem of a file that changed while it was read. The next call reads the file again, because its stamp has changed.
 REWRITTEN = "was written to while it was read: call again when it is whole"
 #: Columns of rows by their name in `source`.
 _Columns = Mapping[str, NDArray[np.generic]]
@@ -200,8 +214,9 @@ _Columns = Mapping[str, NDArray[np.generic]]
 
 @dataclass(frozen=True)
 class ShardRows:
-    """n rows in order. axis: (n,) number of the axis in `axes`; time: (n,) [s]; others: (n,) by their name in the
-    data."""
+    """Rows in order: `axis` (n,) is the number in `axes`, `time` (n,) is in s, `others` (n,) has further columns by
+    name.
+    """
 
     axes: tuple[str, ...]
     axis: NDArray[np.uint32]
@@ -215,8 +230,11 @@ class ShardRows:
 
 @dataclass(frozen=True)
 class RecordPiece:
-    """Rows of one axis and one slice without a gap. start: time of the first sample [s]; table: columns by their name
-    in the data, with the time counted from the start."""
+    """Rows of one axis and one slice without a gap.
+
+    `start` is the time of the first sample [s]. `table` has the columns by their name in the data, with the time
+    counted from the start.
+    """
 
     axis: str
     start: float
@@ -226,9 +244,11 @@ class RecordPiece:
 def read_rows(
     shard: RowShard, parts: Mapping[str, Part], columns: SourceColumns, length: float, aside: Aside | None = None
 ) -> tuple[ShardRows, tuple[RowProblem, ...]]:
-    """The rows of a shard in order. Of equal rows one is kept, of rows that contradict each other none. length:
-    duration of a slice [s]; aside: where rows of some parts have been set aside. Parts that cannot be read have
-    problems in place of rows."""
+    """Return the rows of a shard in order.
+
+    Of equal rows one is kept, of contradictory rows none. `length` is the duration of a slice [s]. `aside` has the rows
+    of some parts that were set aside. Parts that cannot be read have problems in place of rows.
+    """
     frames, problems = list[_Columns](), list[RowProblem]()
     if aside is not None:
         aside.prepare(shard)
@@ -272,7 +292,7 @@ def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: SourceCo
 
 
 def rows_of(frame: pl.DataFrame, columns: SourceColumns) -> tuple[ShardRows, tuple[RowProblem, ...]]:
-    """The rows of a frame with the columns of `source`, in any order."""
+    """Return the rows of a frame with the columns of `source`, in any order."""
     axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
     named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
     known = frame.filter(pl.col(TIME).is_finite()).drop_nulls(AXIS).with_columns(named)
@@ -280,10 +300,10 @@ def rows_of(frame: pl.DataFrame, columns: SourceColumns) -> tuple[ShardRows, tup
 
 
 def _sort_rows(rows: ShardRows) -> ShardRows:
-    """Rows sorted by axis, time, and then by all values, so that the order of files has no effect."""
+    """Sort rows by axis, time, and then by all values, so that the order of files has no effect."""
     if _increasing(rows):
         return rows
-    by_axis = rows[np.argsort(rows.axis, kind="stable")]  # enough for axes that are mixed, each in order
+    by_axis = rows[np.argsort(rows.axis, kind="stable")]  # enough if the rows of each axis are in order
     if _increasing(by_axis):
         return by_axis
     keys: list[Floats] = [*rows.others.values(), rows.time, rows.axis.astype(np.float64)]
@@ -296,7 +316,7 @@ def _increasing(rows: ShardRows) -> bool:
 
 
 def unique(rows: ShardRows) -> tuple[ShardRows, tuple[RowProblem, ...]]:
-    """Rows in order without those that say the same again, and without all of one time that say different things."""
+    """Remove repeated rows, and all rows of one time that contradict each other."""
     again = np.r_[False, (np.diff(rows.axis) == 0) & (np.diff(rows.time) == 0)]
     if not np.any(again):
         return rows, ()
@@ -324,7 +344,7 @@ def _report_rows(rows: ShardRows, which: Flags, code: str, text: str) -> list[Ro
 
 
 def pieces_of(rows: ShardRows, columns: SourceColumns, length: float) -> Iterator[RecordPiece]:
-    """The pieces of rows, in order. length: duration of a slice [s]."""
+    """Yield the pieces of rows, in order. `length` is the duration of a slice [s]."""
     if not rows.time.size:
         return
     place = np.floor(rows.time / length)

@@ -1,4 +1,4 @@
-"""Segments of a history, and an estimate of each."""
+"""Segments of a history, and an estimate of each segment."""
 
 from __future__ import annotations
 
@@ -38,9 +38,11 @@ from pmfid.types import Counts, Flags, Floats
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples (n,) of one segment, without a gap. samples: slice of the record, including omitted rests; lost: part of
-    it that was imputed; repeats: how often each sample occurs among the n; looked_at: whether the segment gets a second
-    look."""
+    """Samples (n,) of one segment, without a gap.
+
+    `samples` is the slice of the record, including omitted rests. `lost` is the imputed part of the slice. `repeats` is
+    the number of times that each of the n samples occurs. `looked_at` is true if the segment gets a second look.
+    """
 
     axis: str
     start: float
@@ -57,23 +59,23 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Share:
-    """places: (n,) numbers of the samples of a segment; size: samples that they are repeated to, n or more."""
+    """The samples of a segment by their numbers `places` (n,), repeated until they are `size` samples."""
 
     places: NDArray[np.intp]
     size: int
 
     @property
     def repeats(self) -> float:
-        """How often each sample is gone through."""
+        """Number of times that each sample is processed."""
         return self.size / self.places.size
 
     def input(self, u: Floats) -> Floats:
-        """(size,) of the record's (samples,)."""
+        """Return the input (size,) of this share from the input (samples,) of the record."""
         own = u[self.places]
         return own if own.size == self.size else np.resize(own, self.size)
 
     def counts(self, counts: Counts) -> Counts:
-        """The same with repetitions, each of which starts where the one before ended."""
+        """Return the counts (size,) of this share. Each repetition starts where the previous one ended."""
         own = counts[self.places]
         if own.size == self.size:
             return own
@@ -82,8 +84,11 @@ class Share:
 
 
 def shares_of(counts: Counts, settled: int, quarter: int, span: int) -> Iterator[Share]:
-    """The shares of a part (n,) without a gap. settled: samples in which the filters settle; quarter: of a whole
-    segment; span: greatest distance of samples that move in one segment."""
+    """Yield the shares of a part (n,) without a gap.
+
+    `settled` is the number of samples in which the filters settle. `quarter` is the number of samples in a quarter of a
+    whole segment. `span` is the largest distance in samples of motion in one segment.
+    """
     edges = np.r_[0, np.flatnonzero(np.diff(counts)) + 1, counts.size]
     long = np.flatnonzero(np.diff(edges) > TUNING.segments_long * settled)
     kept = np.ones(counts.size, bool)
@@ -96,7 +101,7 @@ def shares_of(counts: Counts, settled: int, quarter: int, span: int) -> Iterator
 
 
 def _groups(cuts: NDArray[np.intp], kept: Flags, enough: int, span: int) -> Iterator[tuple[int, int]]:
-    """Between cuts (m,): as many as make a segment, or fit the span."""
+    """Yield groups between cuts (m,), each large enough for a segment, or limited by the span."""
     known = np.r_[0, np.cumsum(kept)]
     first = 0
     for k in range(1, cuts.size):
@@ -110,7 +115,7 @@ def _groups(cuts: NDArray[np.intp], kept: Flags, enough: int, span: int) -> Iter
 def _share_samples(
     inside: NDArray[np.intp], counts: Counts, low: int, high: int, settled: int, quarter: int
 ) -> Iterator[Share]:
-    """The segments of a group, low to high; inside: its samples with information."""
+    """Yield the segments of a group from `low` to `high`. `inside` has the samples with information."""
     whole = TUNING.segments_whole * quarter
     rests = all(np.ptp(counts[part]) == 0 for part in (inside[:settled], inside[-settled:]))
     if inside.size >= whole or not rests:
@@ -123,7 +128,8 @@ def _share_samples(
 
 
 def _cut(samples: int, quarter: int) -> list[slice]:
-    """Whole segments, and what is left; a whole number of quarters each, so that many have the same length."""
+    """Return whole segments and the remainder. Each has a whole number of quarters, so that many have the same
+    length."""
     size = TUNING.segments_whole * quarter
     found = [slice(start, start + size) for start in range(0, samples - size + 1, size)]
     start = len(found) * size
@@ -146,8 +152,10 @@ def second_looks(
     std: Floats,
     status: NDArray[np.uint32],
 ) -> NDArray[np.uint32]:
-    """The status (m,) of stretches with estimates theta and standard deviations std (m, p), and what a second look at
-    some says, at those that seem to be good."""
+    """Return the status (m,) of stretches, with the results of a second look at some apparently good stretches.
+
+    The estimates `theta` and their standard deviations `std` are (m, p).
+    """
     if not isinstance(estimator, RIV):
         return status
     found, method = status.copy(), like(IV, estimator, prefilter_zeros=None)
@@ -158,10 +166,12 @@ def second_looks(
 
 
 def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
-    """May unmodelled effects move a parameter of theta (p,) by more than its standard deviation std (p,) and the
-    tolerance allow?"""
+    """Return whether unmodelled effects may move a parameter too far.
+
+    The limit for theta (p,) comes from the standard deviation std (p,) and the tolerance.
+    """
     allowed = np.maximum(DIAGNOSTIC_TUNING.noise_limit * std, TUNING.segments_tolerance * np.abs(theta))
-    with np.errstate(all="ignore"):  # of a motion beyond numbers nothing is known
+    with np.errstate(all="ignore"):  # nothing is known of a motion beyond the range of numbers
         try:
             moves = _moves(stretch, method, theta)
         except NotIdentifiableError:
@@ -170,7 +180,7 @@ def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
 
 
 def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
-    """(p, k) by how much each of k forces may move the parameters."""
+    """Return the change (p, k) of the parameters that each of k forces may cause."""
     u, counts = stretch.u[: TUNING.segments_most], stretch.counts[: TUNING.segments_most]
     columns = method.columns_at(theta, u, counts)
     speed = velocity(counts) * (stretch.resolution / stretch.dt)
@@ -189,8 +199,11 @@ def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
 
 
 def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """(k, n) forces per unit of their coefficients, and the coefficients (k,) that machines well may have: an input
-    that does not act in proportion, and where the model has none, friction that is not linear."""
+    """Return forces (k, n) per unit of their coefficients, and coefficients (k,) that a machine may plausibly have.
+
+    One force is an input that does not act in proportion. If the model has no nonlinear friction, the other force is
+    friction that is not linear.
+    """
     bent, usual = -equation.input_gain * u * np.abs(u) / rms(u), rms(speed[speed != 0])
     if any(isinstance(term.shape, Square) for term in equation.shaped):
         return bent[None], np.zeros(1)
@@ -202,7 +215,7 @@ def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tupl
 
 
 def velocity(counts: Counts) -> Floats:
-    """(n,) counts per sample, each averaged over the time that a few counts take at the usual speed."""
+    """Return counts per sample (n,), each averaged over the time of a few counts at the usual speed."""
     change = np.diff(counts, append=counts[-1]).astype(np.float64)
     width = 2 * math.ceil(TUNING.segments_counts / max(rms(change), 1e-3) / 2) - 1
     if width < 3:
@@ -212,23 +225,29 @@ def velocity(counts: Counts) -> Floats:
 
 
 def settled_std(tracks: Tracks) -> Floats:
-    """(n, p) standard deviations at the end. They are larger if the estimates still moved by more than chance explains:
-    a biased start, or a change within the segment, is forgotten no faster than the samples."""
+    """Return the standard deviations (n, p) at the end of the segments.
+
+    They are larger if the estimates still moved by more than chance explains. A biased start, or a change within the
+    segment, is forgotten no faster than the samples.
+    """
     std = tracks.theta_std[:, -1]
     moved = np.ptp(tracks.theta[:, _first_after(tracks, 4) :], axis=1)
     return np.asarray(np.hypot(std, np.maximum(moved - TUNING.segments_usual * std, 0.0)))
 
 
 def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
-    """(n,) at the end, and unmodelled where it was that for a part of the second half: the kernel's verdict is on the
-    last motion alone."""
+    """Return the status (n,) at the end of the segments.
+
+    The status includes UNMODELLED if a part of the second half had this bit. The verdict of the kernel alone concerns
+    only the last motion.
+    """
     off = (tracks.status[:, _first_after(tracks, 2) :] & Status.UNMODELLED) != 0
     wrong = np.mean(off, axis=1) >= TUNING.segments_off
     return np.asarray(tracks.status[:, -1] | np.where(wrong, Status.UNMODELLED, 0), np.uint32)
 
 
 def evidence_gaps(u: Floats, counts: Counts) -> NDArray[np.uint32]:
-    """(n,) status bits for effects that the inputs u and the counts (n, samples) cannot show."""
+    """Return status bits (n,) for effects that the inputs u and the counts (n, samples) cannot show."""
     there, travel = counts[:, -1] - counts[:, 0], np.abs(np.diff(counts, axis=1)).sum(axis=1)
     one_way = travel - np.abs(there) < 2 * TUNING.segments_back * travel
     way = np.where(one_way, np.where(there > 0, FORWARD, BACKWARD), 0)
@@ -238,16 +257,16 @@ def evidence_gaps(u: Floats, counts: Counts) -> NDArray[np.uint32]:
 
 
 def _first_after(tracks: Tracks, part: int) -> int:
-    """Index of the first kept estimate after 1/part of the segment."""
+    """Return the index of the first kept estimate after 1/part of the segment."""
     return (tracks.samples.size - 1) // part
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Estimates of segments and what could not be used.
+    """Estimates of segments, and problems with unusable pieces.
 
-    rows: axis, start and end [s], samples, dt [s], lost (part of the samples), status at the end, and each parameter
-    with its standard deviation, in the order of axes and time.
+    The columns of `rows` are axis, start [s], end [s], samples, dt [s], lost (a part of the samples), status and
+    parameters with standard deviations. The rows are in the order of axes and time.
     """
 
     rows: pl.DataFrame
@@ -255,7 +274,7 @@ class Segments:
 
 
 def solve(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
-    """The segments of pieces; what is no record is a problem of its axis."""
+    """Return the segments of pieces. A piece that is no record is a problem of its axis."""
     problems = list[RowProblem]()
     groups: dict[tuple[float, float], list[Stretch]] = defaultdict(list)
     for piece in pieces:
@@ -275,7 +294,8 @@ def solve(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
 
 
 def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
-    """Raises UsageError for a piece that is no record, or too short for an estimate."""
+    """Return the stretches of a piece. Raises UsageError for a piece that is no record, or too short for an
+    estimate."""
     record = record_at(piece.table, settings.axis)
     quarter, settled = quarter_of(settings, record.dt), settings.estimator.settle_samples
     span = round(settings.span / record.dt)
@@ -296,7 +316,7 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
 
 
 def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, share: Share, looked_at: bool) -> Stretch:
-    """first: sample of the record at which the share starts."""
+    """Return a stretch whose share starts at the sample `first` of the record."""
     places = share.places + first
     begin, end = int(places[0]), int(places[-1]) + 1
     return Stretch(
@@ -315,7 +335,7 @@ def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, shar
 
 
 def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
-    """Estimates of stretches, in batches of the same length."""
+    """Return estimates of stretches, in batches of stretches with the same length."""
     groups: dict[int, list[Stretch]] = defaultdict(list)
     for one in stretches:
         groups[one.u.size].append(one)
@@ -352,7 +372,7 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
 
 
 def empty(settings: Settings) -> pl.DataFrame:
-    """No segments, with their columns."""
+    """Return an empty table of segments."""
     kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
     kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.UInt32}
     for name in settings.estimator.names:

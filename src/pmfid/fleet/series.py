@@ -18,16 +18,19 @@ from pmfid.types import Flags, Floats
 
 #: An estimate with one of these bits at its end is not used.
 UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)
-#: Bits of a segment that are no `Status`: it moved forward or backward alone, where a load looks like friction; its
-#: input had one size alone, where saturation or a dead zone looks like another force per input; it had a second look,
-#: by which an unmodelled force may move it.
+#: Bits of a segment beyond `Status`. The first two mean motion in only one direction, where a load looks like friction.
+#: The third means an input of only one size, where saturation or a dead zone looks like another force per input. The
+#: fourth means a second look, the fifth that this look found a possible effect of an unmodelled force.
 FORWARD, BACKWARD, ONE_SIZE, LOOKED_AT, MOVED = 1 << 31, 1 << 30, 1 << 29, 1 << 28, 1 << 27
 
 
 @dataclass(frozen=True)
 class Series:
-    """n segments with p parameters. start, end: (n,) [s]; samples: (n,); lost: (n,) part filled in; dt: (n,) [s];
-    status: (n,); theta, std: (n, p)."""
+    """The n segments of an axis with p parameters.
+
+    `start`, `end` and `dt` (n,) are in s. `samples` is (n,). `lost` (n,) is the imputed part of the samples. `status`
+    is (n,); `theta` and `std` are (n, p).
+    """
 
     start: Floats
     end: Floats
@@ -43,31 +46,40 @@ class Series:
 
     @property
     def usable(self) -> Flags:
-        """(n,) the segments that count: usable ones in which the equation holds, if they are the majority of the usable
-        ones. A change within a segment, or a bad start, makes it another one."""
+        """The segments that count, as flags (n,).
+
+        They are the usable segments in which the equation holds, if these are the majority of the usable segments. The
+        equation fails in a segment with a change or a bad start.
+        """
         clean = self.known & ((self.status & int(Status.UNMODELLED)) == 0)
         return clean if 2 * np.count_nonzero(clean) > np.count_nonzero(self.known) else self.known
 
     @property
     def known(self) -> Flags:
-        """(n,) segments with a usable estimate: by the method itself if there are any, else by its fallback, whose
-        standard errors are less reliable."""
+        """The segments with a usable estimate, as flags (n,).
+
+        These are estimates by the method itself if any exist, otherwise by its fallback. The standard errors of a
+        fallback are less reliable.
+        """
         known = ((self.status & UNUSABLE) == 0) & np.all(np.isfinite(self.std) & (self.std > 0), axis=1)
         own = known & ((self.status & int(Status.FALLBACK)) == 0)
         return np.asarray(own if np.any(own) else known, bool)
 
 
 def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
-    """The series of one axis' segments, in the order of time."""
+    """Return the series of one axis' segments, in the order of time."""
     theta, std = (np.stack([rows[name + end].to_numpy() for name in names], axis=1) for end in ("", "_std"))
     start, end, lost, dt = (rows[name].to_numpy() for name in ("start", "end", "lost", "dt"))
     return Series(start, end, rows["samples"].to_numpy(), lost, dt, rows["status"].to_numpy(), theta, std)
 
 
 def widen_errors(series: Series) -> Series:
-    """The series with standard errors widened by the scatter between neighbouring usable segments (n, p) beyond them.
-    All segments share this scatter, so no segment with too small a standard error dominates (random effects;
-    DerSimonian and Laird, 1986, with medians, which a few steps do not move)."""
+    """Return the series with wider standard errors, by the scatter that neighbouring usable segments (n, p) have
+    beyond them.
+
+    All segments share this scatter, so no segment with too small a standard error dominates. The method is random
+    effects (DerSimonian and Laird, 1986), with medians, which a few steps do not move.
+    """
     used = series[series.usable]
     if used.start.size < TUNING.least_shared:
         return series
@@ -78,8 +90,11 @@ def widen_errors(series: Series) -> Series:
 
 
 def mean_of(series: Series) -> tuple[Floats, Floats]:
-    """Weighted mean (p,) and its standard deviation: by the standard errors, or by the scatter of batches of segments,
-    weighted or not, if this is larger. NaN and infinite without segments."""
+    """Return the weighted mean (p,) and its standard deviation, NaN and infinite without segments.
+
+    The standard deviation comes from the standard errors, or from the scatter of batches of segments, weighted or not,
+    if this is larger.
+    """
     p = series.theta.shape[1]
     if not series.start.size:
         return np.full(p, np.nan), np.full(p, np.inf)
@@ -93,8 +108,10 @@ def mean_of(series: Series) -> tuple[Floats, Floats]:
 
 
 def lasting(apart: Floats) -> Floats:
-    """(p,): root mean square of deviations (n, p), as inferred from means of batches for independent segments; the
-    largest over all lengths with several batches."""
+    """Return the root mean square (p,) of deviations (n, p), from means of batches, as for independent segments.
+
+    The result is the largest value over all lengths of a batch with several batches.
+    """
     found, size = np.zeros(apart.shape[1]), 1
     while apart.shape[0] // size >= TUNING.series_batches:
         many = apart.shape[0] // size
@@ -105,26 +122,30 @@ def lasting(apart: Floats) -> Floats:
 
 
 def noise_of(series: Series) -> Floats:
-    """(p,): differences of neighbours, relative to their standard errors; not moved by a few steps."""
+    """Return the differences of neighbours (p,) relative to their standard errors, which a few steps do not move."""
     stds = np.hypot(series.std[1:], series.std[:-1])
     found = np.median(np.abs(np.diff(series.theta, axis=0)) / stds, axis=0) / TUNING.series_median
     return np.maximum(found, TUNING.least_noise if len(stds) >= TUNING.series_few else 1.0)
 
 
-#: Named periods: length and start of one of them [s].
+#: Length and start of the named periods [s].
 NAMED = {"day": (86_400.0, 0.0), "shift": (28_800.0, 21_600.0)}
 #: Status bits that a period reports if at least half of its segments have them.
 REPORTED = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
-#: Findings with which an error may exceed the standard error; a period with a change in it has two true values.
+#: Findings with which an error may exceed the standard error. A period with a change has two true values.
 DOUBT = {"missing", "changed", "one_way", "one_size", *(str(bit.name).lower() for bit in REPORTED)}
-#: Segments that have such a status from which on it is one of the axis, not of a time, and part of them: a right model
-#: is unmodelled in one of fifty, late or under feedback in up to one of ten; a change is in one or two more.
+#: Number and part of the segments with a status bit from which the bit belongs to the axis, not to a time. A right
+#: model is unmodelled in one of fifty segments, and late or under feedback in up to one of ten. A change affects one or
+#: two more segments.
 SEVERAL, SHARE = 3, {Status.UNMODELLED: 0.1, Status.DEAD_TIME: 0.25, Status.FEEDBACK: 0.25, Status.FALLBACK: 0.5}
 
 
 @dataclass(frozen=True)
 class Periods:
-    """name: as it was asked for; length, start: [s], None: runs."""
+    """The periods of a history.
+
+    `name` is the user's name of the periods. `length` and `start` are in s; the length is None for runs.
+    """
 
     name: str
     length: float | None
@@ -132,14 +153,16 @@ class Periods:
 
     @classmethod
     def from_name(cls, name: str) -> Self:
-        """Periods by name: "day", "shift" (of 8 hours, from 06:00 on), "run", or a duration. Raises UsageError for
-        anything else."""
+        """Return the periods by their name: "day", "shift" (of 8 hours, from 06:00), "run", or a duration.
+
+        Raises UsageError for any other name.
+        """
         if name == "run":
             return cls(name, None)
         return cls(name, *NAMED[name]) if name in NAMED else cls(name, seconds(name))
 
     def numbers(self, series: Series, segment: float) -> NDArray[np.int64]:
-        """(n,) to which period each segment belongs; segment: its length [s]."""
+        """Return the number (n,) of the period of each segment. `segment` is the length of a segment [s]."""
         if self.length is None:
             pauses = series.start[1:] - series.end[:-1] > max(TUNING.series_pause, segment)
             return np.concatenate([[0], np.cumsum(pauses)]).astype(np.int64)[: series.start.size]
@@ -147,7 +170,7 @@ class Periods:
         return np.floor((middle - self.start) / self.length).astype(np.int64)
 
     def begin(self, number: int, first: float) -> float:
-        """When a period begins [s]; first: sample in it."""
+        """Return the begin of a period [s]. `first` is the time of its first sample."""
         return first if self.length is None else self.start + number * self.length
 
 
@@ -160,7 +183,10 @@ def period_rows(
     segment: float,
     codes: Collection[tuple[float, str]],
 ) -> Iterator[dict[str, object]]:
-    """A row for each period of an axis; kind: its type; codes: times [s] and names of findings of its rows."""
+    """Yield a row for each period of an axis.
+
+    `kind` is the type of the axis. `codes` has times [s] and names of findings in its rows.
+    """
     numbers, always = periods.numbers(series, segment), standing(series)
     for number in np.unique(numbers):
         part = series[numbers == number]
@@ -184,12 +210,12 @@ def _row(axis: str, kind: str, part: Series, names: Sequence[str], begin: float,
 
 
 def quality_of(segments: int, codes: Collection[str]) -> str:
-    """The quality of an estimate from this number of usable segments with these findings."""
+    """Return the quality of an estimate from a number of usable segments with these findings."""
     return "none" if not segments else "doubt" if DOUBT.intersection(codes) else "good"
 
 
 def standing(series: Series) -> set[str]:
-    """Findings of a whole axis: a wrong equation shows only in some moves, by chance."""
+    """Return the findings of a whole axis. A wrong equation shows by chance, and only in some moves."""
     used = series[series.known]
     many = {bit: np.count_nonzero(used.status & int(bit)) for bit in REPORTED}
     which = (bit for bit in REPORTED if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
@@ -199,7 +225,7 @@ def standing(series: Series) -> set[str]:
 
 
 def _uneven(used: Series) -> bool:
-    """Do segments of one direction contradict the others, as with a load, or is there only one direction?"""
+    """Return whether segments of one direction contradict the others, as with a load, or only one direction exists."""
     for bit in (FORWARD, BACKWARD):
         own = (used.status & bit) != 0
         if np.all(own) and own.size:
@@ -213,7 +239,7 @@ def _uneven(used: Series) -> bool:
 
 
 def codes_of(part: Series) -> set[str]:
-    """Findings of some segments."""
+    """Return the findings of some segments."""
     used = part[part.usable]
     found = {"missing"} if np.average(part.lost, weights=part.samples) > TUNING.series_lost else set()
     if np.ptp(part.dt) > TUNING.series_same * np.max(part.dt):

@@ -25,8 +25,11 @@ from pmfid.status import Status
 
 @dataclass(frozen=True)
 class Settings:
-    """axis: with method and pole of the filters; estimator: at the sample period of the record that they were chosen
-    by; segment: [s] of an estimate; span: [s] that it may take with the rests that are left out."""
+    """The settings of a history.
+
+    `axis` includes the method and the pole of the filters. `estimator` has the sample period of the record that decided
+    on them. `segment` is the length of an estimate [s], and `span` its largest duration with the omitted rests [s].
+    """
 
     axis: Axis
     estimator: RecursiveEstimator
@@ -34,8 +37,10 @@ class Settings:
     span: float
 
     def adapt_estimator(self, dt: float, resolution: float) -> RecursiveEstimator:
-        """The estimator of an axis with another sample period [s] and resolution. Raises UsageError if the pole of the
-        filters does not fit the axis."""
+        """Return the estimator of an axis with another sample period [s] and resolution.
+
+        Raises UsageError if the pole of the filters does not fit the axis.
+        """
         check_sampling(self.axis, dt)
         if dt == self.estimator.dt and resolution == self.estimator.encoder.resolution:
             return self.estimator
@@ -44,13 +49,16 @@ class Settings:
 
 
 def forgetting_of(segment: float, dt: float) -> float:
-    """Weight of the past per sample in a segment [s]: of its first samples, which may have come before the filters and
-    the method's model had settled, little is left at its end."""
+    """Return the weight of the past per sample in a segment [s].
+
+    The first samples of a segment may have come before the filters and the method's model had settled. At the end of
+    the segment, little of these samples is left.
+    """
     return max(0.5, 1 - TUNING.settings_memories * dt / segment)
 
 
 def record_at(table: Table, axis: Axis) -> Record:
-    """The record of a piece, whose time is in s. Raises UsageError for what is none."""
+    """Return the record of a piece, whose time is in s. Raises UsageError for a piece that is no record."""
     own = axis.record.model_copy(update={"time_unit": "s", "dt": None})
     record = record_of(table, axis.model_copy(update={"record": own}))
     if record.there is not None and record.there.mean() < 1 - TUNING.most_missing:
@@ -63,8 +71,11 @@ def record_at(table: Table, axis: Axis) -> Record:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A choice by records of the fleet: pole of the filters [rad/s], zeros of the pre-filters [1/s], and sample period
-    [s] and resolution of the records."""
+    """A choice by records of the fleet.
+
+    The choice consists of the pole of the filters [rad/s] and the zeros of the pre-filters [1/s]. `dt` is the sample
+    period [s], and `resolution` the resolution of the records.
+    """
 
     cutoff: float
     zeros: tuple[float, float] | None
@@ -73,8 +84,10 @@ class Chosen:
 
 
 def choose_method(axis: Axis) -> Axis:
-    """The axis with the method that "auto" selects. Raises UsageError for settings that a history does not
-    support."""
+    """Return the axis with the method that "auto" selects.
+
+    Raises UsageError for settings that a history does not support.
+    """
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator):
         raise UsageError(f"[estimator] method = {method!r} takes a record as a whole; use riv, bcrls or auto")
@@ -84,8 +97,11 @@ def choose_method(axis: Axis) -> Axis:
 
 
 def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None) -> Settings:
-    """most: that a segment may last [s]; segment: [s], None: by the memory of [estimator] forgetting, or by the
-    filters. Raises UsageError for segments that are too short for the filters."""
+    """Make the settings of a history from the choice of filters.
+
+    `most` is the largest duration of a segment [s]. `segment` is its length [s]. By default the length fits the memory
+    of [estimator] forgetting, or the filters. Raises UsageError for segments that are too short for the filters.
+    """
     config = choose_method(axis).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
     axis = axis.model_copy(update={"estimator": config})
     nothing = Record(np.zeros(0), np.zeros(0, np.int64), chosen.dt, chosen.resolution, (), "")
@@ -108,22 +124,22 @@ def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None
 
 
 def recursive(estimator: Estimator) -> RecursiveEstimator:
-    """The same. Raises UsageError for an off-line method."""
+    """Return the estimator. Raises UsageError for an off-line method."""
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} is an off-line method; use riv or bcrls")
     return estimator
 
 
 def quarter_of(settings: Settings, dt: float) -> int:
-    """Samples of a quarter of a segment: estimates are kept on this grid, and pieces cut to it."""
+    """Return the number of samples in a quarter of a segment, the grid on which estimates are kept and pieces cut."""
     return max(1, math.floor(settings.segment / dt / 4))
 
 
 def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
-    """The pole, and its zeros, with which most segments of some records have an estimate, and of these the one with the
-    smallest standard errors; tables: of different axes.
+    """Choose the pole and zeros with which most segments of some records have an estimate.
 
-    Raises UsageError for a method that is not recursive, and the first table's own error if no pole fits.
+    Among equal choices, the one with the smallest standard errors wins. The tables belong to different axes. Raises
+    UsageError for a method that is not recursive. If no pole fits, the error of the first table is raised.
     """
     axis = choose_method(axis)
     records, refused = _records(axis, tables)
@@ -145,8 +161,10 @@ def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
 
 
 def _best(found: Sequence[tuple[tuple[int, float], Chosen]]) -> Chosen:
-    """The quickest filters that cost little, among those with most segments: other axes may move more slowly, and leave
-    less to slow filters."""
+    """Return the quickest filters with an acceptable price, among the filters with the most segments.
+
+    Other axes may move more slowly, and bring less information to slow filters.
+    """
     most = max(usable for (usable, _), _ in found)
     known = [(stds, chosen) for (usable, stds), chosen in found if usable == most]
     least = max(stds for stds, _ in known)
@@ -159,7 +177,7 @@ def _best(found: Sequence[tuple[tuple[int, float], Chosen]]) -> Chosen:
 
 
 def _records(axis: Axis, tables: Iterable[Table]) -> tuple[list[Record], UsageError | NotIdentifiableError | None]:
-    """The liveliest parts of the first records that are some, at one sample period; and why others are none."""
+    """Return the liveliest parts of the first valid records, at one sample period, and the error of an invalid one."""
     found = list[Record]()
     refused: UsageError | NotIdentifiableError | None = None
     for table in tables:
@@ -178,7 +196,7 @@ def _records(axis: Axis, tables: Iterable[Table]) -> tuple[list[Record], UsageEr
 
 
 def liveliest(record: Record) -> Record:
-    """The part of a record that moves most, without a gap, of a few segments."""
+    """Return the part of a record with most motion, without a gap, a few segments long."""
     whole = max(parts_of(record.u), key=lambda part: part.stop - part.start, default=slice(0, 0))
     size = max(1, round(TUNING.settings_most * TUNING.settings_segments[0] / record.dt))
     starts = range(whole.start, max(whole.start + 1, whole.stop - size + 1), size)
@@ -189,7 +207,7 @@ def liveliest(record: Record) -> Record:
 
 
 def _estimators(axis: Axis, record: Record, pole: float) -> Iterator[RecursiveEstimator]:
-    """The estimators with all zeros of the pre-filters that there are to choose from, if none are given."""
+    """Yield the estimators with all candidate zeros of the pre-filters, if none are given."""
     update = {"cutoff": pole, "forgetting": forgetting_of(TUNING.settings_segments[0], record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
     estimator = recursive(make_estimator(match_kind(record, own), record))
@@ -208,7 +226,7 @@ def _make_choice(estimator: RecursiveEstimator) -> Chosen:
 
 
 def _worth(estimator: RecursiveEstimator, records: Sequence[Record]) -> tuple[int, float]:
-    """Number of usable segments of all records, and minus the mean logarithm of their standard errors."""
+    """Return the number of usable segments in all records, and the negative mean logarithm of their standard errors."""
     size = min([round(TUNING.settings_segments[0] / estimator.dt), *(record.u.size for record in records)])
     cuts = [(record, k) for record in records for k in range(0, record.u.size - size + 1, size)]
     u = np.stack([record.u[k : k + size] for record, k in cuts])

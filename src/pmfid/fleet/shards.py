@@ -1,6 +1,6 @@
-"""Many axes watched as a stream: a shard of the engine as a value, its tables, the folder of results, and states.
+"""Many axes watched as a stream: a shard of the engine, its tables, the folder of results, and states.
 
-`pmfid.fleet.spark` keeps the state of each shard.
+The package `pmfid.fleet.spark` keeps the state of each shard.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ SOURCE = "stream"
 
 
 def shard_of(axis: str, shards: int) -> int:
-    """The shard of an axis: CRC-32 of its name in UTF-8, modulo the number of shards."""
+    """Return the shard of an axis: CRC-32 of its name in UTF-8, modulo the number of shards."""
     return zlib.crc32(axis.encode("utf-8", "replace")) % shards
 
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """Properties that all shards share. shards: their number."""
+    """The properties that all shards have in common. `shards` is the number of shards."""
 
     prepared: Prepared
     pace: Pace
@@ -70,8 +70,10 @@ class Outcomes:
 
 
 class StreamShard:
-    """Shard `number` of a plan after the batch whose state is `body`, None before the first. Raises ValueError for
-    bytes that no shard of this plan has saved."""
+    """The shard `number` of a plan after the batch whose state is `body`, or None before the first batch.
+
+    Raises ValueError for bytes that no shard of this plan has saved.
+    """
 
     def __init__(self, plan: StreamPlan, number: int, body: bytes | None = None) -> None:
         self.plan, self.number = plan, number
@@ -91,8 +93,7 @@ class StreamShard:
         self._engine.set_groups([self._group])
 
     def take(self, messages: Iterable[bytes]) -> None:
-        """The blocks of a batch, each message one or several of them in binary; axes that come for the first time
-        begin."""
+        """Process the blocks of a batch, where each message has one or several binary blocks. New axes begin."""
         items = [item for data in _sort_messages(messages) for item in blocks.items(data)]
         checked = self._check_names(items)
         self._add(checked)
@@ -100,7 +101,7 @@ class StreamShard:
         self._engine.tick(0.0)
 
     def _check_names(self, items: Sequence[Item]) -> list[Item]:
-        """Refuses blocks of an axis that belongs to another shard: the axis would have two states."""
+        """Refuse blocks of an axis that belongs to another shard, because the axis would have two states."""
         wrong = {name for name in _names(items) if shard_of(name, self.plan.shards) != self.number}
         if not wrong:
             return list(items)
@@ -115,7 +116,7 @@ class StreamShard:
         return checked
 
     def _add(self, items: Sequence[Item]) -> None:
-        """Adds new axes, with numbers that no other shard gives."""
+        """Add new axes, with numbers that no other shard gives."""
         fresh = sorted(name for name in _names(items) if self._engine.seat(name) is None)
         if not fresh:
             return
@@ -129,11 +130,11 @@ class StreamShard:
         self._engine.set_groups([self._group])
 
     def save_state(self) -> bytes:
-        """The state: the body of a checkpoint of `pmfid serve`."""
+        """Return the state, which is the body of a checkpoint of `pmfid serve`."""
         return b"".join(snapshot(self._engine))
 
     def count_samples(self) -> dict[str, float]:
-        """Numbers of samples of this batch: stepped, missing, and refused by reason."""
+        """Return the numbers of stepped and missing samples in this batch, and of refused samples by reason."""
         found: dict[str, float] = {}
         for (name, labels), value in self.counters.values().items():
             kind = next((text for label, text in labels if label in ("reason", "event")), "")
@@ -143,7 +144,7 @@ class StreamShard:
         return found
 
 
-#: Counters that a batch reports, and their names there.
+#: Counters that a batch reports, and their names in the report.
 _COUNTED = {
     "pmfid_samples_total": "samples",
     "pmfid_samples_missing_total": "missing",
@@ -160,13 +161,13 @@ def _names(items: Sequence[Item]) -> set[str]:
 
 
 def _sort_messages(messages: Iterable[bytes]) -> list[bytes]:
-    """Messages ordered by epoch and first number. Messages of one form are joined, so that one call reads them."""
+    """Sort messages by epoch and first number, and join messages of one form, so that one call reads them."""
     keyed = sorted((_key(data), data) for data in messages)
     return [b"".join(data for _, data in some) for _, some in groupby(keyed, lambda pair: pair[0])]
 
 
 def _key(data: bytes) -> tuple[Any, ...]:
-    """The key of a message; a message that is no block has its own bytes, because its end is unknown."""
+    """Return the sort key of a message. A message that is no block has its own bytes, because its end is unknown."""
     if len(data) < HEADER.size or not data.startswith(MAGIC):
         return (2**64, 0, 0, 0, 0, 0, data)
     _, version, flags, samples, epoch, letters, first, _, _ = HEADER.unpack_from(data)
@@ -178,8 +179,12 @@ ESTIMATE, NOTICE, COUNTS = "estimate", "notice", "counts"
 
 
 def columns_of(plan: StreamPlan) -> dict[str, str]:
-    """Name -> type of Spark of each column. number: samples of the axis so far, of a notice its number of that axis,
-    0 if it does not concern data; "told": JSON, for a notice the line that `pmfid monitor --json` prints."""
+    """Return the name and the Spark type of each column.
+
+    The column `number` has the samples of the axis so far. For a notice it has the number of the notice of that axis,
+    or 0 if the notice does not concern data. The column "told" has JSON, for a notice the line that `pmfid monitor
+    --json` prints.
+    """
     names = plan.prepared.setup.monitor.names
     return {
         **{"row": "string", "axis": "string", "number": "long", "time": "double", "u": "double", "counts": "long"},
@@ -189,7 +194,7 @@ def columns_of(plan: StreamPlan) -> dict[str, str]:
 
 
 def table_of(shard: StreamShard) -> pl.DataFrame:
-    """All that a batch of a shard gave, with these columns."""
+    """Return everything that a batch of a shard gave, in the columns of `columns_of`."""
     types = {"string": pl.String, "long": pl.Int64, "double": pl.Float64}
     schema = {name: types[kind] for name, kind in columns_of(shard.plan).items()}
     frames = [_estimates(rows) for rows in shard.outcomes.estimates]
@@ -231,7 +236,8 @@ class States:
 
     @classmethod
     def from_bodies(cls, bodies: Mapping[int, bytes], digest: str) -> States:
-        """States in the bodies of shards, by number. Raises UsageError if one of them is of another configuration."""
+        """Read the states in the bodies of shards, by number. Raises UsageError for a state of another
+        configuration."""
         try:
             found = cls(tuple(read_snapshot(bodies[number]) for number in sorted(bodies)), digest)
         except ValueError as error:
@@ -242,9 +248,11 @@ class States:
 
     @classmethod
     def from_monitors(cls, monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> States:
-        """States of axes with monitors of their own, or with an estimator whose state comes from firmware. Monitoring
-        of a firmware axis restarts, because firmware has no monitor. Raises UsageError for monitors of another
-        configuration."""
+        """Return the states of axes with their own monitors, or with an estimator whose state comes from firmware.
+
+        Monitoring of a firmware axis restarts, because firmware has no monitor. Raises UsageError for monitors of
+        another configuration.
+        """
         try:
             return cls.from_bodies({0: body_from(monitors, prepared, pace)}, prepared.digest)
         except ValueError as error:
@@ -252,8 +260,10 @@ class States:
 
     @classmethod
     def from_folder(cls, folder: Path, digest: str) -> States:
-        """The states of the last checkpoint in the folder of a service. Raises UsageError if there is none, or another
-        service has it."""
+        """Read the states of the last checkpoint in the folder of a service.
+
+        Raises UsageError if no checkpoint exists, or if another service uses the folder.
+        """
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no folder of states; give [service] state of a PLANT.toml")
         with closing(Vault(folder)) as vault:
@@ -273,7 +283,7 @@ class States:
         return sorted(name for group in self.groups for name in group.axes)
 
     def only(self, names: Sequence[str]) -> list[str]:
-        """These names; all where none is given. Raises UsageError for one that is not there."""
+        """Return these names, or all names if none is given. Raises UsageError for an unknown name."""
         known = self.axes
         for name in names:
             if name not in known:
@@ -281,21 +291,24 @@ class States:
         return list(names) or known
 
     def monitor(self, axis: str, prepared: Prepared, pace: Pace) -> Monitor:
-        """A monitor that continues from the state of an axis. Raises UsageError for one that is not there."""
+        """Return a monitor that continues from the state of an axis. Raises UsageError for an unknown axis."""
         self.only([axis])
         group = next(group for group in self.groups if axis in group.axes)
         return group.restore_group(prepared, pace).fleet.monitor(group.axes.index(axis))
 
     def bodies(self, plan: StreamPlan) -> dict[int, bytes]:
-        """The bodies of shards that go on with these axes."""
+        """Return the bodies of shards that continue with these axes."""
         parts: dict[int, set[str]] = {}
         for name in self.axes:
             parts.setdefault(shard_of(name, plan.shards), set()).add(name)
         return {number: self._body(plan.prepared, plan.pace, names) for number, names in sorted(parts.items())}
 
     def write(self, folder: Path, prepared: Prepared, pace: Pace, names: Sequence[str] = ()) -> int:
-        """Writes the states of some axes, or of all if no name is given, as the checkpoint of a service that has this
-        folder as [service] state. Returns the number of axes. Raises UsageError if another service has the folder."""
+        """Write the states of some axes as the checkpoint of a service with this folder as [service] state.
+
+        If no name is given, all axes are written. Returns the number of axes. Raises UsageError if another service uses
+        the folder.
+        """
         chosen = self.only(names)
         with closing(Vault(folder)) as vault:
             try:
@@ -316,7 +329,7 @@ class States:
 
 
 SETTINGS, STREAM = "pmfid.json", "stream.json"
-#: The remedy if a setting differs from the checkpoint.
+#: Remedies for a setting that differs from the checkpoint.
 REMEDIES = {
     "config": "give the configuration and the reference of before, or new folders for --checkpoint and --out",
     "shards": "the state is shared out by it; give it as before",
@@ -329,8 +342,11 @@ REMEDIES = {
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """Settings that must not change between two starts. config: digest of the configuration; window, every: [s];
-    layout: version of the stored states, 2 since shards have keys and are packed."""
+    """Settings that must not change between two starts.
+
+    `config` is the digest of the configuration. `window` and `every` are in s. `layout` is the version of the stored
+    states; it is 2 since shards have keys and are packed.
+    """
 
     config: str
     shards: int
@@ -342,9 +358,11 @@ class StreamSettings:
 
 @contextmanager
 def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterator[Folder]:
-    """The folder of results that belongs to a checkpoint; both are created if new, and locked for one stream.
-    Raises UsageError if one of them belongs to another stream, to other settings or to a running stream, or cannot be
-    created."""
+    """Open the folder of results that belongs to a checkpoint.
+
+    Both folders are created if new, and locked for one stream. Raises UsageError if a folder belongs to another stream,
+    to other settings or to a running stream, or cannot be created.
+    """
     if checkpoint.resolve() == out.resolve():
         raise UsageError(f"{out}: is the checkpoint; give a folder of its own for --out")
     if _read(checkpoint / SETTINGS) is None and _holds(checkpoint, LOCK):
@@ -359,7 +377,7 @@ def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterat
 
 
 def _result(out: Path, number: str, settings: StreamSettings) -> None:
-    """The folder of the results of the stream of this number."""
+    """Check or create the folder with the results of the stream of this number."""
     known = _read(out / STREAM)
     if known is None and _holds(out):
         raise UsageError(f"{out}: holds something else; give a new or empty folder for the results")
@@ -369,14 +387,14 @@ def _result(out: Path, number: str, settings: StreamSettings) -> None:
         )
     for kind in Folder.KINDS:
         (out / kind).mkdir(parents=True, exist_ok=True)
-        for part in (out / kind).glob("*.part"):  # of a process that was killed
+        for part in (out / kind).glob("*.part"):  # left by a killed process
             part.unlink(missing_ok=True)
     if known is None:
         whole(out / STREAM, lambda path: path.write_text(json.dumps({"stream": number, **asdict(settings)})))
 
 
 def _holds(folder: Path, *known: str) -> bool:
-    """Whether a folder holds unknown files, or is no folder."""
+    """Return whether a folder contains unknown files, or is no folder."""
     try:
         return any(path.name not in known and path.suffix != ".part" for path in folder.iterdir())
     except FileNotFoundError:
@@ -409,14 +427,17 @@ def _read(path: Path) -> dict[str, object] | None:
 
 @dataclass(frozen=True)
 class Folder:
-    """estimates/ and notices/ have a Parquet file for each batch; batches/ has its counts as JSON. The counts are
-    written last: a batch without them is incomplete."""
+    """The folder of results, with one file for each batch in each of its folders.
+
+    The folders estimates/ and notices/ have Parquet files. The folder batches/ has the counts of a batch as JSON. The
+    counts are written last, so a batch without them is incomplete.
+    """
 
     path: Path
     KINDS = ("estimates", "notices", "batches")
 
     def write(self, batch: int, table: pl.DataFrame) -> None:
-        """The rows of a batch, in place of those from before. Raises UsageError if the disk takes none."""
+        """Write the rows of a batch, in place of earlier rows. Raises UsageError if the disk refuses the rows."""
         crash_point("stream.given")
         order = pl.col("axis", "number", "told")
         estimates = table.filter(pl.col("row") == ESTIMATE).drop("row", "told").sort("axis", "number")

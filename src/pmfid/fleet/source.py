@@ -1,4 +1,4 @@
-"""Sources of the rows of a history: files, lakes, times."""
+"""Sources of the rows of a history: files, lakes and times."""
 
 from __future__ import annotations
 
@@ -26,9 +26,11 @@ RESULTS = {"work", "periods.parquet", "axes.parquet", "problems.parquet"}
 
 
 def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
-    """Folders; all else in them, pipes and broken links included; and folders that cannot be listed. The results of a
-    history are left out.
-    A folder to which several links lead counts once, by the shortest of its names, then the first."""
+    """Return the folders, all other entries in them, and the folders that cannot be listed.
+
+    The other entries include pipes and broken links. The results of a history are left out. A folder with several links
+    counts once, by the shortest of its names, then by the first.
+    """
     folders, others, closed, seen = list[Path](), list[Path](), list[Path](), set[str]()
     waiting = [folder]
     while waiting:
@@ -42,7 +44,7 @@ def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
             except OSError:
                 closed.append(one)
                 continue
-            if {path.name for path in inside} >= RESULTS:  # of another history
+            if {path.name for path in inside} >= RESULTS:  # results of another history
                 continue
             folders.append(one)
             below = [path for path in inside if path.is_dir()]
@@ -65,8 +67,10 @@ def is_delta(folder: Path) -> bool:
 
 
 def check_no_table(folders: Sequence[Path]) -> None:
-    """Raises UsageError if one of the folders of plain files is a table of a lake: files that no longer count would
-    be read as data."""
+    """Raise UsageError if one of the folders of plain files is a table of a lake.
+
+    Otherwise outdated files of the table would be read as data.
+    """
     logs = [one for one in folders if one.name == DELTA]
     logs += [one for one in folders if one.name == ICEBERG and any(one.glob(METADATA))]
     if not logs:
@@ -79,8 +83,11 @@ def check_no_table(folders: Sequence[Path]) -> None:
 
 
 def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
-    """The files of a Delta table that count now, and what is said of all rows of each. Raises UsageError without the
-    package deltalake, for a damaged log, and for a table whose files say less than its log."""
+    """Yield the valid files of a Delta table, and the values that all rows of a file share.
+
+    Raises UsageError without the package deltalake, for a damaged log, and for a table whose files do not contain all
+    that its log states.
+    """
     with require_extra("delta"):
         from deltalake import DeltaTable
     with readable("Delta"):
@@ -104,10 +111,11 @@ _FORM = "%Y-%m-%d %H:%M:%S%.f"
 
 
 def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> pl.Expr:
-    """[s] as float64, missing where it is none; kind: type of the column `name`; factor: seconds per unit of a number.
+    """Return a time column as float64 [s], with missing values for invalid times.
 
-    Numbers, dates with a time, with or without a zone, durations, and text that is a number or a date of ISO 8601; UTC
-    where no zone is named. Raises UsageError for a day without a time, a time without a day, and what is none.
+    `kind` is the type of the column `name`. `factor` is the number of seconds per unit of a number. Valid are numbers,
+    dates with a time, with or without a zone, durations, and text with a number or an ISO 8601 date. A time without a
+    zone is in UTC. Raises UsageError for a day without a time, a time without a day, and other types.
     """
     if kind == pl.Datetime:
         return column.dt.epoch("ns").cast(pl.Float64) * TUNING.source_nanosecond
@@ -125,10 +133,10 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
 
 
 def _parse_dates(column: pl.Expr) -> pl.Expr:
-    short = pl.when(column.str.len_bytes() <= LONGEST_CELL).then(column)  # a packed file may repeat a long one
+    short = pl.when(column.str.len_bytes() <= LONGEST_CELL).then(column)  # a packed file may repeat a long text
     text = short.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
     plain = text.str.replace(_OFFSET, "").str.strip_suffix("Z").str.strip_chars_end()
-    # a day ends in a sign and digits, too: an offset follows a time
+    # A day also ends in a sign and digits, but an offset follows only a time.
     plain = pl.when(text.str.contains(":")).then(plain)
     hours, minutes = (text.str.extract(_OFFSET, k).cast(pl.Float64, strict=False) for k in (2, 3))
     sign = pl.when(text.str.extract(_OFFSET, 1) == "-").then(-1.0).otherwise(1.0)
@@ -138,8 +146,10 @@ def _parse_dates(column: pl.Expr) -> pl.Expr:
 
 
 def other_unit(first: float, last: float, factor: float) -> str:
-    """The remedy if times [s] lie outside this century and another unit turns them into plausible dates; empty
-    otherwise. factor: seconds per assumed unit."""
+    """Return the remedy if times [s] lie outside this century, and another unit turns them into plausible dates.
+
+    In all other cases the remedy is empty. `factor` is the number of seconds per assumed unit.
+    """
     if last < RECORD_TUNING.clock_epochs[1]:
         return ""
     fitting = [
@@ -167,8 +177,10 @@ _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 
 @dataclass(frozen=True)
 class SourceColumns:
-    """Names of the columns in the data: axis, time, input, output, and optionally mask and type. factor: seconds per
-    unit of a numeric time."""
+    """Names of the columns in the data: axis, time, input, output, and optionally mask and type.
+
+    `factor` is the number of seconds per unit of a numeric time.
+    """
 
     axis: str
     time: str
@@ -180,8 +192,11 @@ class SourceColumns:
 
     @classmethod
     def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> SourceColumns:
-        """Columns that AXIS.toml names, and the column `by` of the axes' names; kind: the column of their type. Raises
-        UsageError if AXIS.toml names no time, or no axis of motion."""
+        """Return the columns that AXIS.toml names, with the column `by` of the axes' names and the column `kind` of
+        their type.
+
+        Raises UsageError if AXIS.toml names no time, or if its model is no machine.
+        """
         record = axis.record
         if axis.model.kind == "transfer_function":
             raise UsageError("the history of a fleet is of machines; of a transfer function use pmfid identify")
@@ -200,17 +215,20 @@ class SourceColumns:
 
     @property
     def named(self) -> dict[str, str]:
-        """Own name -> name in the data."""
+        """Map from the own names of the columns to the names in the data."""
         pairs = {AXIS: self.axis, TIME: self.time, INPUT: self.input, OUTPUT: self.output}
         return pairs | {own: name for own, name in ((MASK, self.mask), (TYPE, self.type)) if name is not None}
 
 
 @dataclass(frozen=True)
 class Part:
-    """One file, or one frame in memory. name: for people; stamp: changes with the content, empty: of a frame;
-    constants: what the folders around it say of all its rows; stamp_now: the stamp as it is by now, None: of what
-    cannot change; sliced: some of its rows are read without the others; first, many: its rows from which on, and how
-    many, None: all."""
+    """One file, or one frame in memory.
+
+    `name` is for people. `stamp` changes with the content, and is empty for a frame. `constants` has the values that
+    the names of the folders give to all rows. `stamp_now` returns the present stamp, and is None for a part that cannot
+    change. `sliced` is true if some rows can be read without the others. `first` and `many` are the number of the first
+    row and the number of rows; None means all rows.
+    """
 
     name: str
     stamp: str
@@ -223,12 +241,14 @@ class Part:
 
     @property
     def rewritten(self) -> bool:
-        """Has it been written to since it was listed?"""
+        """Return whether the part has changed since it was listed."""
         return self.stamp_now is not None and self.stamp_now() != self.stamp
 
     def windows(self) -> Iterator[Part]:
-        """The same rows in order, source_window at a time if the format can be read in pieces. Raises
-        UsageError for a damaged file."""
+        """Yield the same rows in order, `source_window` at a time if the format can be read in pieces.
+
+        Raises UsageError for a damaged file.
+        """
         if not self.sliced:
             yield self
             return
@@ -240,8 +260,10 @@ class Part:
             yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
     def rows(self, columns: SourceColumns) -> pl.LazyFrame:
-        """The rows of a part with the columns of this module: axis and type as text, time [s] and the others as
-        float64. Raises UsageError for a column that is missing, or cannot be read as numbers."""
+        """Return the rows of a part with the columns of this module: axis and type as text, all others as float64.
+
+        Times are in s. Raises UsageError for a column that is missing, or cannot be read as numbers.
+        """
         with readable(Path(self.name).suffix or "frame"):
             frame = self.open()
             schema = frame.collect_schema()
@@ -261,7 +283,7 @@ class Part:
         return frame.select(made)
 
     def other_types(self, columns: SourceColumns) -> list[str]:
-        """Columns with text in place of numbers, or with numbers of too few bits, for people."""
+        """Return sentences on columns with text in place of numbers, or with numbers of too few bits."""
         schema = self.open().collect_schema()
         texts = [name for name in (columns.time, columns.input, columns.output) if schema.get(name) == pl.String]
         notes = [
@@ -288,7 +310,10 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
 
 
 def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
-    """Names as text; 7.0 becomes 7, because tables with missing values write integers so; an empty text is no name."""
+    """Return names as text; an empty text is no name.
+
+    The number 7.0 becomes 7, because tables with missing values write integers in this form.
+    """
     text = column.cast(pl.String, strict=False)
     if kind.is_float():
         whole = column.cast(pl.Int64, strict=False)
@@ -297,16 +322,16 @@ def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
 
 
 def is_spark(source: object) -> bool:
-    """Whether an object is a DataFrame of Spark or of Spark Connect."""
+    """Return whether an object is a DataFrame of Spark or of Spark Connect."""
     kinds = type(source).__mro__
     return any(kind.__name__ == "DataFrame" and kind.__module__.startswith("pyspark.sql") for kind in kinds)
 
 
 def parts_of(source: object, out: Path | None = None) -> list[Part]:
-    """The parts of a file, of a folder with files in folders, or of a frame of pandas, Polars or Arrow, lazy or not.
-    out: a folder whose files are results, where it lies in the other.
+    """Return the parts of a file, of a folder tree, or of a frame of pandas, Polars or Arrow, lazy or not.
 
-    Raises UsageError for what is none of these, and for a folder without a file that can be read.
+    `out` is a folder of results, which may lie in the source and is then left out. Raises UsageError for any other
+    source, and for a folder without a readable file.
     """
     if isinstance(source, str | Path):
         return _files(Path(source), out)
@@ -328,7 +353,7 @@ def _files(source: Path, out: Path | None) -> list[Part]:
     data = (
         path for path in paths if path.suffix.lower() in known and (own is None or own not in path.resolve().parents)
     )
-    # names that begin so are files that engines write in addition to the data
+    # Engines give such names to files that they write in addition to the data.
     found = sorted(path for path in data if not any(part[:1] in "._" for part in path.relative_to(source).parts))
     if not found and not closed:
         raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")
@@ -336,12 +361,12 @@ def _files(source: Path, out: Path | None) -> list[Part]:
 
 
 def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part:
-    """One file as a part. said: constants of all its rows, in addition to those in the names of its folders."""
+    """Return one file as a part. `said` has constants of all its rows, in addition to those in the folder names."""
     inside, stamp = path.relative_to(root), _stamp(path)
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
     constants = {unquote(key): "" if value == _NOTHING else unquote(value) for key, _, value in pairs}
-    there = path.absolute()  # of an executor that works elsewhere
-    name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file may be named by any bytes
+    there = path.absolute()  # an executor may have another working folder
+    name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file name may contain any bytes
     said = constants | dict(said or {})
     sliced = _kind(there) == ".parquet"
     return Part(name, stamp, lambda: _open_file(there), said, lambda: _stamp(there), sliced)
@@ -352,7 +377,7 @@ def _kind(path: Path) -> str:
 
 
 def _stamp(path: Path) -> str:
-    """Empty if the file no longer exists."""
+    """Return the stamp of a file, or an empty text if the file no longer exists."""
     try:
         stat = path.stat()
     except OSError:
@@ -379,7 +404,8 @@ def _open_file(path: Path) -> pl.LazyFrame:
 
 
 def seconds(text: str) -> float:
-    """Parses a duration, as "10 min", "1 h", "1.5 d" or a number of seconds. Raises UsageError for anything else."""
+    """Parse a duration, such as "10 min", "1 h", "1.5 d" or a number of seconds. Raises UsageError for anything
+    else."""
     lengths = UNITS | {"min": 60.0, "h": 3600.0, "d": 86400.0}
     number = text.strip().rstrip("abcdefghijklmnopqrstuvwxyzµ").strip()
     unit = text.strip()[len(number) :].strip() or "s"

@@ -22,41 +22,44 @@ from pmfid.fleet.rows import ASIDE
 from pmfid.fleet.segments import Segments
 from pmfid.fleet.source import RESULTS
 
-#: To be raised with every change of what a segment is, or of these files.
+#: Version of segments and of these files. Every change of either must raise this number.
 VERSION = 4
 
 
 def digest(*parts: object) -> str:
-    """The name of what is made of these."""
+    """Return a name for the result of these inputs."""
     return sha256(json.dumps([VERSION, __version__, *parts], default=str).encode()).hexdigest()[:32]
 
 
 class Store:
-    """A table and its problems for each key; folder: where they are, for one call at a time. Raises UsageError if
-    the folder is a file, holds something else, cannot be written, or another call has it."""
+    """A store with a table and its problems for each key.
+
+    Only one call at a time uses `folder`. Raises UsageError if the folder is a file, contains other things, cannot be
+    written, or is in use by another call.
+    """
 
     def __init__(self, folder: Path) -> None:
         check_folder(folder)
         self.folder = folder / "work"
         self._lock = hold(self.folder, "the folder of the history", "another call")
-        for left in self.folder.glob(f"{ASIDE}*"):  # by a call that was killed
+        for left in self.folder.glob(f"{ASIDE}*"):  # left by a killed call
             remove(left)
 
     def close(self) -> None:
         self._lock.close()
 
     def get(self, key: str) -> Survey | None:
-        """The value of a key, or None if there is none that this version could have written."""
+        """Return the value of a key, or None if the store has no value that this version could have written."""
         try:
             problems = json.loads(self._problems_path(key).read_text(encoding="utf-8"))
             return Survey(
                 pl.read_parquet(self.path(key), hive_partitioning=False), tuple(RowProblem(**raw) for raw in problems)
             )
-        except Exception:  # not there, or damaged: computed again
+        except Exception:  # a missing or damaged value is computed again
             return None
 
     def put(self, key: str, rows: pl.DataFrame, problems: Sequence[RowProblem]) -> None:
-        """Lays a table and its problems down. Raises UsageError if the disk is full."""
+        """Store a table and its problems. Raises UsageError if the disk is full."""
         text = json.dumps([asdict(one) for one in problems])
         whole(self._problems_path(key), lambda path: path.write_text(text, encoding="utf-8"))
         whole(self.path(key), lambda path: rows.write_parquet(path))
@@ -68,7 +71,8 @@ class Store:
         return self.folder / f"{key}.parquet"
 
     def keep(self, keys: Iterable[str]) -> None:
-        """Removes all other values: of missing parts, of other configurations, and incomplete ones of a killed call."""
+        """Remove all other values: of missing parts, of other configurations, and incomplete values of a killed
+        call."""
         kept = set(keys)
         for path in self.folder.iterdir():
             if path.name.partition(".")[0] not in {*kept, LOCK} or path.suffix == ".part":
@@ -76,7 +80,7 @@ class Store:
 
 
 def remove(path: Path) -> None:
-    """A file or a folder that may be gone already."""
+    """Remove a file or a folder, which may no longer exist."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -88,7 +92,7 @@ OWN = RESULTS | {"fleet.html", "fleet.json"}
 
 
 def check_folder(folder: Path) -> None:
-    """Raises UsageError if the folder is a file, holds something else, or cannot be looked into."""
+    """Raise UsageError if the folder is a file, contains other things, or cannot be listed."""
     try:
         inside = [path.name for path in folder.iterdir()]
     except FileNotFoundError:
@@ -104,8 +108,8 @@ def check_folder(folder: Path) -> None:
 
 
 def whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Writes a file in one step. Raises UsageError if that cannot be."""
-    from polars.exceptions import PolarsError  # what its writers make of a full disk
+    """Write a file in one step. Raises UsageError if this is impossible."""
+    from polars.exceptions import PolarsError  # the error that polars raises for a full disk
 
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
@@ -120,14 +124,14 @@ def whole(path: Path, write: Callable[[Path], object]) -> None:
 
 @dataclass(frozen=True)
 class Kept:
-    """A table, here or on the disk, and its problems."""
+    """A table, in memory or on the disk, and its problems."""
 
     here: pl.DataFrame | None
     path: Path | None
     problems: tuple[RowProblem, ...]
 
     def rows(self) -> pl.DataFrame:
-        """The table. Raises UsageError if it has gone from the disk since."""
+        """Return the table. Raises UsageError if the table has disappeared from the disk."""
         if self.here is not None:
             return self.here
         if self.path is None or not self.path.exists():
@@ -136,7 +140,10 @@ class Kept:
 
 
 class Keep:
-    """The folder of a history, or none; keys: all that were asked for; reused: how many were there."""
+    """The store of a history, or none.
+
+    `keys` has all requested keys, and `reused` counts the keys that the store had.
+    """
 
     def __init__(self, store: Store | None) -> None:
         self._store = store
@@ -150,8 +157,11 @@ class Keep:
     def fetch(
         self, keys: Sequence[str], make: Callable[[Sequence[int]], Iterator[Survey | Segments]], *, here: bool = False
     ) -> Iterator[Kept]:
-        """The table of each key, in their order. make: called once with the indices of the missing keys, yields their
-        tables in order, which are stored one by one. here: in memory, too. Raises UsageError if the disk is full."""
+        """Yield the table of each key, in order.
+
+        `make` is called once with the indices of the missing keys, and yields their tables in order. These are stored
+        one by one. With `here`, the tables are also kept in memory. Raises UsageError if the disk is full.
+        """
         self.keys += keys
         there = [self._there(key, here) for key in keys]
         made = make([k for k, one in enumerate(there) if one is None])

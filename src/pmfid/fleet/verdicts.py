@@ -18,14 +18,18 @@ from pmfid.fleet.tuning import TUNING
 from pmfid.records.tuning import TUNING as RECORD_TUNING
 from pmfid.types import Floats
 
-#: Ways of being named, in words.
+#: Kinds of verdicts, in words.
 CHANGED, DRIFTS, DIFFERS, WANDERS, UNKNOWN = "changed", "drifts", "differs", "wanders", "no estimate"
 
 
 @dataclass(frozen=True)
 class Follow:
-    """What one axis says by itself. theta, std: (p,) at the end, since its last step; segments: usable ones; wander:
-    what step and trend explain beyond it, None if neither is clear; dt: the median [s]; codes: findings of theta."""
+    """The findings on one axis alone.
+
+    `theta` and `std` (p,) are the estimate at the end, since the last step. `segments` is the number of usable
+    segments. `wander` is the evidence of step and trend beyond wandering, or None if neither is clear. `dt` is the
+    median sample period [s]. `codes` has the findings on theta.
+    """
 
     axis: str
     type: str
@@ -44,18 +48,22 @@ class Follow:
 
     @property
     def stepped(self) -> bool:
-        """Is there a step for sure, whatever the fleet is like?"""
+        """Whether the axis has a certain step, whatever the other axes do."""
         clear = self.step is not None and self.step.score > TUNING.verdicts_clear
         return clear and self.wander is not None and self.wander.step > TUNING.verdicts_clear
 
 
 @dataclass(frozen=True)
 class AxisVerdict:
-    """kind: one of the above, empty: nothing to say; score: evidence over what chance would name, from 1 on it is
-    named; cause: parameter, FRICTION or INPUT_GAIN; size, std: relative, of a drift per day, of one that wanders root
-    mean square about the mean; since, until: [s], between which it came; days: of the history; deviation: (p,) relative
-    to the median of its sort, NaN of too few axes; visible: relative step of any parameter that would be named if it
-    came in the middle of the history, infinite of too few segments."""
+    """The verdict on an axis.
+
+    `kind` is one of the kinds of verdicts, or empty. `score` is the evidence over the evidence that chance explains;
+    from 1 upwards the axis is named. `cause` is a parameter, FRICTION or INPUT_GAIN. `size` and `std` are relative: per
+    day for a drift, and the root mean square about the mean for a wandering axis. `since` and `until` are the limits of
+    the time of the change [s]. `days` is the length of the history. `deviation` (p,) is relative to the median of the
+    axis' kind, NaN for too few axes. `visible` is the relative step of any parameter in the middle of the history that
+    would be named, infinite for too few segments.
+    """
 
     kind: str
     score: float
@@ -70,7 +78,7 @@ class AxisVerdict:
 
     @property
     def weight(self) -> float:
-        """The rank of a finding: its size, if the evidence is sufficient, else its evidence."""
+        """The rank of a finding: its size if the evidence is sufficient, otherwise its evidence."""
         return abs(self.total) if self.kind and math.isfinite(self.total) else self.score
 
     @property
@@ -80,19 +88,21 @@ class AxisVerdict:
 
     @property
     def named(self) -> bool:
-        """Does the axis need attention for what it does?"""
+        """Whether the axis needs attention."""
         return self.kind in (CHANGED, DRIFTS, DIFFERS)
 
 
 def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tolerance: float) -> Follow:
-    """Step, trend and final estimate from the segments (n,) of an axis; kind: its type; tolerance: relative change that
-    is none."""
+    """Return step, trend and final estimate from the segments (n,) of an axis.
+
+    `kind` is the type of the axis. `tolerance` is the relative change that does not count.
+    """
     used = series[series.usable]
     step, trend = step_of(used, names, tolerance), trend_of(used, names, tolerance)
     clear = step is not None and trend is not None and max(step.score, trend.score) > TUNING.looked_at
     wander = None
     if step is not None and clear:
-        whole = (used.start < step.since) | (used.start >= step.settled)  # not of both sides
+        whole = (used.start < step.since) | (used.start >= step.settled)  # without mixed segments
         wander = compare_with_wander(used[whole], step.settled)
     late = used if step is None or not step.score > 0 else used[used.start >= step.settled]
     late = late if late.start.size else used
@@ -103,7 +113,7 @@ def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tole
 
 
 def judge_axes(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[AxisVerdict]:
-    """The verdict on each axis, in their order."""
+    """Return the verdict on each axis, in order."""
     deviations = _deviations(follows, tolerance)
     limit = _limit(len(follows) * max(1, len(names)), math.inf)
     found = (
@@ -133,7 +143,10 @@ def _verdict(
 
 
 def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdict]:
-    """The verdict on the step or the trend of an axis, whichever explains more, if it explains more than wandering."""
+    """Return the verdict on the step or the trend of an axis, whichever explains more.
+
+    The step or trend counts only if it explains more than wandering does.
+    """
     step, trend = one.step, one.trend
     if step is None or trend is None:
         return []
@@ -154,7 +167,7 @@ def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdic
 
 
 def _wandering(verdict: AxisVerdict, wander: Beyond, names: Sequence[str]) -> AxisVerdict:
-    """A wandering, in place of a step or drift that explains no more."""
+    """Return a verdict of wandering, in place of a step or drift that explains no more."""
     own = [size for size, name in zip(wander.size, names, strict=True) if verdict.cause in name]
     return AxisVerdict(WANDERS, verdict.score, verdict.cause, float(max(own or wander.size)))
 
@@ -167,14 +180,16 @@ def _judge_deviation(one: Follow, names: Sequence[str], deviation: Floats, exces
 
 
 def _limit(trials: float, free: float) -> float:
-    """Standard deviations that chance exceeds by_chance times in `trials` trials, on either side; free: degrees of
-    freedom of the standard deviation."""
+    """Return the standard deviations that chance exceeds `by_chance` times in `trials` trials, on either side.
+
+    `free` is the degrees of freedom of the standard deviation.
+    """
     part = TUNING.by_chance / (2 * max(trials, 1))
     return float(-ndtri(part) if math.isinf(free) else -stdtrit(max(free, 1), part))
 
 
 def sorts_by_type(follows: Sequence[Follow], tolerance: float) -> dict[str, list[list[int]]]:
-    """Places of the axes of each type with an estimate, by the sorts that it holds."""
+    """Return the places of the axes of each type that have an estimate, divided into kinds."""
     groups: dict[str, list[int]] = defaultdict(list)
     for k, one in enumerate(follows):
         if one.segments:
@@ -193,8 +208,10 @@ def _estimates(follows: Sequence[Follow], members: Sequence[int]) -> tuple[Float
 
 
 def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
-    """Of each axis (p,), relative to the median of its sort, and how many spreads that is beyond the tolerance: NaN
-    where there are too few, or where the sign differs."""
+    """Return the relative deviation (p,) of each axis from the median of its kind, and the excess over the tolerance.
+
+    The excess is in spreads. Both are NaN for too few axes, or if the sign differs.
+    """
     p = follows[0].theta.size if follows else 0
     found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]
     for sorts in sorts_by_type(follows, tolerance).values():
@@ -206,7 +223,10 @@ def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Float
 
 
 def _compare_axes(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
-    """Deviations of the axes of one sort, (m, p) each: relative, and beyond the tolerance in standard deviations."""
+    """Return the deviations (m, p) of the axes of one kind, and their excess over the tolerance.
+
+    The deviations are relative, the excess is in standard deviations.
+    """
     apart, ratio, size = _logarithms(theta)
     spread = spread_of(apart)
     scale = np.hypot(spread, std / size)
@@ -214,8 +234,11 @@ def _compare_axes(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats,
 
 
 def _logarithms(theta: Floats) -> tuple[Floats, Floats, Floats]:
-    """Of theta (m, p) over the median, where all are positive: parameters of machines differ by factors. With the
-    ratios, and the sizes (p,) of the medians."""
+    """Return logarithms of theta (m, p) over the median, the ratios, and the sizes (p,) of the medians.
+
+    Parameters of machines differ by factors. If a parameter is not positive everywhere, the result has its relative
+    differences in place of logarithms.
+    """
     middle = np.median(theta, axis=0)
     size = np.maximum(np.abs(middle), np.finfo(float).tiny)
     ratio = theta / size * np.where(middle < 0, -1.0, 1.0)
@@ -224,8 +247,11 @@ def _logarithms(theta: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def spread_of(apart: Floats) -> Floats:
-    """(p,) standard deviation of most of the distances (m, p) from the median: the largest that a part of them tells,
-    so that tails heavier than normal count, and a tenth of odd axes does not."""
+    """Return the standard deviation (p,) of most of the distances (m, p) from the median.
+
+    The result is the largest value from several parts of the distances. Tails heavier than normal therefore count, and
+    outliers in a tenth of the axes do not.
+    """
     sizes = np.abs(apart)
     return np.asarray(
         np.max([np.quantile(sizes, part, axis=0) / ndtri((1 + part) / 2) for part in TUNING.verdicts_parts], axis=0)
@@ -233,18 +259,18 @@ def spread_of(apart: Floats) -> Floats:
 
 
 def ranking(verdicts: Iterable[AxisVerdict]) -> list[int]:
-    """Places of the verdicts, those that need attention first."""
+    """Return the places of the verdicts, where axes with need of attention come first."""
     order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, WANDERS: 2, "": 3}
     pairs = enumerate(verdicts)
     return [k for k, one in sorted(pairs, key=lambda pair: (order[pair[1].kind], -pair[1].weight, pair[0]))]
 
 
-#: What the parameters are in a sentence.
+#: Names of the parameters in a sentence.
 _WORDS = {INPUT_GAIN: "force per input", "friction": "all friction"}
 
 
 def when(time: float) -> str:
-    """A time [s], as a date (UTC) where it is one, else as hours, minutes and seconds from zero."""
+    """Format a time [s] as a date (UTC) if plausible, otherwise as hours, minutes and seconds from zero."""
     if not math.isfinite(time):
         return ""
     if RECORD_TUNING.clock_epochs[0] <= time < RECORD_TUNING.clock_epochs[1]:
@@ -255,14 +281,14 @@ def when(time: float) -> str:
 
 
 def format_span(since: float, until: float) -> str:
-    """The words for a span from `since` to `until` [s], with a common date once."""
+    """Return the words for a span from `since` to `until` [s], with a common date only once."""
     first, last = when(since), when(until)
     same = " " in first and first.partition(" ")[0] == last.partition(" ")[0]
     return f"between {first} and {last.partition(' ')[2] if same else last}"
 
 
 def sentence(verdict: AxisVerdict) -> str:
-    """Why the axis needs attention, or what else there is to say; empty if there is nothing."""
+    """Return the reason for attention, or another remark on the axis; empty if nothing is to be said."""
     what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
     size, std = 100 * verdict.size, 100 * verdict.std
     if verdict.kind == CHANGED:

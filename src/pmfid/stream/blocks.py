@@ -1,4 +1,4 @@
-"""Blocks of samples as messages carry them."""
+"""Blocks of samples, in the form that messages carry."""
 
 from __future__ import annotations
 
@@ -17,22 +17,24 @@ from pmfid.types import Counts, Flags, Floats
 
 MAGIC, VERSION = b"PMFB", 1
 MOST_SAMPLES, LONGEST_NAME = 1024, 64
-#: Epochs have 32 bits; from this number of samples on neighbours are no longer separate doubles, as JSON has them.
+#: An epoch has 32 bits. Above the largest number of samples, neighbouring numbers are the same double, as in JSON.
 MOST_EPOCH, MOST_NUMBER = 2**32, 2**53
-#: Bits of the flags: u are float64 in place of float32, counts int64 in place of int32.
+#: Bits of the flags: u are float64 instead of float32, counts are int64 instead of int32.
 WIDE_U, WIDE_COUNTS = 1, 2
 U, COUNTS = (np.dtype("<f4"), np.dtype("<f8")), (np.dtype("<i4"), np.dtype("<i8"))
-#: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt; the same by name in `block_type`.
+#: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt. `block_type` has the same fields by name.
 HEADER = struct.Struct("<4sBBHIB3xQdd")
 CRC = struct.Struct("<I")
-#: Bytes of the longest block.
+#: Size of the longest block in bytes.
 MOST_BYTES = HEADER.size + LONGEST_NAME + 16 * MOST_SAMPLES + CRC.size
 
 
 @lru_cache(64)
 def block_type(flags: int, samples: int, letters: int) -> np.dtype[np.void]:
-    """A whole block of that form, by the names of its fields; letters: bytes of the name. The numbers are within the
-    bounds above."""
+    """Return the data type of a whole block, with its fields by name.
+
+    `letters` is the number of bytes in the name. The caller checks all numbers against the limits of this module.
+    """
     return np.dtype(
         [
             *(("magic", "S4"), ("version", "u1"), ("flags", "u1"), ("samples", "<u2"), ("epoch", "<u4")),
@@ -43,16 +45,17 @@ def block_type(flags: int, samples: int, letters: int) -> np.dtype[np.void]:
     )
 
 
-#: Fewest blocks for which one pass is faster.
+#: Least number of blocks for which one pass is faster.
 FEWEST = 4
-#: Names are the same in each message of a gateway: number of lists that are cached, and most names of one list.
+#: Number of cached lists of names, and largest number of names in one list. The messages of a gateway repeat their
+#: names.
 LISTS, NAMES = 1024, 256
-#: Bytes of the header that blocks have in common: magic, version, flags, samples; and the name's length.
+#: Bytes of the header that alike blocks share (magic, version, flags, samples), and the place of the name's length.
 _COMMON, _LETTERS = slice(0, 8), 12
 
 
 def read_alike_blocks(data: bytes) -> Table | None:
-    """The blocks of a message if all have the same form and all are valid; None otherwise."""
+    """Return the blocks of a message as a table if all blocks have the same form and are valid, otherwise None."""
     if len(data) < HEADER.size or not data.startswith(MAGIC):
         return None
     _, version, flags, samples, _, letters, *_ = HEADER.unpack_from(data)
@@ -71,7 +74,7 @@ def read_alike_blocks(data: bytes) -> Table | None:
     names = (_read_names if rows.size <= NAMES else _read_names.__wrapped__)(rows["name"].tobytes(), letters)
     if names is None:
         return None
-    # copies: they are aligned, and do not keep the whole message
+    # The copies are aligned, and do not keep the whole message in memory.
     epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
     time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
     return Table(names, epoch, first, time, dt, u, counts)
@@ -89,25 +92,26 @@ def _are_in_range(rows: np.ndarray, samples: int) -> bool:
 
 @lru_cache(LISTS)
 def _read_names(text: bytes, letters: int) -> tuple[str, ...] | None:
-    """Consecutive names of `letters` bytes each; None if one of them is not a valid name."""
+    """Return consecutive names of `letters` bytes each, or None if one of them is not a valid name."""
     try:
         names = tuple(text[k : k + letters].rstrip(b"\0").decode() for k in range(0, len(text), letters))
     except UnicodeDecodeError:
         return None
-    # what ends in zeros is shorter than it says
+    # A name that ends in zeros is shorter than `letters`.
     whole = all(map(str.isprintable, names)) and all(len(name.encode()) == letters for name in names)
     return names if whole else None
 
 
-#: How often in one message a block is looked for by MAGIC alone: each may cost the checksum of a whole block.
+#: Number of searches for a block by MAGIC alone in one message. Each search may cost the checksum of a whole block.
 _MOST_SEARCHES = 16
 
 
 def encode(block: Block) -> bytes:
-    """The bytes of a block, in the shortest form that loses nothing.
+    """Return the bytes of a block in the shortest form without a loss.
 
-    Raises UsageError for what a receiver would refuse: 0 or more than MOST_SAMPLES samples, a name that is empty,
-    longer than LONGEST_NAME bytes or not printable, numbers that are out of range or not finite.
+    Raises UsageError for a block that a receiver would refuse: 0 or more than MOST_SAMPLES samples, an invalid name, or
+    invalid numbers. A name is invalid if it is empty, longer than LONGEST_NAME bytes or not printable. Numbers are
+    invalid if they are out of range or not finite.
     """
     u, counts = np.asarray(block.u, np.float64), np.asarray(block.counts, np.int64)
     if not (0 < u.size <= MOST_SAMPLES and u.shape == counts.shape == (u.size,)):
@@ -129,35 +133,37 @@ def encode(block: Block) -> bytes:
 
 
 def items(data: bytes) -> list[Table] | list[Block | Unusable]:
-    """The blocks of a message in order, with the reason in place of each unusable block; one table if all blocks have
-    the same form."""
+    """Return the blocks of a message in order, with the reason in place of each unusable block.
+
+    If all blocks have the same form, the result is one table.
+    """
     found = read_alike_blocks(data)
     return [found] if found is not None else _blocks(data, whole=True)[0]
 
 
 def decode(data: bytes) -> list[Block | Unusable]:
-    """The blocks of a message in order, with the reason in place of each unusable block, never as a table."""
+    """Return the blocks of a message in order, with the reason in place of each unusable block, never as a table."""
     found = read_alike_blocks(data)
     return [*found.blocks()] if found is not None else _blocks(data, whole=True)[0]
 
 
 @dataclass
 class BlockStream:
-    """Blocks out of a stream without messages, as a serial line."""
+    """The blocks of a stream without messages, for example of a serial line."""
 
     _rest: bytes = field(default=b"", init=False)
 
     @property
     def waiting(self) -> int:
-        """Bytes of a block that has only begun."""
+        """Number of received bytes of an incomplete block."""
         return len(self._rest)
 
     def begin(self) -> None:
-        """Begins again, maybe in the middle of a block."""
+        """Begin again, possibly in the middle of a block."""
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Block | Unusable]:
-        """The blocks that are complete after these bytes; an incomplete block waits for the next bytes."""
+        """Return the blocks that are complete after these bytes. An incomplete block waits for the next bytes."""
         taken = self._rest + data
         found, used = _blocks(taken, whole=False)
         self._rest = taken[used:]
@@ -165,13 +171,16 @@ class BlockStream:
 
 
 def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
-    """The blocks of a message (whole) or of the received part of a stream, and the number of bytes consumed."""
+    """Return the blocks of a message, or of the received part of a stream, and the number of consumed bytes.
+
+    `whole` is true for a message.
+    """
     view, found, place, searches = memoryview(data), list[Block | Unusable](), 0, 0
     while place < len(data):
         end, item = _block(data, view, place)
         if item is None and not whole:
             break
-        # the length of a damaged block is trusted if another block may begin at its end
+        # The length of a damaged block is trusted if another block may begin at its end.
         if isinstance(item, Block) or (item and end and (end == len(data) or data.startswith(MAGIC, end))):
             found.append(item)
             place = end
@@ -185,7 +194,7 @@ def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
 
 
 def _next(data: bytes, start: int, whole: bool) -> int:
-    """Start of the next possible block: at a MAGIC, or in a stream at the beginning of one."""
+    """Return the start of the next possible block: at a MAGIC, or in a stream at the beginning of a MAGIC."""
     place = data.find(MAGIC, start)
     if place >= 0 or whole:
         return place if place >= 0 else len(data)
@@ -194,7 +203,10 @@ def _next(data: bytes, start: int, whole: bool) -> int:
 
 
 def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unusable | None]:
-    """End of the block that begins at `place`, 0 if unknown, and its content; None if the block is incomplete."""
+    """Return the end of the block that begins at `place`, 0 if unknown, and the content of the block.
+
+    The content is None if the block is incomplete.
+    """
     if not data.startswith(MAGIC[: len(data) - place], place):
         return 0, Unusable("magic", "bytes that are no block: none begins there")
     if place + HEADER.size > len(data):
@@ -218,7 +230,7 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
         name = data[name_at : name_at + letters].decode()
     except UnicodeDecodeError:
         return end, Unusable("name", "a block with a name that is no UTF-8")
-    # copies: they are aligned, and do not keep the whole message
+    # The copies are aligned, and do not keep the whole message in memory.
     u = np.frombuffer(data, u_type, n, u_at).astype(np.float64)
     counts = np.frombuffer(data, counts_type, n, counts_at).astype(np.int64)
     block = Block(name, epoch, first, time, dt, u, counts)
@@ -226,7 +238,10 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
 
 
 def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Unusable | None:
-    """Reason for which a block of (n,) u and (n,) counts cannot be used, or None; wide: counts may have any size."""
+    """Return the reason why a block of u (n,) and counts (n,) cannot be used, or None.
+
+    If `wide` is set, the counts may have any size.
+    """
     name, n = block.axis, u.size
     if not (name.isprintable() and 0 < len(name.encode("utf-8", "replace")) <= LONGEST_NAME):
         return Unusable(

@@ -32,21 +32,24 @@ SEAT = np.dtype(
 )
 #: Fields of SEAT that are columns of `Positions`.
 _COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "notices"))
-#: Head of each block that waits for earlier blocks; its samples follow, u as float64, counts as int64.
+#: Head of each block that waits for earlier blocks. The samples of the block follow, u as float64, counts as int64.
 HELD = np.dtype(
     [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
 )
 
 
 class Vault(CheckpointFolder):
-    """The folder `[service] state`; one service at a time."""
+    """The folder `[service] state`, which only one service uses at a time."""
 
     setting: ClassVar[str] = "[service] state"
     other: ClassVar[str] = "another service"
 
 
 class StateBuffer:
-    """Memory for the copies of states, reused by all checkpoints: new memory would cost more time than the copy."""
+    """Memory for the copies of states, which all checkpoints reuse.
+
+    New memory would cost more time than the copy.
+    """
 
     def __init__(self) -> None:
         self._bytes = np.empty(0, np.uint8)
@@ -56,11 +59,13 @@ class StateBuffer:
         return self._bytes.size
 
     def grow(self, size: int) -> None:
-        """Replaces the buffer by `size` bytes, each touched; by any thread, while no copy is made."""
+        """Replace the buffer by `size` bytes, all of them touched. Any thread may call this function while no copy
+        is made.
+        """
         self._bytes = np.full(size, 1, np.uint8)
 
     def copy_states(self, states: Sequence[Sequence[memoryview]]) -> list[list[memoryview]]:
-        """Copies of the states in the buffer, valid until the next call."""
+        """Copy the states into the buffer. The copies are valid until the next call."""
         size = sum(len(part) for state in states for part in state)
         if self._bytes.size < size:
             self._bytes = np.empty(size, np.uint8)
@@ -69,7 +74,7 @@ class StateBuffer:
             found.append([])
             for part in state:
                 copy = self._bytes[place : place + len(part)]
-                copy[:] = np.frombuffer(part, np.uint8)  # other threads go on meanwhile
+                copy[:] = np.frombuffer(part, np.uint8)  # other threads run during the copy
                 found[-1].append(copy.data)
                 place += len(part)
         return found
@@ -77,15 +82,18 @@ class StateBuffer:
 
 @dataclass(frozen=True)
 class Draft:
-    """A checkpoint without the checksums of its states, which take longer than their copy. text: the JSON object;
-    states, others: the `parts` of each group, its state in several pieces."""
+    """A checkpoint without the checksums of its states, which take longer than a copy of the states.
+
+    `text` is the JSON object. `states` and `others` have the parts of each group, where the state of a group has
+    several pieces.
+    """
 
     text: bytes
     states: list[list[memoryview]]
     others: list[list[bytes]]
 
     def chunks(self) -> list[bytes | memoryview]:
-        """The whole checkpoint; by any thread, as long as the buffer keeps the states."""
+        """Return the whole checkpoint. Any thread may call this function, as long as the buffer keeps the states."""
         found: list[bytes | memoryview] = [_LENGTH.pack(len(self.text)), self.text]
         for state, own in zip(self.states, self.others, strict=True):
             found += [*seal_parts(state), *own]
@@ -93,17 +101,17 @@ class Draft:
 
 
 def snapshot(engine: StreamEngine) -> list[bytes | memoryview]:
-    """The checkpoint of the engine between two ticks."""
+    """Return the checkpoint of the engine between two ticks."""
     return draft(engine, StateBuffer()).chunks()
 
 
 def state_size(engine: StreamEngine) -> int:
-    """Bytes of the buffer that a draft needs."""
+    """Return the number of bytes that a draft needs in the buffer."""
     return sum(len(part) for group in engine.groups for part in group.fleet.unsealed_state())
 
 
 def draft(engine: StreamEngine, room: StateBuffer) -> Draft:
-    """The checkpoint of the engine between two ticks, to be completed by another thread while the engine goes on."""
+    """Return the checkpoint of the engine between two ticks; another thread completes it while the engine goes on."""
     states = room.copy_states([group.fleet.unsealed_state() for group in engine.groups])
     others = [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups]
     groups = list[dict[str, Any]]()
@@ -142,7 +150,7 @@ def _pack_seats(group: Group) -> NDArray[np.void]:
 
 
 def _collect_rare(seat: Seat) -> dict[str, Any]:
-    """Data that only some axes have."""
+    """Return the data that only some axes have."""
     timed = None if seat.timed is None else seat.timed.save_state()
     found = {"gaps": seat.order.gaps, "told": seat.notice_counts, "timed": timed, "referred": seat.referred}
     return {name: value for name, value in found.items() if value}
@@ -156,14 +164,14 @@ def _pack_held(group: Group) -> bytes:
 
 
 def _write_held(heads: Sequence[np.ndarray], u: Sequence[np.ndarray], counts: Sequence[np.ndarray]) -> bytes:
-    """Waiting blocks as bytes, empty for none: their number, their heads, all u, all counts."""
+    """Return waiting blocks as bytes: their number, their heads, all u and all counts. No blocks give no bytes."""
     number = sum(map(len, heads))
     whole = (np.concatenate(parts).astype(kind) for parts, kind in ((heads, HELD), (u, "<f8"), (counts, "<i8")))
     return b"".join([_LENGTH.pack(number), *(part.tobytes() for part in whole)]) if number else b""
 
 
 def _read_held(held: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heads, all u and all counts of waiting blocks."""
+    """Return the heads, all u and all counts of waiting blocks."""
     (number,) = _LENGTH.unpack_from(held)
     heads = np.frombuffer(held, HELD, number, _LENGTH.size)
     samples, place = int(heads["samples"].sum()), _LENGTH.size + heads.nbytes
@@ -172,8 +180,11 @@ def _read_held(held: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Saved:
-    """A group in a checkpoint. axes: their names; state: of their fleet; seats: of SEAT; held: blocks that wait; rare:
-    number of the axis -> data that only some axes have."""
+    """A group in a checkpoint.
+
+    `axes` has the names of the axes, `state` the state of their fleet. `seats` is an array of SEAT. `held` has the
+    waiting blocks. `rare` maps the number of an axis to data that only some axes have.
+    """
 
     digest: str
     axes: tuple[str, ...]
@@ -183,7 +194,7 @@ class Saved:
     rare: Mapping[str, Any]
 
     def restore_group(self, prepared: Prepared, pace: Pace) -> Group:
-        """The group from its saved state. Raises ValueError for a state that no group has saved."""
+        """Restore the group from its saved state. Raises ValueError for a state that no group has saved."""
         group = Group(prepared, pace)
         try:
             group.restore(self.axes, self.state)
@@ -202,8 +213,11 @@ class Saved:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A checkpoint. wall: when it was made, seconds since 1970; numbered: the last number that an axis got; marks: of
-    the sources; unwritten: alarms that sinks did not have yet, by the name of the sink."""
+    """The content of a checkpoint.
+
+    `wall` is the time of the checkpoint in seconds since 1970. `numbered` is the last number that an axis got. `marks`
+    has the positions of the sources. `unwritten` maps the name of a sink to alarms that the sink did not have yet.
+    """
 
     wall: float
     numbered: int
@@ -214,7 +228,7 @@ class Snapshot:
     groups: list[Saved]
 
     def restore(self, engine: StreamEngine) -> None:
-        """Restores the part of the engine outside its groups."""
+        """Restore the part of the engine outside its groups."""
         engine.marks.update(self.marks)
         engine.history, engine.numbered = self.history, self.numbered
         engine.notices.restore(self.alarms)
@@ -225,7 +239,7 @@ class Snapshot:
 
 
 def read_snapshot(body: bytes) -> Snapshot:
-    """The checkpoint in the bytes of `snapshot`. Raises ValueError for other bytes."""
+    """Read the checkpoint in the bytes of `snapshot`. Raises ValueError for other bytes."""
     try:
         (length,) = _LENGTH.unpack_from(body)
         place = _LENGTH.size + length
@@ -270,8 +284,10 @@ def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
 
 
 def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
-    """One group of the axes of several groups, in order. Raises ValueError for states of another configuration, or for
-    an axis that occurs twice."""
+    """Join the axes of several groups, in order, into one group.
+
+    Raises ValueError for states of another configuration, and for an axis that occurs twice.
+    """
     axes = tuple(name for group in groups for name in group.axes)
     if len(set(axes)) < len(axes):
         raise ValueError("an axis comes twice")
@@ -289,7 +305,7 @@ def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
 
 
 def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
-    """The waiting blocks of all groups, with the new numbers of their axes."""
+    """Return the waiting blocks of all groups, with the new numbers of their axes."""
     parts = [(*_read_held(group.held), start) for group, start in zip(groups, starts, strict=False) if group.held]
     heads = [one.copy() for one, *_ in parts]
     for own, (*_, start) in zip(heads, parts, strict=True):
@@ -300,8 +316,10 @@ def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
 def body_of(
     saved: Saved, prepared: Prepared, pace: Pace, names: Collection[str], alarms: Sequence[AlarmRecord], numbered: int
 ) -> bytes:
-    """The body of a checkpoint of some axes of a group, and of their alarms. Raises ValueError for a state that no
-    group has saved."""
+    """Return the body of a checkpoint with some axes of a group, and their alarms.
+
+    Raises ValueError for a state that no group has saved.
+    """
     engine = StreamEngine(Counters())
     here = [alarm for alarm in alarms if alarm.axis in names]
     Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
@@ -312,8 +330,11 @@ def body_of(
 
 
 def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> bytes:
-    """The body of a checkpoint in which axes go on with these monitors. The first number to arrive for an axis,
-    whatever it is, follows its last sample. Raises ValueError for monitors of another configuration."""
+    """Return the body of a checkpoint from which axes continue with these monitors.
+
+    The first number that arrives for an axis, whatever it is, follows the axis' last sample. Raises ValueError for
+    monitors of another configuration.
+    """
     fleet, group = MonitorFleet(prepared.setup.monitor, 0), Group(prepared, pace)
     try:
         for monitor in monitors.values():

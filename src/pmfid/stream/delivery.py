@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.types import Counts, Floats
 
-#: JSON from which a source resumes after a restart, such as the position in a file.
+#: JSON from which a source resumes after a restart, for example the position in a file.
 Mark = dict[str, int | float | str]
 
 
 @dataclass(frozen=True)
 class Block:
-    """Samples of one axis that follow one another, numbered by the sender.
+    """Consecutive samples of one axis, numbered by the sender.
 
-    axis: its name; epoch: raised by the sender when its numbers restart, as after a restart of the drive; first:
-    number of the first sample, 0 or more; time: of the first sample by the sender's clock [s], NaN without a clock;
-    dt: the sender's sample period [s]; u: (n,) input in the unit of the model, NaN where a sample is lost; counts:
-    (n,).
+    `axis` is the name. The sender raises `epoch` when its numbers restart, for example after a restart of the drive.
+    `first` >= 0 is the number of the first sample. `time` is the time of the first sample by the sender's clock [s],
+    NaN without a clock. `dt` is the sender's sample period [s]. `u` (n,) is the input in the unit of the model, NaN for
+    a lost sample, and `counts` is (n,).
     """
 
     axis: str
@@ -42,15 +42,15 @@ class Block:
 
 
 def join_arrays(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
-    """The concatenation of the parts' arrays, by name."""
+    """Return the joined arrays of the parts, by their names."""
     return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Blocks of the same number of samples as one item, as gateways send them: a row for each, in their order.
+    """Blocks with the same number of samples as one item, as gateways send them: one row for each block, in order.
 
-    axes: their names; epoch, first, time, dt: (k,) as of `Block`; u, counts: (k, n), n > 0.
+    `axes` has the names. `epoch`, `first`, `time` and `dt` (k,) are as in `Block`. `u` and `counts` are (k, n), n > 0.
     """
 
     axes: tuple[str, ...]
@@ -63,7 +63,7 @@ class Table:
 
     @classmethod
     def join(cls, tables: Sequence[Table]) -> Table:
-        """One table of all rows; the blocks of all tables have the same length."""
+        """Join tables whose blocks have the same length into one table."""
         if len(tables) == 1:
             return tables[0]
         return cls(
@@ -81,7 +81,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Lines:
-    """Samples of one axis that have a time in place of a number, as a logger writes them."""
+    """Samples of one axis that have a time instead of a number, as a logger writes them."""
 
     axis: str
     lines: Sequence[Line]
@@ -89,8 +89,11 @@ class Lines:
 
 @dataclass(frozen=True)
 class Unusable:
-    """Input without a usable sample. reason: a short fixed word, as "crc", for counters; problem: a sentence; axis: its
-    name if known, else ""."""
+    """Input without a usable sample.
+
+    `reason` is a short fixed word for counters, such as "crc". `problem` is a sentence. `axis` is the name if known,
+    otherwise "".
+    """
 
     reason: str
     problem: str
@@ -101,7 +104,7 @@ Item = Block | Table | Lines | Unusable
 
 
 def split_tables(items: Sequence[Item]) -> list[Block | Lines | Unusable]:
-    """The items with single blocks in place of tables."""
+    """Return the items with single blocks in place of tables."""
     single = list[Block | Lines | Unusable]()
     for item in items:
         single += item.blocks() if isinstance(item, Table) else [item]
@@ -110,12 +113,12 @@ def split_tables(items: Sequence[Item]) -> list[Block | Lines | Unusable]:
 
 @dataclass(frozen=True)
 class Delivery:
-    """Items that a source hands over at once.
+    """Items that a source hands over in one piece.
 
-    source: its name in PLANT.toml; items: in the order of their arrival; done: called, from any thread and at most
-    once, when all items are in a durable checkpoint, or at once without checkpoints; a source that can acknowledge
-    does so then; mark: position of the source after this delivery, kept in the checkpoint; received:
-    `time.monotonic()` at the arrival.
+    `source` is the name in PLANT.toml. `items` are in the order of their arrival. `done` is called at most once, from
+    any thread, when all items are in a durable checkpoint. Without checkpoints it is called immediately. A source that
+    can acknowledge does so in `done`. `mark` is the position of the source after this delivery, and is kept in the
+    checkpoint. `received` is `time.monotonic()` at the arrival.
     """
 
     source: str
@@ -126,5 +129,5 @@ class Delivery:
 
     @property
     def size(self) -> int:
-        """Number of items, with each block of a table as one."""
+        """Number of items, where each block of a table counts as one."""
         return sum(len(item.axes) if isinstance(item, Table) else 1 for item in self.items)

@@ -1,4 +1,4 @@
-"""The engine: one thread owns all that is estimated."""
+"""The engine, whose thread owns all estimators."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pmfid.stream.tuning import TUNING
 
 
 class Inbox:
-    """`put` by the threads of the sources, `take_deliveries` by the engine's."""
+    """The waiting deliveries: sources put them in from their threads, and the engine's thread takes them out."""
 
     def __init__(self) -> None:
         self._waiting: deque[Delivery] = deque()
@@ -35,7 +35,9 @@ class Inbox:
         self._last = 0.0
 
     def put(self, delivery: Delivery) -> bool:
-        """Hands over a delivery; waits while the inbox is full. False, without the delivery, once it is closed."""
+        """Hand over a delivery, and wait while the inbox is full. Returns False, without the delivery, once it is
+        closed.
+        """
         with self._changed:
             while self._open and self._full:
                 self._changed.wait()
@@ -57,8 +59,10 @@ class Inbox:
         return self._items >= TUNING.at_once or self._full
 
     def take_deliveries(self, timeout: float) -> list[Delivery]:
-        """The oldest deliveries, at the earliest engine_tick after the last ones, or as soon as at_once items wait;
-        none after `timeout` [s]."""
+        """Return the oldest deliveries, or none after `timeout` [s].
+
+        The earliest time is `engine_tick` after the last deliveries, or as soon as `at_once` items wait.
+        """
         with self._changed:
             if not self._waiting and self._open:
                 self._changed.wait_for(lambda: self._waiting or not self._open, timeout)
@@ -84,26 +88,29 @@ class Inbox:
         return not self._open and not self._waiting
 
     def close(self) -> None:
-        """Refuses further deliveries; the waiting ones can still be taken."""
+        """Refuse further deliveries; the waiting ones can still be taken."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
 
 
 class Keeper(Protocol):
-    """Writes checkpoints."""
+    """An object that writes checkpoints."""
 
     def offer(self, engine: StreamEngine, last: bool = False) -> None:
-        """Between two ticks: makes a checkpoint if one is due; last: at once, and waits until it is written."""
+        """Make a checkpoint between two ticks if one is due.
+
+        If `last` is set, the checkpoint is made immediately, and the call returns when it is written.
+        """
         ...
 
     def call_when_kept(self, done: Callable[[], object]) -> None:
-        """Has `done` called once all samples stepped so far are in a durable checkpoint."""
+        """Have `done` called once all samples stepped so far are in a durable checkpoint."""
         ...
 
 
 class _Forgetful:
-    """A `Keeper` without checkpoints: deliveries are done when they are stepped."""
+    """A `Keeper` without checkpoints, for which deliveries are done when they are stepped."""
 
     def offer(self, engine: StreamEngine, last: bool = False) -> None:
         pass
@@ -114,14 +121,15 @@ class _Forgetful:
 
 @dataclass
 class StreamEngine:
-    """Steps the axes of all groups as deliveries arrive.
+    """An engine that steps the axes of all groups as deliveries arrive.
 
-    outlets: receive rows and notices; followed: names of the axes whose rows are all given out; groups: all axes;
-    unwritten: alarms that sinks do not have yet, by the name of the sink.
+    `outlets` receive rows and notices. `followed` returns the names of the axes whose rows are all given out. `groups`
+    has all axes. `unwritten` returns the alarms that sinks do not have yet, by the name of the sink.
 
-    marks: positions of the sources after the last stepped delivery; history: configurations and the times at which
-    they began; numbered: the last number given to an axis; beat: `time.monotonic()` of the last tick; changes: count
-    of changes to the content of a checkpoint; urgent: a checkpoint is due soon, because no source repeats a command.
+    `marks` has the positions of the sources after the last stepped delivery. `history` has the configurations and the
+    times at which they began. `numbered` is the last number given to an axis. `beat` is `time.monotonic()` of the last
+    tick. `changes` counts the changes to the content of a checkpoint. If `urgent` is set, a checkpoint is due soon,
+    because no source repeats a command.
     """
 
     counters: Counters
@@ -143,32 +151,36 @@ class StreamEngine:
         self.silence = Silence(self.notices, self.counters)
         self._intake = Intake(self.counters, lambda what, axis: self.tell(what, axis))
         self._said: deque[tuple[str, dict[str, Any]]] = deque()
-        self._asked: deque[tuple[Callable[[], None], bool]] = deque()  # a change, and whether it is urgent
+        self._asked: deque[tuple[Callable[[], None], bool]] = deque()  # changes, with True if urgent
 
     # --- from any thread ----------------------------------------------------------------------------------------------
 
     def tell(self, what: dict[str, Any], axis: str = "") -> None:
-        """Makes a notice of the service at the next tick. The state of a source is a gauge, too."""
+        """Make a notice of the service at the next tick. The state of a source is also a gauge."""
         if what.get("event") == "source":
             self.counters.put("pmfid_source_working", float(not what.get("problem")), source=what["source"])
         self._said.append((axis, what))
 
     def ask(self, change: Callable[[], None]) -> None:
-        """Has `change` called by the engine's thread, between two ticks."""
+        """Have `change` called by the engine's thread, between two ticks."""
         self._asked.append((change, False))
 
     def acknowledge(self, number: int, note: str) -> bool:
-        """Acknowledges the alarm with this notice number. Returns False, as all commands do, if too many wait; a
-        `Notice` reports the result."""
+        """Acknowledge the alarm with this notice number, and return False if too many commands wait.
+
+        A `Notice` reports the result of a command.
+        """
         return self._command(partial(self._acknowledge, number, note[: TUNING.longest_note]))
 
     def refer(self, axis: str) -> bool:
-        """Makes the present parameters of the axis its reference."""
+        """Make the present parameters of the axis its reference, and return False if too many commands wait."""
         return self._command(partial(self._refer, axis))
 
     def restart_numbers(self, axis: str) -> bool:
-        """Takes the next samples of the axis whatever their numbers, for a sender that restarted without a higher
-        epoch."""
+        """Accept the next samples of the axis with any numbers, and return False if too many commands wait.
+
+        This command helps after a restart of a sender without a higher epoch.
+        """
         return self._command(partial(self._restart_numbers, axis))
 
     def _command(self, change: Callable[[], None]) -> bool:
@@ -180,7 +192,7 @@ class StreamEngine:
     # --- the engine's thread ------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Ticks until the inbox is closed and empty, then makes a last checkpoint."""
+        """Tick until the inbox is closed and empty, then make a last checkpoint."""
         while self.tick(TUNING.engine_idle):
             pass
         self._speak()
@@ -188,7 +200,7 @@ class StreamEngine:
         self._speak()
 
     def tick(self, timeout: float) -> bool:
-        """Steps the waiting deliveries; False once the inbox is closed and empty."""
+        """Step the waiting deliveries. Returns False once the inbox is closed and empty."""
         batch = self.inbox.take_deliveries(timeout)
         self.beat = monotonic()
         self.silence.tick(self.beat)
@@ -213,11 +225,11 @@ class StreamEngine:
             self.counters.put("pmfid_axes", len(group.seats), group=group.kindred.config)
 
     def seat(self, axis: str) -> Seat | None:
-        """The seat of an axis by its name, or None."""
+        """Return the seat of an axis by its name, or None."""
         return self._intake.seats.get(axis)
 
     def process(self, batch: Sequence[Delivery]) -> None:
-        """Orders deliveries, steps their samples, and gives out rows and notices."""
+        """Order deliveries, step their samples, and give out rows and notices."""
         begun = monotonic()
         self.changes += 1
         ordered = self._intake.take(batch)
@@ -248,7 +260,7 @@ class StreamEngine:
         crash_point("engine.reported")
 
     def _admit_event(self, one: FoundEvent) -> bool:
-        """Counts an event. Returns whether it becomes a notice: repeated outliers are only counted."""
+        """Count an event, and return whether it becomes a notice. Repeated outliers are only counted."""
         event = str(one.what["event"])
         self.counters.add("pmfid_events_total", event=event, group=one.seat.group.kindred.config)
         return event != "outlier" or one.seat.may_tell(event)
@@ -308,7 +320,7 @@ class StreamEngine:
             self.notices.publish_event(seat, what)
 
     def _speak(self) -> None:
-        """Publishes the notices of other threads."""
+        """Publish the notices of other threads."""
         while self._said:
             axis, what = self._said.popleft()
             self.notices.publish_own(axis, what)

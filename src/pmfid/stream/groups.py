@@ -31,11 +31,14 @@ _LINE = struct.Struct("<ddq")
 
 
 class Timed:
-    """Converts lines to samples. dt: sample period [s]; window: time for which lines wait for older ones [s], 0: none;
-    timed: the lines have a time.
+    """A converter from lines to samples.
 
-    A line has no number, so only its content shows a repetition. Digests of the last lines survive a restart, for a
-    source that repeats lines after it. Without the digests, old lines in a row would show a clock that was set back.
+    `dt` is the sample period [s]. `window` is the time for which lines wait for older lines [s]; 0 means that no line
+    waits. `timed` is true if the lines have a time.
+
+    A line has no number, so only its content reveals a repetition. The digests of the last lines survive a restart, for
+    a source that then repeats lines. Without these digests, consecutive old lines would look like a clock that was set
+    back.
     """
 
     def __init__(self, dt: float, window: float, timed: bool) -> None:
@@ -45,15 +48,15 @@ class Timed:
         self._newest, self._late_in_row = -math.inf, 0
         self._recent: deque[str] = deque(maxlen=TUNING.groups_known)  # digests of lines
         self._latest = -math.inf
-        self._before: frozenset[str] = frozenset()  # digests of before the restart
-        self._until = -math.inf  # the latest time of these
-        self._doubtful = 0  # consecutive samples still needed before samples are used
+        self._before: frozenset[str] = frozenset()  # digests from before the restart
+        self._until = -math.inf  # latest time among the digests from before the restart
+        self._doubtful = 0  # number of consecutive samples that are still needed before samples are used
 
     def _make_grid(self) -> Timeline | Metronome:
         return Timeline(self.dt) if self.timed else Metronome(self.dt)
 
     def take(self, item: Lines, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport:
-        """Appends the samples that are known now to `pieces`."""
+        """Append the samples that are known now to `pieces`."""
         verdict, samples = ItemReport(), list[Sample]()
         for given in item.lines:
             if self.timed and self._is_repeated(given):
@@ -65,8 +68,8 @@ class Timed:
         return verdict
 
     def _is_repeated(self, line: Line) -> bool:
-        """Whether a line came before the restart."""
-        # 64 bits: with fewer, one line in some thousand restarts would be mistaken for another one, and lost
+        """Return whether a line already came before the restart."""
+        # With fewer than 64 bits, one line in some thousand restarts would be taken for another line, and lost.
         digest = blake2b(_LINE.pack(line.time, line.u, line.counts), digest_size=8).hexdigest()
         if self._before and not line.time > self._until and digest in self._before:
             return True
@@ -75,7 +78,7 @@ class Timed:
         return False
 
     def _sort_line(self, line: Line) -> list[Line]:
-        """The lines that are older than the newest one by the window."""
+        """Return the lines that are older than the newest line by the window."""
         if not self.window or math.isnan(line.time):
             return [line]
         if line.time < self._newest - self.window:
@@ -92,7 +95,8 @@ class Timed:
         return ready
 
     def _take_late(self, line: Line) -> list[Line]:
-        """Passes a late line to the timeline, which classifies it; most_late of them show a clock set back."""
+        """Pass a late line to the timeline, which classifies the line. `most_late` late lines reveal a clock set
+        back."""
         self._late_in_row += 1
         if self._late_in_row < TUNING.most_late:
             return [line]
@@ -117,7 +121,7 @@ class Timed:
         return self._check_probation(samples, verdict) if self._doubtful and samples else samples
 
     def _check_probation(self, samples: list[Sample], verdict: ItemReport) -> list[Sample]:
-        """Refuses samples after lines of another period, until enough samples fit."""
+        """Refuse samples after lines of another period, until enough samples fit."""
         verdict.refused += len(samples)
         self._doubtful = max(0, self._doubtful - len(samples))
         if self._doubtful:
@@ -127,7 +131,7 @@ class Timed:
         return [Sample(last.time, last.u, last.counts, 0, math.inf)]
 
     def save_state(self) -> Saved:
-        """The state, for JSON with NaN and infinity."""
+        """Return the state for JSON with NaN and infinity."""
         return {
             "timed": self.timed,
             "newest": self._newest,
@@ -140,7 +144,7 @@ class Timed:
         }
 
     def restore(self, saved: Saved) -> None:
-        """Restores a saved state. Raises KeyError, TypeError or ValueError for anything else."""
+        """Restore a saved state. Raises KeyError, TypeError or ValueError for anything else."""
         self.timed = bool(saved["timed"])
         self._newest, self._late_in_row = float(saved["newest"]), int(saved["behind"])
         self._doubtful = int(saved["doubtful"])
@@ -179,7 +183,10 @@ def _piece(samples: list[Sample], received: float, turn: int) -> list[SamplePiec
 
 @dataclass(frozen=True)
 class Prepared:
-    """A calibrated configuration. path: of AXIS.toml; digest: of all settings that its monitors depend on."""
+    """A calibrated configuration from the AXIS.toml at `path`.
+
+    `digest` is a hash of all settings on which the monitors depend.
+    """
 
     path: Path
     axis: Axis
@@ -194,8 +201,11 @@ class Prepared:
 def prepare(
     path: Path, record: Record | None = None, progress: Callable[[float], None] | None = None, given: Axis | None = None
 ) -> Prepared:
-    """Reads and calibrates a configuration; record: on which its only axis is watched; given: the content of AXIS.toml
-    if already read. Raises UsageError or NotIdentifiableError as `set_up` does."""
+    """Read and calibrate a configuration.
+
+    `record` is the record on which the only axis is watched. `given` is the content of AXIS.toml if it was already
+    read. Raises UsageError or NotIdentifiableError as `set_up` does.
+    """
     axis = load_axis(path) if given is None else given
     setup = set_up(axis, path.parent, record, progress)
     digest = sha256(f"{axis.model_dump_json(warnings=False)} {setup.path.name} {setup.nominal.tolist()}".encode())
@@ -204,7 +214,11 @@ def prepare(
 
 @dataclass(frozen=True)
 class Pace:
-    """window: time for which early blocks wait for earlier ones [s]; every: time between two rows [s], 0: all rows."""
+    """Times that set the pace of a group.
+
+    `window` is the time for which early blocks wait for earlier ones [s]. `every` is the time between two rows [s]; 0
+    gives all rows.
+    """
 
     window: float = 0.5
     every: float = 1.0
@@ -213,9 +227,9 @@ class Pace:
 class Seat:
     """One axis in its group.
 
-    order, timed: of its blocks and its lines; number: its own in the service, 0 before it has one; notices: number of
-    its notices; notice_counts: number of events of each kind that `may_tell` limits; referred: (q,) reference set by
-    hand, None: the reference of its configuration.
+    `order` sorts the blocks of the axis, `timed` its lines. `number` is the number of the axis in the service, or 0
+    before it has one. `notices` is the number of its notices. `notice_counts` has the number of events of each kind
+    that `may_tell` limits. `referred` (q,) is a reference set by hand, or None for the reference of the configuration.
     """
 
     __slots__ = ("group", "name", "notice_counts", "notices", "number", "order", "place", "referred", "timed")
@@ -233,14 +247,16 @@ class Seat:
         return self.place.index
 
     def lines(self, timed: bool) -> Timed:
-        """The converter of its lines to samples; timed: the first lines have a time."""
+        """Return the converter from lines of this axis to samples. `timed` is true if the first lines have a time."""
         if self.timed is None:
             self.timed = Timed(self.group.dt, self.group.pace.window, timed)
         return self.timed
 
     def restart_numbers(self) -> tuple[int, list[Event]]:
-        """Accepts any next number as the first one, after a gap of unknown length. Returns the number of waiting
-        samples, which are dropped, and the events of the monitor."""
+        """Accept any next number as the first one, after a gap of unknown length.
+
+        Returns the number of waiting samples, which are dropped, and the events of the monitor.
+        """
         dropped = sum(block.counts.size for block in self.order.held)
         self.place.positions.forget(self.index)
         self.order = Order(self.group.dt, self.order.window, self.place)
@@ -250,8 +266,10 @@ class Seat:
         return dropped, self.group.fleet.skip(self.index, 1)
 
     def may_tell(self, kind: str) -> bool:
-        """Counts an event of a kind. Returns whether it becomes a notice; the count alone decides, so a restart changes
-        nothing."""
+        """Count an event of a kind, and return whether it becomes a notice.
+
+        Only the count decides, so a restart changes nothing.
+        """
         times = self.notice_counts[kind] = self.notice_counts.get(kind, 0) + 1
         rounds, rest = divmod(times, TUNING.each_notice)
         return times <= TUNING.each_notice or (rest == 0 and rounds.bit_count() == 1)
@@ -259,8 +277,11 @@ class Seat:
 
 @dataclass
 class Group:
-    """Axes of one configuration. seats: by number; numbers: (axes,) samples of each so far; positions: state of the
-    numbers and clocks of their senders."""
+    """The axes of one configuration.
+
+    `seats` has the axes by their number. `numbers` (axes,) has the number of samples of each axis so far. `positions`
+    is the state of the numbers and clocks of their senders.
+    """
 
     prepared: Prepared
     pace: Pace
@@ -275,7 +296,7 @@ class Group:
         self.kindred = self._build_kindred()
 
     def add(self, names: Iterable[str]) -> None:
-        """Adds axes without a history."""
+        """Add axes without a history."""
         fresh = list(names)
         if not fresh:
             return
@@ -287,7 +308,7 @@ class Group:
         self.kindred = self._build_kindred()
 
     def remove(self, gone: Sequence[int]) -> None:
-        """Removes these axes; the others go on."""
+        """Remove some axes; the other axes go on."""
         if not len(gone):
             return
         self.fleet.remove(np.array(gone, np.int64))
@@ -300,7 +321,7 @@ class Group:
         self.kindred = self._build_kindred()
 
     def restore(self, names: Sequence[str], state: bytes) -> None:
-        """Restores axes from the saved state of their fleet. Raises UsageError for a state of another fleet."""
+        """Restore axes from the saved state of their fleet. Raises UsageError for a state of another fleet."""
         self.fleet.set_state(state)
         self.positions.add(len(names))
         self.seats = [Seat(self, k, name) for k, name in enumerate(names)]

@@ -17,24 +17,24 @@ from pmfid.stream.stepping import Batch, FoundEvent, GroupQueue
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Flags
 
-#: The groups of the blocks of a table, and the numbers (k,) of their axes in the group, -1 for axes of other groups.
+#: Groups of the blocks in a table, each with the numbers (k,) of the axes in the group, -1 for axes of other groups.
 Seating = list[tuple[Group, NDArray[np.int64]]]
 
 
-#: Tables of blocks of the same length that follow one another, and the deliveries that brought them.
+#: Consecutive tables with blocks of the same length, and the deliveries that brought them.
 Tables = list[tuple[Table, Delivery]]
 
 
 @dataclass
 class Seatings:
-    """seats: all axes, by name."""
+    """A cache of the seatings of tables; `seats` has all axes by name."""
 
     seats: Mapping[str, Seat]
     _known: dict[tuple[str, ...], Seating | None] = field(default_factory=dict, init=False)
     _names: int = field(default=0, init=False)
 
     def seat_tables(self, tables: Sequence[tuple[str, ...]]) -> Seating | None:
-        """The seating of consecutive tables with these names; None if an axis occurs twice."""
+        """Return the seating of consecutive tables with these names, or None if an axis occurs twice."""
         seatings = [self._get_seating(names) for names in tables]
         if len(seatings) == 1:
             return seatings[0]
@@ -62,7 +62,7 @@ class Seatings:
 
 
 def _join_seatings(parts: Sequence[Seating], sizes: Sequence[int]) -> Seating | None:
-    """One seating of tables of these sizes; None if an axis occurs twice."""
+    """Join the seatings of tables with these sizes, or return None if an axis occurs twice."""
     found = Seating()
     for group in {id(group): group for part in parts for group, _ in part}.values():
         own = [next((index for one, index in part if one is group), None) for part in parts]
@@ -76,14 +76,17 @@ def _join_seatings(parts: Sequence[Seating], sizes: Sequence[int]) -> Seating | 
 
 @dataclass
 class Ordered:
-    """The outcome of some deliveries. rounds: to be stepped one after the other; found: events for notices."""
+    """The ordered content of some deliveries.
+
+    The `rounds` are stepped one after the other. `found` has events for notices.
+    """
 
     rounds: list[GroupQueue] = field(default_factory=list)
     found: list[FoundEvent] = field(default_factory=list)
     _last: dict[int, GroupQueue] = field(default_factory=dict)
 
     def put(self, group: Group, batch: Batch) -> None:
-        """Appends blocks of a table, each of another axis."""
+        """Append blocks of a table, each of another axis."""
         waiting = self.get_waiting(group)
         if not waiting.may_put(batch.index):
             del self._last[id(group)]
@@ -91,7 +94,7 @@ class Ordered:
         waiting.put(batch)
 
     def get_waiting(self, group: Group) -> GroupQueue:
-        """The last queue of a group."""
+        """Return the last queue of a group."""
         if id(group) not in self._last:
             self._last[id(group)] = GroupQueue(group)
             self.rounds.append(self._last[id(group)])
@@ -100,7 +103,7 @@ class Ordered:
 
 @dataclass
 class Intake:
-    """Assigns items to axes. tell: receives notices on a source or an axis."""
+    """The intake, which assigns items to axes. `tell` receives notices on a source or an axis."""
 
     counters: Counters
     tell: Callable[[dict[str, Any], str], None]
@@ -131,7 +134,7 @@ class Intake:
     # --- tables -------------------------------------------------------------------------------------------------------
 
     def _settle(self, tables: Tables, ordered: Ordered) -> None:
-        """Orders consecutive tables, all at once if no axis occurs twice."""
+        """Order consecutive tables, all of them together if no axis occurs twice."""
         if not tables:
             return
         seating = self._seatings.seat_tables([table.axes for table, _ in tables])
@@ -142,7 +145,7 @@ class Intake:
             self._settle([one], ordered)
 
     def _table(self, tables: Tables, seating: Seating, ordered: Ordered) -> None:
-        """Takes the expected blocks at once, the others one by one; each block counts as an item."""
+        """Take the expected blocks together, and the other blocks one by one. Each block counts as an item."""
         table = Table.join([table for table, _ in tables])
         size = len(table.axes)
         turns = np.arange(self._turn + 1, self._turn + 1 + size)
@@ -167,7 +170,7 @@ class Intake:
     def _single(self, item: Block | Lines | Unusable, delivery: Delivery, turn: int, ordered: Ordered) -> None:
         try:
             self._one(item, delivery, turn, ordered)
-        except (TypeError, ValueError, ArithmeticError) as error:  # it would come again and again
+        except (TypeError, ValueError, ArithmeticError) as error:  # the source would repeat the item for ever
             problem = f"{type(error).__name__}: {error}; it is left out"
             self._refuse(delivery.source, Unusable("error", problem))
 
@@ -188,7 +191,7 @@ class Intake:
                 timed = any(line.time == line.time for line in item.lines)
                 lines = seat.lines(timed or bool(seat.group.prepared.axis.record.time))
                 verdict = lines.take(item, delivery.received, turn, pieces)
-        finally:  # an order gives out each piece once
+        finally:  # an order gives out each piece only once
             if pieces:
                 ordered.get_waiting(seat.group).queue(seat, pieces)
         if verdict is not None:
@@ -202,7 +205,7 @@ class Intake:
         self.tell({"event": "unusable", "source": source, "reason": item.reason, "problem": item.problem}, "")
 
     def _judge(self, seat: Seat, verdict: ItemReport, turn: int, found: list[FoundEvent]) -> None:
-        """Counts dropped samples and lines, and keeps events for their turn."""
+        """Count dropped samples and lines, and keep events for their turn."""
         group = seat.group.kindred.config
         for reason in ("duplicate", "late", "refused"):
             if number := getattr(verdict, reason):
@@ -224,9 +227,10 @@ class Intake:
 
 
 def take_expected(positions: Positions, dt: float, index: NDArray[np.int64], table: Table) -> Flags:
-    """Takes the blocks of a table that are expected next and cause no notice: `Order.take` for all of them at once.
+    """Take the blocks of a table that are expected next and cause no notice.
 
-    index: (k,) their axes, each once, -1 for none. Returns (k,) whether each block was taken.
+    The function is `Order.take` for many axes. `index` (k,) has the axes, each at most once, and -1 for no axis.
+    Returns whether each block was taken (k,).
     """
     n, known, first = table.counts.shape[1], positions, table.first
     samples, time = first - known.first[index], table.time - known.start[index]

@@ -18,11 +18,11 @@ from pmfid.stream.tuning import TUNING
 
 @dataclass
 class Notices:
-    """Notices on their way to the outlets.
+    """Notices on their way to the outlets, and all alarms with their later course.
 
-    Notices on the data of an axis are numbered in the order of the data, from the number of the axis on. Data that
-    come again after a restart give the same numbers, in whatever order the axes come. Notices of the service have no
-    such order, so a clock numbers them. alarms: all alarms and their later course.
+    Notices on the data of an axis are numbered in the order of the data, starting from the number of the axis. Data
+    that come again after a restart give the same numbers, in whatever order the axes come. Notices of the service have
+    no such order, so a clock numbers them.
     """
 
     outlets: Sequence[Outlet]
@@ -31,12 +31,12 @@ class Notices:
     _own: int = field(default=TUNING.notices_own, init=False)
 
     def publish_event(self, seat: Seat, what: dict[str, Any]) -> Notice:
-        """Publishes an event in the data of an axis."""
+        """Publish an event in the data of an axis."""
         seat.notices += 1
         return self._give(Notice(seat.name, seat.number * TUNING.of_axis + seat.notices, self.wall(), what))
 
     def publish_own(self, axis: str, what: dict[str, Any]) -> Notice:
-        """Publishes an event of the service itself."""
+        """Publish an event of the service itself."""
         wall = self.wall()
         self._own = max(self._own + 1, int(1e6 * wall))
         return self._give(Notice(axis, self._own, wall, what))
@@ -47,14 +47,14 @@ class Notices:
         return self._own
 
     def restore(self, alarms: Sequence[AlarmRecord]) -> None:
-        """Restores the alarms of a checkpoint."""
+        """Restore the alarms of a checkpoint."""
         self.alarms = Alarms()
         for notice in self.replay_alarms(alarms):
             self.alarms.take(notice)
 
     @staticmethod
     def replay_alarms(alarms: Sequence[AlarmRecord]) -> list[Notice]:
-        """Notices that lead to these alarms, for readers that need the alarms without new notices."""
+        """Return the notices that lead to these alarms, for readers that need the alarms without new notices."""
         notices = list[Notice]()
         for alarm in alarms:
             notices.append(Notice(alarm.axis, alarm.number, alarm.wall, alarm.what))
@@ -84,18 +84,20 @@ class Taker(Protocol):
     name: str
 
     def works(self, since: float) -> bool | None:
-        """Whether the sink takes its outcomes; None while unknown, as for a failure that began after `since`
-        (`time.monotonic()`)."""
+        """Return whether the sink takes its outcomes, or None if this is unknown.
+
+        A failure that began after `since` (`time.monotonic()`) does not count yet.
+        """
         ...
 
 
 @dataclass
 class Silence:
-    """Raises and clears alarms on silence.
+    """A monitor of silence that raises and clears alarms.
 
-    limit: time until silence is an alarm [s], 0: never; sources: names of the expected sources; sinks: the watched
-    sinks. `tick` feeds its clock, whose time is `now` [s]. An alarm lasts until its source, its sink or the last of its
-    axes is back. After a restart the alarms of the checkpoint restore it.
+    `limit` is the time after which silence is an alarm [s]; 0 raises no alarm. `sources` has the names of the expected
+    sources, `sinks` the watched sinks. `tick` advances the clock, whose time is `now` [s]. An alarm lasts until its
+    source, its sink or the last of its axes is back. The alarms of a checkpoint restore this object after a restart.
     """
 
     notices: Notices
@@ -105,31 +107,31 @@ class Silence:
     sinks: Sequence[Taker] = ()
     now: float = field(default=0.0, init=False)
     _open: dict[int, Notice | AlarmRecord] = field(default_factory=dict, init=False)
-    _alarms: dict[Key, int] = field(default_factory=dict, init=False)  # of sources and sinks
+    _alarms: dict[Key, int] = field(default_factory=dict, init=False)  # alarms of sources and sinks
     _heard: dict[Key, float] = field(default_factory=dict, init=False)
     _ticked: float | None = field(default=None, init=False)
     _looked: float = field(default=-math.inf, init=False)
     _looked_at: float = field(default=-math.inf, init=False)  # by the clock of `tick`
 
     def restore(self, alarms: Iterable[AlarmRecord]) -> None:
-        """Restores the alarms of a checkpoint; their axes, sources and sinks are silent until new data."""
+        """Restore the alarms of a checkpoint. Their axes, sources and sinks are silent until new data arrive."""
         self._open = {one.number: one for one in alarms if "silent" in one.what and one.cleared is None}
         named = [(number, one.what) for number, one in self._open.items() if one.what["silent"] in ("source", "sink")]
         self._alarms = {(str(what["silent"]), str(what["name"])): number for number, what in named}
         self._heard = dict.fromkeys(self._alarms, -math.inf)
 
     def tick(self, at: float) -> None:
-        """Advances the clock to `at` [s] of a monotonic clock."""
+        """Advance the clock to `at` [s] of a monotonic clock."""
         if self._ticked is not None:
             self.now += min(at - self._ticked, TUNING.longest_pause)
         self._ticked = at
 
     def note_delivery(self, source: str) -> None:
-        """Notes that a source has handed over a delivery."""
+        """Note that a source has handed over a delivery."""
         self._heard["source", source] = self.now
 
     def look(self, groups: Sequence[Group]) -> bool:
-        """Raises and clears alarms if a test is due. Returns whether there were any."""
+        """Raise and clear alarms if a test is due, and return whether any alarm changed."""
         if self.now - self._looked < TUNING.notices_look:
             return False
         before = self.notices.last
@@ -152,7 +154,7 @@ class Silence:
                 group.positions.alarm[k] = self._raise("axis", group.kindred.axes[k])
 
     def _find_silent(self, group: Group) -> NDArray[np.int64]:
-        """Numbers of the silent axes without an alarm; clears the alarm of axes that are back."""
+        """Return the numbers of the silent axes without an alarm, and clear the alarm of axes that are back."""
         known = group.positions
         known.heard[np.isnan(known.heard)] = self.now
         silent = self.now - known.heard > max(self.limit or math.inf, TUNING.notices_periods * group.dt)
@@ -186,7 +188,7 @@ class Silence:
         return notice.number
 
     def _clear(self, groups: Sequence[Group]) -> None:
-        """Clears the alarms whose axes, source or sink are back."""
+        """Clear the alarms whose axes, source or sink are back."""
         if not self._open:
             return
         left = set(self._alarms.values())

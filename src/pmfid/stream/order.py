@@ -20,13 +20,14 @@ T = TypeVar("T", int, float, bool)
 
 @dataclass
 class Positions(RowArrays):
-    """Columns (axes,).
+    """The state of the numbers and clocks of many senders, in columns (axes,).
 
-    epoch, expected: of the next sample, epoch -1 before the first; time: of sample `number` by the sender's clock [s],
-    NaN while unknown; start, first: time and number at which the measurement of that clock's rate began; wrong_rate:
-    the last measured rate was outside its tolerance; wrong_period: a notice has reported samples of another period;
-    waits: some blocks are early; heard: time of its last used samples by the clock of `Silence` [s], NaN before;
-    alarm: number of the alarm on its silence, 0 for none.
+    `epoch` and `expected` belong to the next sample; the epoch is -1 before the first one. `time` is the time of sample
+    `number` by the sender's clock [s], NaN while unknown. `start` and `first` are time and number at which the
+    measurement of the clock's rate began. `wrong_rate` is true if the last measured rate was outside its tolerance.
+    `wrong_period` is true after a notice on samples of another period. `waits` is true if some blocks are early.
+    `heard` is the time of the last used samples by the clock of `Silence` [s], NaN before. `alarm` is the number of the
+    alarm on the silence of the axis, or 0.
     """
 
     epoch: NDArray[np.int64]
@@ -49,22 +50,25 @@ class Positions(RowArrays):
         return cls(zeros - 1, zeros, *clock, *flags, unknown.copy(), zeros.copy())
 
     def add(self, axes: int) -> None:
-        """Adds rows of axes without any data."""
+        """Add rows of axes without any data."""
         vars(self).update(vars(self.join_rows(Positions.fresh(axes))))
 
     def forget(self, index: int) -> None:
-        """Resets the row of an axis; the duration of its silence stays."""
+        """Reset the row of an axis, except for the duration of its silence."""
         here, fresh = slice(index, index + 1), Positions.fresh(1)
         fresh.heard, fresh.alarm = self.heard[here], self.alarm[here]
         self.put(here, fresh)
 
     def fall_silent(self, index: int, alarm: int) -> None:
-        """Marks an axis that was silent before a restart as silent until new data; alarm: its number, 0: not silent."""
+        """Mark an axis that was silent before a restart as silent until new data arrive.
+
+        `alarm` is the number of the alarm, or 0 if the axis was not silent.
+        """
         if alarm:
             self.heard[index], self.alarm[index] = -np.inf, alarm
 
     def remove(self, index: Sequence[int]) -> None:
-        """Removes rows; the others move up in order."""
+        """Remove rows. The other rows keep their order."""
         left = np.delete(np.arange(self.epoch.size), list(index))
         vars(self).update(vars(self.take_rows(left)))
 
@@ -79,7 +83,7 @@ class PositionRow:
 
 
 class Column(Generic[T]):
-    """An attribute of something with a `place`, kept in a column of its positions."""
+    """An attribute of an object with a `place`, kept in a column of its positions."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -94,37 +98,38 @@ class Column(Generic[T]):
         getattr(place.positions, self._name)[place.index] = value
 
 
-#: The tests apply to one block, or to the blocks of many axes: a number, or one number for each.
+#: The tests apply to one block with a number, or to the blocks of many axes with one number each.
 Real = float | Floats
 Whole = int | NDArray[np.int64]
 Answer = bool | Flags
 
 
 def period_fits(period: Real, dt: float) -> Answer:
-    """Whether a sender has the sample period of the configuration."""
+    """Return whether a sender has the sample period of the configuration."""
     return (period - dt <= TUNING.order_period * dt) & (dt - period <= TUNING.order_period * dt)
 
 
 def clock_runs(off: Real) -> Answer:
-    """Whether a clock with this deviation [s] was never set; False for an unknown deviation."""
+    """Return whether a clock with this deviation [s] was never set. An unknown deviation gives False."""
     return (off <= TUNING.order_set) & (-off <= TUNING.order_set)
 
 
 def rate_is_due(samples: Whole, time: Real) -> Answer:
-    """Whether the rate of a clock is tested after `samples` samples and `time` seconds."""
+    """Return whether the rate of a clock is tested after `samples` samples and `time` seconds."""
     return (samples >= TUNING.rate_samples) & (time >= TUNING.rate_time)
 
 
 def rate_fits(rate: Real) -> Answer:
-    """Whether the rate of a clock is within its tolerance."""
+    """Return whether the rate of a clock is within its tolerance."""
     return (rate - 1 <= TUNING.order_rate) & (1 - rate <= TUNING.order_rate)
 
 
 class Clock:
-    """The sender's clock compared with its numbers.
+    """A comparison of the sender's clock with its numbers.
 
-    dt: sample period [s]; expected: time of sample `number` [s], NaN while unknown; start, first: time and number at
-    which the measurement of the rate began; wrong_rate: the last measured rate was outside its tolerance.
+    `dt` is the sample period [s]. `expected` is the time of sample `number` [s], NaN while unknown. `start` and `first`
+    are time and number at which the measurement of the rate began. `wrong_rate` is true if the last measured rate was
+    outside its tolerance.
     """
 
     __slots__ = ("dt", "place")
@@ -139,7 +144,7 @@ class Clock:
         self.expected, self.number, self.start, self.first, self.wrong_rate = math.nan, 0, math.nan, 0, False
 
     def look(self, first: int, end: int, time: float) -> dict[str, object] | None:
-        """Tests the clock at the next block. Returns a notice object if the clock was set or its rate is wrong."""
+        """Test the clock at the next block. Returns a notice object if the clock was set or its rate is wrong."""
         if math.isnan(time):
             return None
         off = time - self.expected - (first - self.number) * self.dt
@@ -163,7 +168,7 @@ class Clock:
         return {"event": "clock", "time": time, "jump": 0.0, "rate": rate, "problem": problem}
 
 
-#: In place of a number of missing samples: the sender restarted, and the number is unknown.
+#: A gap of unknown length, because the sender restarted.
 UNKNOWN_GAP = -1
 #: Remedy for a sender that restarted its numbers without a higher epoch.
 REMEDY = (
@@ -176,10 +181,10 @@ REMEDY = (
 class SamplePiece(NamedTuple):
     """Samples to be stepped.
 
-    lead: samples missing before the first, UNKNOWN_GAP if their number is unknown; apart: the sender and its counter
-    restarted, so the samples on both sides share nothing; time: of sample `-offset` [s], or NaN; received:
-    `time.monotonic()`; turn: number of its item since the start, which orders events; times: (n,) of the samples if
-    they have their own.
+    `lead` is the number of samples missing before the first one, or UNKNOWN_GAP. `apart` is true if the sender and its
+    counter restarted, so that the samples on both sides share nothing. `time` is the time of sample `-offset` [s], or
+    NaN. `received` is `time.monotonic()`. `turn` is the number of the item since the start, which orders events.
+    `times` (n,) has the times of the samples if they have their own.
     """
 
     lead: int
@@ -195,11 +200,11 @@ class SamplePiece(NamedTuple):
 
 @dataclass
 class ItemReport:
-    """The outcome of an item apart from its pieces.
+    """The result of an item, apart from its pieces.
 
-    duplicate, late: samples that were dropped; refused: samples of another period; lines: number of lines without a
-    sample, by their kind; events: objects for notices; stale: the remedy for a sender whose samples are all dropped;
-    again: `stale` becomes a notice even if it was reported before.
+    `duplicate` and `late` count dropped samples, `refused` samples of another period. `lines` has the number of lines
+    without a sample, by their kind. `events` are objects for notices. `stale` is the remedy for a sender whose samples
+    are all dropped. If `again` is set, `stale` becomes a notice even if it was reported before.
     """
 
     duplicate: int = 0
@@ -212,11 +217,12 @@ class ItemReport:
 
 
 class Order:
-    """Blocks of one axis. dt: sample period [s]; window: samples for which an early block waits; place: row of its
-    numbers, left out: a row of its own.
+    """The order of the blocks of one axis.
 
-    epoch, expected: of the next sample, epoch -1 before the first; held: blocks that wait, by epoch and number;
-    idle: number of consecutive repeated samples, and the number that was expected meanwhile.
+    `dt` is the sample period [s]. `window` is the number of samples for which an early block waits. `place` is the row
+    of the axis' numbers; by default the axis has its own row. `epoch` and `expected` belong to the next sample; the
+    epoch is -1 before the first one. `held` has the waiting blocks, by epoch and number. `idle` is the number of
+    consecutive repeated samples, and the number that was expected meanwhile.
     """
 
     __slots__ = ("_held", "clock", "dt", "gaps", "idle", "place", "window")
@@ -236,12 +242,12 @@ class Order:
         return tuple(self._held)
 
     def hold(self, at: int, block: Block) -> None:
-        """Inserts a block at position `at` of the waiting blocks."""
+        """Insert a block at position `at` of the waiting blocks."""
         self._held.insert(at, block)
         self._waiting = True
 
     def take(self, block: Block, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport | None:
-        """Appends the samples that can be stepped to `pieces`; returns None for the expected block without a notice."""
+        """Append the samples that can be stepped to `pieces`. Returns None for the expected block without a notice."""
         next_one = block.epoch == self.epoch and block.first == self.expected and not self._held
         if next_one and block.counts.size and period_fits(block.dt, self.dt):
             self.expected = block.end
@@ -281,13 +287,13 @@ class Order:
             verdict.events.append({"event": "period", "problem": problem})
 
     def _count_old(self, first: int, end: int, verdict: ItemReport) -> None:
-        """Counts old samples: samples of a gap are late, the others are repeated."""
+        """Count old samples: samples of a gap are late, other samples are repeated."""
         late = sum(max(0, min(end, b) - max(first, a)) for a, b in self.gaps)
         verdict.late += late
         verdict.duplicate += end - first - late
 
     def _note_repetition(self, block: Block, verdict: ItemReport) -> None:
-        """Reports a sender that repeats samples for nothing_new seconds, and again at each doubling of that time."""
+        """Report a sender that repeats samples for `nothing_new` seconds, and again at each doubling of this time."""
         before = self.idle[0] if self.idle[1] == self.expected else 0
         now, most = before + block.counts.size, TUNING.nothing_new / self.dt
         self.idle = now, self.expected
@@ -299,7 +305,7 @@ class Order:
             )
 
     def _hold(self, block: Block, verdict: ItemReport) -> bool:
-        """Inserts a block into the waiting blocks, by epoch and number; False for a block that waits already."""
+        """Insert a block into the waiting blocks, by epoch and number. Returns False for a block that already waits."""
         key = (block.epoch, block.first)
         at = len(self._held)
         while at and (self._held[at - 1].epoch, self._held[at - 1].first) > key:
@@ -322,7 +328,7 @@ class Order:
             self._give(block, lead, received, turn, pieces, verdict)
 
     def _find_lead(self, block: Block) -> int | None:
-        """Samples missing before the first waiting block: 0 for none, None while the block has to wait."""
+        """Return the number of samples missing before the first waiting block, or None while the block has to wait."""
         if block.epoch == self.epoch and block.first <= self.expected:
             return 0
         if self._must_wait(block):
@@ -333,7 +339,7 @@ class Order:
         return self._count_epoch_gap(block)
 
     def _must_wait(self, block: Block) -> bool:
-        """Whether lower numbers may still come: the waiting blocks of no epoch span more than the window."""
+        """Return whether lower numbers may still come: the waiting blocks of each epoch span at most the window."""
         if not self.window:
             return False
         start, end, epoch = block.first, block.end, block.epoch
@@ -372,7 +378,7 @@ class Order:
         pieces.append(SamplePiece(0 if fresh else lead, apart, u, counts, block.time, known, received, turn))
 
     def _begin(self, block: Block, fresh: bool, verdict: ItemReport) -> None:
-        """Begins a higher epoch, or the first one."""
+        """Begin a higher epoch, or the first one."""
         if not fresh:
             ahead = block.time - self.clock.expected
             jump = ahead if math.isfinite(ahead) else None

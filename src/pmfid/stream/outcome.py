@@ -18,9 +18,9 @@ from pmfid.types import Floats
 class Kindred:
     """Axes of the same configuration, which are stepped together.
 
-    config: name of their AXIS.toml; names, units: of the q parameters in rows; dt: sample period [s]; nominal:
-    (q,) normal values; axes: their names in PLANT.toml, by their number within the group; input_unit: of u;
-    resolution: of one count [position_unit].
+    `config` is the name of their AXIS.toml. `names` and `units` belong to the q parameters in rows. `dt` is the sample
+    period [s]. `nominal` (q,) has the normal values. `axes` has the names in PLANT.toml, by the number within the
+    group. `input_unit` is the unit of u. `resolution` is the travel of one count [position_unit].
     """
 
     config: str
@@ -36,12 +36,13 @@ class Kindred:
 
 @dataclass(frozen=True)
 class EstimateRows:
-    """Estimates of axes of one group, m rows in the order of time for each axis.
+    """Estimates of axes of one group, with m rows in the order of time for each axis.
 
-    axis: (m,) number within the group; number: (m,) samples of that axis so far, this one included; time: (m,) [s] by
-    the axis's clock; u: (m,); counts: (m,); theta, std: (m, q), std infinite while nothing is known; innovation: (m,);
-    status: (m,) bits of `Status`; state: (m,) number of the state in `monitor.events.STATES`; received:
-    `time.monotonic()` of the delivery that brought the latest of these samples.
+    `axis` (m,) is the number within the group. `number` (m,) is the number of the axis' samples so far, including this
+    one. `time` (m,) is the time by the axis' clock [s]. `u`, `counts`, `innovation` and `status` (bits of `Status`) are
+    (m,). `theta` and `std` are (m, q); `std` is infinite while nothing is known. `state` (m,) is the number of the
+    state in `monitor.events.STATES`. `received` is `time.monotonic()` of the delivery that brought the latest of these
+    samples.
     """
 
     group: Kindred
@@ -60,13 +61,13 @@ class EstimateRows:
 
 @dataclass(frozen=True)
 class Notice:
-    """An event of one axis, or of the service if axis is "".
+    """An event of one axis, or of the service if `axis` is "".
 
-    number: its own, in JSON a number like any other; later notices of an axis have higher numbers. A notice on data
-    that come again after a restart has its former number, which identifies a repeated notice;
-    wall: seconds since 1970 at the event; what: the object that `pmfid monitor --json` prints for an event
-    ("event": alarm, state, settled, outlier, gap, clock, ...), or one of the service's own of the same form (late,
-    duplicate, unusable, dropped, checkpoint, acknowledged, reference, source, sink).
+    `number` identifies the notice; later notices of an axis have higher numbers. After a restart, a notice on repeated
+    data has its former number, which identifies the repetition. `wall` is the time of the event in seconds since 1970.
+    `what` is the object that `pmfid monitor --json` prints for an event (alarm, state, settled, outlier, gap, clock,
+    ...). Events of the service have the same form (late, duplicate, unusable, dropped, checkpoint, acknowledged,
+    reference, source, sink).
     """
 
     axis: str
@@ -76,7 +77,7 @@ class Notice:
 
 
 class Outlet(Protocol):
-    """A receiver of outcomes. The engine's thread calls it: neither method may wait for anything."""
+    """A receiver of outcomes. The engine's thread calls both methods, so neither may wait for anything."""
 
     def rows(self, rows: EstimateRows) -> None: ...
 
@@ -87,9 +88,10 @@ class Outlet(Protocol):
 class AlarmRecord:
     """An alarm and its later course.
 
-    number: of its notice; wall: seconds since 1970; what: the object that `pmfid monitor --json` prints; note,
-    acknowledged: the text of the acknowledgement and its time, None before; settled: the new values once they are
-    known, as in "settled"; cleared: time at which a silent axis, source or sink was back, None before.
+    `number` is the number of its notice. `wall` is a time in seconds since 1970. `what` is the object that `pmfid
+    monitor --json` prints. `note` and `acknowledged` are text and time of the acknowledgement; the time is None before.
+    `settled` has the new values once they are known. `cleared` is the time at which a silent axis, source or sink was
+    back, or None.
     """
 
     axis: str
@@ -112,7 +114,7 @@ class Alarms:
     _all: dict[int, AlarmRecord] = field(default_factory=dict, init=False)
 
     def take(self, notice: Notice) -> list[AlarmRecord]:
-        """Applies a notice. Returns the changed alarms; a repeated notice changes none."""
+        """Apply a notice, and return the changed alarms. A repeated notice changes no alarm."""
         what, event = notice.what, notice.what.get("event")
         if event == "alarm":
             return self._raise(notice)
@@ -140,7 +142,7 @@ class Alarms:
         return [self._all[alarm.number]]
 
     def _settle(self, notice: Notice) -> list[AlarmRecord]:
-        """Settles the alarms of the axis that have no new values yet."""
+        """Settle the alarms of the axis that have no new values yet."""
         new_values = {"time": notice.what.get("time"), "parameters": notice.what.get("parameters", {})}
         of_axis = [alarm for alarm in self._all.values() if alarm.axis == notice.axis]
         open_ones = [alarm for alarm in of_axis if alarm.settled is None and "silent" not in alarm.what]
@@ -149,7 +151,7 @@ class Alarms:
         return [self._all[alarm.number] for alarm in open_ones]
 
     def all(self) -> list[AlarmRecord]:
-        """Oldest first."""
+        """Return all alarms, oldest first."""
         return list(self._all.values())
 
     def get(self, number: int) -> AlarmRecord | None:
@@ -162,8 +164,11 @@ Labels = tuple[tuple[str, str], ...]
 
 @dataclass
 class Counters:
-    """Totals that only grow (`add`) and levels that are set (`put`). Names are Prometheus's, as
-    "pmfid_samples_total"; labels are few: sources, sinks, reasons, groups, never axes."""
+    """Totals that only grow (`add`), and levels that are set (`put`).
+
+    The names follow Prometheus, for example "pmfid_samples_total". Labels have few values: sources, sinks, reasons and
+    groups, never axes.
+    """
 
     _values: dict[tuple[str, Labels], float] = field(default_factory=dict, init=False)
     _lock: Lock = field(default_factory=Lock, init=False)

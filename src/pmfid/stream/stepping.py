@@ -1,4 +1,4 @@
-"""Steps of groups over the blocks that wait."""
+"""Steps of groups over the waiting blocks."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pmfid.types import Counts, Flags, Floats
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples of k axes to be stepped at once.
+    """Samples of k axes that are stepped together.
 
-    index: (k,) numbers of the axes, each once; u, counts: (k, n); time, offset, turn: (k,) as in `SamplePiece`;
-    received: (k,); pieces: (k,) pieces, or empty for blocks of a table: no sample is missing before these blocks, and
-    their samples have no times of their own.
+    `index` (k,) has the numbers of the axes, each once. `u` and `counts` are (k, n). `time`, `offset` and `turn` (k,)
+    are as in `SamplePiece`; `received` is (k,). `pieces` has k pieces, or none for blocks of a table. No sample is
+    missing before the blocks of a table, and their samples have no times of their own.
     """
 
     index: NDArray[np.int64]
@@ -52,7 +52,7 @@ class Batch:
 
     @classmethod
     def join(cls, parts: Sequence[Batch]) -> Batch:
-        """One batch of batches without pieces, each of other axes."""
+        """Join batches without pieces, each of other axes, into one batch."""
         if len(parts) == 1:
             return parts[0]
         index, u, counts, time = join_arrays(parts, "index", "u", "counts", "time")
@@ -62,8 +62,10 @@ class Batch:
 
 @dataclass
 class GroupQueue:
-    """The waiting samples of one group. Batches of tables are stepped first, so none may have an axis with waiting
-    samples."""
+    """The waiting samples of one group.
+
+    Batches of tables are stepped first, so such a batch may not contain an axis with waiting samples.
+    """
 
     group: Group
     _tables: dict[int, list[Batch]] = field(default_factory=dict, init=False)
@@ -73,7 +75,7 @@ class GroupQueue:
         self._busy: Flags = np.zeros(len(self.group.seats), np.bool_)
 
     def may_put(self, index: NDArray[np.int64]) -> bool:
-        """Whether no samples wait for any of these axes (k,)."""
+        """Return whether no samples wait for any of these axes (k,)."""
         return not self._busy[index].any()
 
     def put(self, batch: Batch) -> None:
@@ -81,12 +83,12 @@ class GroupQueue:
         self._tables.setdefault(batch.counts.shape[1], []).append(batch)
 
     def queue(self, seat: Seat, pieces: Sequence[SamplePiece]) -> None:
-        """Appends pieces after all waiting samples of this axis."""
+        """Append pieces after all waiting samples of this axis."""
         self._busy[seat.index] = True
         self._queues.setdefault(seat, []).extend(pieces)
 
     def batches(self) -> Iterator[Batch]:
-        """All waiting samples in the fewest batches; the samples of each axis are in order."""
+        """Yield all waiting samples in the fewest batches, with the samples of each axis in order."""
         for parts in self._tables.values():
             yield Batch.join(parts)
         depth, left = 0, list(self._queues.items())
@@ -101,7 +103,10 @@ class GroupQueue:
 
 @dataclass(frozen=True)
 class FoundEvent:
-    """An event of an axis. turn: of the item that brought it; sample: number of the sample, by which it is ordered."""
+    """An event of an axis.
+
+    `turn` is the number of the item that brought the event. `sample` is the number of the sample, which orders events.
+    """
 
     turn: int
     sample: int
@@ -111,7 +116,7 @@ class FoundEvent:
 
 @dataclass
 class Stepped:
-    """The outcome of a step of a group; lost: samples without an input, among all."""
+    """The result of a step of a group. `lost` is the number of samples without an input among all `samples`."""
 
     rows: list[EstimateRows] = field(default_factory=list)
     found: list[FoundEvent] = field(default_factory=list)
@@ -120,8 +125,11 @@ class Stepped:
 
 
 def step(waiting: GroupQueue, followed: frozenset[str] = frozenset(), now: float = 0.0) -> Stepped:
-    """Steps all waiting samples of a group; followed: names of axes whose rows are all given out; now: time of the step
-    by the clock of `Silence` [s]."""
+    """Step all waiting samples of a group.
+
+    `followed` has the names of axes whose rows are all given out. `now` is the time of the step by the clock of
+    `Silence` [s].
+    """
     done = Stepped()
     for batch in waiting.batches():
         waiting.group.positions.heard[batch.index] = now
@@ -150,7 +158,7 @@ def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) ->
 
 
 def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[Event]:
-    """Reports missing samples to the monitor, also if their number is unknown, as `pmfid monitor` does."""
+    """Report missing samples to the monitor, even if their number is unknown, as `pmfid monitor` does."""
     missing = max(1, piece.lead)
     group.numbers[index] += missing
     if 0 < piece.lead <= group.fleet.longest and not piece.apart:
@@ -159,7 +167,7 @@ def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[E
 
 
 def _build_event(group: Group, batch: Batch, row: int, k: int, start: int, event: Event) -> FoundEvent:
-    """The event with its time; start: samples before the piece."""
+    """Return the event with its time. `start` is the number of samples before the piece."""
     number = np.array([start + k + 1])
     shift = float(_compute_times(group, batch, np.array([row]), np.array([k]), number)[0]) - (start + k) * group.dt
     seat = group.seats[int(batch.index[row])]
@@ -172,8 +180,10 @@ Chosen = tuple[NDArray[np.int64], NDArray[np.int64]]
 def _choose_samples(
     group: Group, index: NDArray[np.int64], start: NDArray[np.int64], n: int, followed: frozenset[str]
 ) -> Chosen:
-    """Rows and columns of the samples that are given out: each sample whose number is a multiple of the stride, and all
-    samples of followed axes."""
+    """Return rows and columns of the samples that are given out.
+
+    These are the samples whose number is a multiple of the stride, and all samples of followed axes.
+    """
     first = (-start - 1) % group.stride
     own = [row for row, k in enumerate(index.tolist()) if group.seats[k].name in followed] if followed else []
     if n <= group.stride and not own:
@@ -211,7 +221,10 @@ def _compute_times(
     columns: NDArray[np.int64],
     number: NDArray[np.int64],
 ) -> Floats:
-    """(m,) times of samples by their rows and columns: their own, or from the time of their block, or their number."""
+    """Return the times (m,) of samples by their rows and columns.
+
+    A sample without its own time gets one from the time of its block, or from its number.
+    """
     begun = batch.time[rows]
     times = np.where(np.isnan(begun), (number - 1) * group.dt, begun + (batch.offset[rows] + columns) * group.dt)
     for k, row in enumerate(rows.tolist() if batch.pieces else ()):

@@ -24,23 +24,23 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from pyspark.sql import DataFrame, SparkSession
 
-#: Any of these says that somebody has set up a Spark, or runs within one: its settings stay.
+#: Any of these variables shows that the user has set up Spark, or works in Spark. The settings of that Spark stay.
 SET_UP = ("SPARK_REMOTE", "SPARK_HOME", "SPARK_CONF_DIR", "PYSPARK_GATEWAY_PORT", "PYSPARK_SUBMIT_ARGS")
-#: The limit of a container on Linux [bytes].
+#: The memory limit of a container on Linux [bytes].
 CONTAINER = Path("/sys/fs/cgroup/memory.max")
 LOOPBACK = "127.0.0.1"
 NO_PYSPARK = "the engine spark needs PySpark 4.2 or later: pip install 'pmfid[spark]'"
 NO_JAVA = (
     "Spark needs a Java runtime, 17 or later, and finds none: apt install openjdk-17-jre-headless, or set JAVA_HOME"
 )
-#: Settings of a session on this machine: it is reachable from this machine alone, and prints errors alone.
+#: Settings of a session on this machine. Only this machine can reach the session, which prints only errors.
 QUIET = {
     "spark.driver.bindAddress": LOOPBACK,
     "spark.driver.host": LOOPBACK,
     "spark.ui.enabled": "false",
     "spark.ui.showConsoleProgress": "false",
     "spark.sql.session.timeZone": "UTC",
-    # each of the processes of Python has one core of the machine, and would start a thread for all
+    # Each Python process has one core of the machine, and would otherwise start a thread for every core.
     "spark.executorEnv.POLARS_MAX_THREADS": "1",
     "spark.executorEnv.OMP_NUM_THREADS": "1",
     "spark.executorEnv.OPENBLAS_NUM_THREADS": "1",
@@ -48,17 +48,17 @@ QUIET = {
 
 
 def running() -> SparkSession | None:
-    """The session that runs already. Raises UsageError if PySpark is missing."""
+    """Return the running session. Raises UsageError if PySpark is missing."""
     return _spark().getActiveSession()
 
 
 def session_of(master: str | None = None, settings: Mapping[str, str] | None = None) -> SparkSession:
-    """The session that runs already, as on Databricks; else one that is set up by the environment or by `master`; else
-    one of this machine, with all its processors, that nobody else can reach.
+    """Return the running session, as on Databricks, or set up a new one.
 
-    master: as Spark has it, "local[2]", "spark://host:7077", "yarn", "sc://host" (Spark Connect). settings: of Spark;
-    of a session that runs already those that can still be changed. Raises UsageError if PySpark or Java is missing,
-    and where a session runs elsewhere than on `master`.
+    A new session follows the environment or `master`. By default it is a session of this machine with all its
+    processors, which nobody else can reach. `master` has Spark's form: "local[2]", "spark://host:7077", "yarn", or
+    "sc://host" (Spark Connect). `settings` belong to Spark; in a running session, only some settings can still change.
+    Raises UsageError if PySpark or Java is missing, and if a session runs elsewhere than on `master`.
     """
     found, settings = running(), dict(settings or {})
     if found is not None:
@@ -79,14 +79,14 @@ def session_of(master: str | None = None, settings: Mapping[str, str] | None = N
 
 
 def is_own(master: str | None) -> bool:
-    """Whether a running session is a local one that nobody has configured."""
+    """Return whether a running session is a local one that nobody has configured."""
     return master.startswith("local") if master is not None else not any(name in os.environ for name in SET_UP)
 
 
 def memory() -> int:
-    """The memory of this machine, or of the container of this process [bytes]."""
+    """Return the memory of this machine, or of the container of this process [bytes]."""
     found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    with suppress(OSError, ValueError):  # there is no container, or it has no limit
+    with suppress(OSError, ValueError):  # without a container, or without a limit
         found = min(found, int(CONTAINER.read_text()))
     return found
 
@@ -117,7 +117,7 @@ def _java() -> bool:
 
 @contextmanager
 def _own_environment() -> Iterator[None]:
-    """Spark starts the Python that this one is, and asks no name server who this machine is."""
+    """Let Spark start the Python of this process, and ask no name server for this machine."""
     own = {"PYSPARK_PYTHON": sys.executable, "SPARK_LOCAL_IP": LOOPBACK}
     with mock.patch.dict(os.environ, {name: value for name, value in own.items() if name not in os.environ}):
         yield
@@ -133,7 +133,7 @@ NOT_THERE = (
 
 
 def answer_task(work: Callable[[], object], version: str) -> bytes:
-    """The packed answer of an executor. version: the package version of the receiver."""
+    """Return the packed answer of an executor. `version` is the package version of the receiver."""
     try:
         if version != __version__:
             raise UsageError(f"the executors have pmfid {__version__}, the driver {version}: install the same on both")
@@ -143,7 +143,7 @@ def answer_task(work: Callable[[], object], version: str) -> bytes:
 
 
 def open_answer(packed: bytes) -> object:
-    """The result of an executor. Raises the error with which the executor refused the work."""
+    """Return the result of an executor. Raises the error with which the executor refused the work."""
     found, refused = pickle.loads(packed)
     if refused is not None:
         raise refused
@@ -157,7 +157,7 @@ def return_answers(numbers: Sequence[int], found: Sequence[bytes]) -> pa.RecordB
 
 
 def collect_answers(frame: DataFrame) -> dict[int, object]:
-    """The answers of all executors, by number. Raises UsageError if they do not have the package."""
+    """Return the answers of all executors, by number. Raises UsageError if they do not have the package."""
     table = arrow_of(frame)
     pairs = zip(table.column(NUMBER).to_pylist(), table.column(FOUND).to_pylist(), strict=True)
     return {number: open_answer(packed) for number, packed in pairs}
@@ -174,7 +174,7 @@ def arrow_of(frame: DataFrame) -> pa.Table:
 
 
 def merge_batches(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """The same rows in fewer tables, none of them empty."""
+    """Yield the same rows in fewer tables, none of them empty."""
     import pyarrow as pa
 
     waiting: list[pa.RecordBatch] = []
@@ -195,18 +195,21 @@ B = TypeVar("B")
 
 @dataclass(frozen=True)
 class Spark:
-    """master: as in `session_of`; None: the session that runs already, or as the environment says. Files must be
-    visible to all executors under the same names; a Spark DataFrame takes its own session."""
+    """The engine of a Spark cluster.
+
+    `master` is as in `session_of`; None takes the running session, or the one that the environment defines. Files must
+    be visible to all executors under the same names. A Spark DataFrame takes its own session.
+    """
 
     name: ClassVar[str] = "spark"
     master: str | None = None
 
     def session(self) -> SparkSession:
-        """Taken or made. Raises UsageError if PySpark or Java is missing."""
+        """Return the running session, or a new one. Raises UsageError if PySpark or Java is missing."""
         return session_of(self.master)
 
     def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
-        """Job by job, an item a task."""
+        """Yield the results job by job, with a task for each item."""
         if not items:
             return
         session = self.session()
@@ -217,7 +220,7 @@ class Spark:
 
 
 def processors(session: SparkSession) -> int:
-    """Number of tasks that run in parallel."""
+    """Return the number of tasks that run in parallel."""
     try:
         return int(session.sparkContext.defaultParallelism)
     except Exception:  # Spark Connect has no context
@@ -235,7 +238,7 @@ def _job(session: SparkSession, work: Callable[[A], B], items: Sequence[A]) -> l
 
 
 def _task(packed: Sequence[bytes], version: str) -> Callable[[Iterator[pa.RecordBatch]], Iterator[pa.RecordBatch]]:
-    """packed: work and item for each number."""
+    """Return a task for Spark. `packed` has work and item for each number."""
 
     def task(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         for batch in batches:

@@ -41,14 +41,14 @@ _PLACE = "place"
 
 
 def tag_rows(rows: pl.LazyFrame, columns: SourceColumns, plan: ShardTable) -> pl.DataFrame:
-    """The rows of each shard, with its index. rows: as `Part.rows` returns them."""
+    """Return the rows of each shard, with the index of the shard. The rows come from `Part.rows`."""
     known = rows.select(plan.number.alias(_PLACE), *columns.carried).drop_nulls([_PLACE, TIME]).collect()
     shard = plan.find(known[_PLACE].to_numpy(), known[TIME].to_numpy())
     return known.select(pl.Series(NUMBER, shard), *columns.carried).filter(pl.col(NUMBER) >= 0)
 
 
 def jobs_of(shards: Sequence[RowShard]) -> list[list[RowShard]]:
-    """The shards of some blocks of time together, in their order."""
+    """Return the shards in order, divided into jobs with the shards of some blocks of time."""
     blocks: dict[int, list[RowShard]] = defaultdict(list)
     for shard in shards:
         blocks[shard.first // TUNING.plan_block].append(shard)
@@ -62,13 +62,13 @@ def jobs_of(shards: Sequence[RowShard]) -> list[list[RowShard]]:
     return jobs
 
 
-#: Sum of what stands in the rows of an axis on a day.
+#: Sum that represents the content of an axis' rows on a day.
 MIXED = "mixed"
 _DAY = "day"
 
 
 class SparkRows:
-    """A DataFrame whose rows stay in Spark; engine: None or Spark. Raises UsageError for another."""
+    """A DataFrame whose rows stay in Spark. Raises UsageError for an engine other than None or Spark."""
 
     def __init__(self, frame: object, columns: SourceColumns, engine: Engine | None) -> None:
         if engine is not None and not isinstance(engine, Spark):
@@ -85,8 +85,10 @@ class SparkRows:
         return Spark.name
 
     def survey(self, keep: Keep) -> Survey:
-        """The survey in one pass, with nothing kept: the stamps come from it. Raises UsageError for columns that are
-        not there."""
+        """Return the survey from one pass, which stores nothing, because the stamps come from the survey.
+
+        Raises UsageError for missing columns.
+        """
         try:
             odd = self._part.other_types(self._columns)
             self._part.rows(self._columns)
@@ -111,20 +113,23 @@ class SparkRows:
             yield from islice(self._first_tables(shard, length), TRIED)
 
     def _first_tables(self, shard: RowShard, length: float) -> Iterator[Table]:
-        """The first tables of the axes that have any, some at a time."""
+        """Yield the first tables of the axes with rows, some axes at a time."""
         axes, work = sorted(shard.axes), partial(first_table, columns=self._columns, length=length)
         for start in range(0, len(axes), TRIED):
             some = [RowShard((axis,), shard.first, shard.last, shard.parts, 0) for axis in axes[start : start + TRIED]]
             yield from (cast(Table, found) for found in self._gather_shards(some, length, work) if found is not None)
 
     def segments(self, work: Work, shards: Sequence[RowShard]) -> Iterator[Segments]:
-        """Some blocks of time a job, each reading its times alone where the files are in their order."""
+        """Yield the segments of the shards, with some blocks of time in a job.
+
+        If the files are in the order of time, each job reads only its own times.
+        """
         for job in jobs_of(shards):
             yield from (cast(Segments, found) for found in self._gather_shards(job, work.length, work.frame))
 
     @cached_property
     def _days(self) -> dict[str, list[tuple[float, float, int, int]]]:
-        """First and last time [s], number of rows and what stands in them, of each day of each axis."""
+        """First and last time [s], number of rows and content sum for each day of each axis."""
         found = defaultdict(list)
         for axis, *day in self._counts.drop_nulls([AXIS, FIRST]).select(AXIS, FIRST, LAST, ROWS, MIXED).iter_rows():
             found[axis].append(tuple(day))
@@ -132,7 +137,7 @@ class SparkRows:
 
     @cached_property
     def _frame(self) -> DataFrame:
-        """The columns that are needed, under their own names: Spark takes a dot in a name for something else."""
+        """The needed columns under their own names, because Spark interprets a dot in a name."""
         from pyspark.sql import functions as sql
 
         quoted = {own: "`" + name.replace("`", "``") + "`" for own, name in self._columns.named.items()}
@@ -140,13 +145,13 @@ class SparkRows:
 
     @cached_property
     def _part(self) -> Part:
-        """The part's columns without rows."""
+        """The columns of the part, without rows."""
         nothing = cast(pl.DataFrame, pl.from_arrow(arrow_of(self._whole.limit(0))))
         return Part(FRAME, "", nothing.lazy)
 
     @cached_property
     def _counts(self) -> pl.DataFrame:
-        """Counts of each axis and day."""
+        """Counts for each axis and day."""
         from pyspark.sql import functions as sql
 
         kinds = f"{AXIS} string, {_DAY} double, {ROWS} long, {LOST} long, {FIRST} double, {LAST} double, "
@@ -159,7 +164,7 @@ class SparkRows:
     def _gather_shards(
         self, shards: Sequence[RowShard], length: float, work: Callable[[pl.DataFrame], object]
     ) -> list[object]:
-        """Results of `work` on the rows of each shard, all rows of a shard together, in any order."""
+        """Return the results of `work` on the rows of each shard. All rows of a shard come together, in any order."""
         if not shards:
             return []
         plan = ShardTable(shards, length)
@@ -172,8 +177,10 @@ class SparkRows:
         return [found[k] if k in found else work(nothing) for k in range(len(shards))]
 
     def _bound_times(self, first: float, last: float) -> Column:
-        """A condition by which Spark leaves out files: times from first to last [s] with a margin; exact rows are
-        chosen later."""
+        """Return a condition by which Spark leaves out files, for times from first to last [s] with a margin.
+
+        The exact rows are chosen later.
+        """
         from pyspark.sql import functions as sql
         from pyspark.sql.types import NumericType, TimestampType
 
@@ -192,7 +199,7 @@ def _rows(table: pa.Table, columns: SourceColumns) -> pl.LazyFrame:
 
 
 def _batches(frame: pl.DataFrame) -> Iterator[pa.RecordBatch]:
-    """Record batches with the types that Spark knows: it has one kind of text."""
+    """Yield record batches with the types of Spark, which has only one type of text."""
     import pyarrow as pa
 
     table = frame.to_arrow()

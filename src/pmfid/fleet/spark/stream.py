@@ -1,4 +1,4 @@
-"""`pmfid fleet stream`: blocks of many axes through Spark Structured Streaming, with a state for each shard."""
+"""Blocks of many axes through Spark Structured Streaming, with a state for each shard: `pmfid fleet stream`."""
 
 from __future__ import annotations
 
@@ -45,13 +45,15 @@ class SparkLog:
 
     @contextmanager
     def capture(self) -> Iterator[None]:
-        """Redirects the messages of a Java process started meanwhile to the log, for its whole life. The messages are
-        many, and help to find the cause of a failure."""
+        """Redirect the messages of a Java process that starts in this context to the log, for the life of the process.
+
+        The messages are many, and help to find the cause of a failure.
+        """
         sys.stderr.flush()
         kept = os.dup(2)
         try:
             log = open(self.path, "ab")  # noqa: SIM115
-        except OSError:  # the checkpoint can only be read
+        except OSError:  # a checkpoint that can only be read
             log = open(os.devnull, "ab")  # noqa: SIM115
         with log:
             os.dup2(log.fileno(), 2)
@@ -62,7 +64,7 @@ class SparkLog:
             os.close(kept)
 
     def problem(self, error: Exception) -> str:
-        """Spark's message about a failure, without stack traces."""
+        """Return Spark's message about a failure, without stack traces."""
         messages = b""
         with suppress(OSError), open(self.path, "rb") as file:
             file.seek(max(self._begun, file.seek(0, os.SEEK_END) - TUNING.log_lately))
@@ -81,7 +83,7 @@ _STORE = "spark.sql.streaming.stateStore"
 SETTINGS = {
     f"{_STORE}.providerClass": "org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider",
     f"{_STORE}.rocksdb.changelogCheckpointing.enabled": "true",
-    # a state is written whole with every batch: what is older than a few of them is in nobody's way to a restart
+    # Every batch writes the whole state, so a restart needs only the last few states.
     "spark.sql.streaming.minBatchesToRetain": "4",
 }
 #: The folder of Spark's own checkpoint within the checkpoint of the stream.
@@ -90,8 +92,11 @@ SPARK = "spark"
 
 @dataclass(frozen=True)
 class Pacing:
-    """interval: time between two batches [s]; files: of a batch at most, None: all that are there; once: ends when all
-    that is there is done."""
+    """The pace of a stream.
+
+    `interval` is the time between two batches [s]. `files` is the largest number of files in a batch; None takes all
+    files. With `once`, the stream ends after all present files.
+    """
 
     interval: float = 5.0
     files: int | None = None
@@ -99,8 +104,11 @@ class Pacing:
 
 
 def watch_blocks(blocks: DataFrame, plan: StreamPlan, begin: States | None = None) -> DataFrame:
-    """The estimates, notices and counts (`columns_of`) of a stream of blocks: columns `axis`, its name, and `block`,
-    the bytes of docs/wire.md, as Kafka's key and value. begin: states of axes that go on here."""
+    """Return the estimates, notices and counts (`columns_of`) of a stream of blocks.
+
+    The column `axis` has the name of the axis, the column `block` the bytes of docs/wire.md, like Kafka's key and
+    value. `begin` has states from which axes continue.
+    """
     from pyspark.sql import functions as f
 
     from pmfid.fleet.spark.workers import ShardProcessor
@@ -113,7 +121,7 @@ def watch_blocks(blocks: DataFrame, plan: StreamPlan, begin: States | None = Non
         initial = spark.createDataFrame(rows, "shard int, body binary").groupBy("shard")
     shard = f.element_at(f.lit(keys), f.expr(f"cast(pmod(crc32(encode(axis, 'UTF-8')), {plan.shards}) as int) + 1"))
     schema = ", ".join(f"`{name}` {kind}" for name, kind in columns_of(plan).items())
-    # a row without one of these columns is no block, and is counted as such
+    # A row without one of these columns is no block, and is counted as unusable.
     block = f.expr("if(axis is null or block is null, encode('nothing', 'UTF-8'), block)").alias("block")
     whole = blocks.select(f.expr("coalesce(axis, '')").alias("axis"), block)
     grouped = whole.withColumn("shard", shard).groupBy("shard")
@@ -136,18 +144,18 @@ def stream_files(
     master: str | None = None,
     settings: Mapping[str, str] | None = None,
 ) -> None:
-    """Watches what comes into a folder of Parquet files, or of files of blocks (.pmfb) that grow, until it is stopped.
+    """Watch a growing folder of Parquet files, or of growing files of blocks (.pmfb), until the stream is stopped.
 
-    begin: states of axes that go on here, for a new checkpoint. Raises UsageError if PySpark or Java is missing, a
-    folder is not what it should be or another stream has it, the configuration is not that of the checkpoint, or the
-    stream fails.
+    `begin` has states from which axes continue in a new checkpoint. Raises UsageError if PySpark or Java is missing, or
+    if the stream fails. An invalid folder, a folder in use, and a checkpoint of another configuration raise UsageError,
+    too.
     """
     pacing = pacing or Pacing()
     kind = kind_of(source)
     own = {"spark.sql.shuffle.partitions": str(plan.shards), **dict(settings or {})}
     with open_folder(checkpoint, out, settings_of(plan, source)) as folder:
         if (checkpoint / SPARK).exists():
-            begin = None  # they are in the checkpoint already
+            begin = None  # the checkpoint already has the states
         log = SparkLog(checkpoint)
         spark = _session(log, master, own)
         from py4j.protocol import Py4JError
@@ -167,13 +175,13 @@ def stream_files(
 
 
 def settings_of(plan: StreamPlan, source: Path) -> StreamSettings:
-    """Settings that must not change between two starts."""
+    """Return the settings that must not change between two starts."""
     pace = plan.pace
     return StreamSettings(plan.prepared.digest, plan.shards, pace.window, pace.every, str(source.resolve()))
 
 
 def kind_of(source: Path) -> str:
-    """ "parquet" or "pmfb", by the files that are there. Raises UsageError for anything else."""
+    """Return "parquet" or "pmfb", by the present files. Raises UsageError for anything else."""
     if not source.is_dir():
         raise UsageError(f"{source}: is no folder; give one into which files of blocks come, .parquet or .pmfb")
     kinds = {path.suffix for path in source.iterdir() if path.suffix in (".parquet", ".pmfb")}
@@ -183,8 +191,11 @@ def kind_of(source: Path) -> str:
 
 
 def _session(log: SparkLog, master: str | None, settings: Mapping[str, str]) -> SparkSession:
-    """One of this machine alone may take a quarter of its memory, as Java does by itself, or what Spark's own variable
-    says: without, it would have 1 GB, where a batch has the states of its shards in several copies."""
+    """Return the session of a stream.
+
+    A session of this machine alone may take a quarter of the machine's memory, as Java itself does, or the value of
+    Spark's own variable. Spark's default is 1 GB, but a batch has the states of its shards in several copies.
+    """
     own = os.environ.get("SPARK_DRIVER_MEMORY") or f"{memory() // 2**22}m"
     roomy = {"spark.driver.memory": own, "spark.driver.maxResultSize": "0"}
     with log.capture():
@@ -215,8 +226,10 @@ def _start_query(outcomes: DataFrame, folder: Folder, checkpoint: Path, pacing: 
 
 
 def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None) -> States:
-    """The states of all axes in the checkpoint of a stream, after its last batch. Raises UsageError if there is no
-    checkpoint, or if it is of another configuration."""
+    """Return the states of all axes in the checkpoint of a stream, after its last batch.
+
+    Raises UsageError if no checkpoint exists, or if it has another configuration.
+    """
     check_states(checkpoint)
     from pmfid.fleet.spark.workers import STATE, unpack_state
 
@@ -237,17 +250,16 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
 
 
 def check_states(checkpoint: Path) -> None:
-    """Raises UsageError if no stream has kept its states."""
+    """Raise UsageError if no stream has kept its states."""
     if not (checkpoint / SPARK / "state").is_dir():
         raise UsageError(f"{checkpoint}: has no states yet; give the --checkpoint of a stream that has done a batch")
 
 
 def _find_keys(spark: SparkSession, shards: int) -> list[int]:
-    """A key for each shard, by which Spark gives every shard a partition of its own: the least whole number whose hash
-    is the number of the shard, modulo `shards`.
+    """Return a key for each shard, by which Spark gives every shard its own partition.
 
-    One partition for each shard. Numbers in order would leave a third of the
-    partitions empty, and put several shards into others.
+    The key is the least whole number whose hash, modulo `shards`, is the number of the shard. Consecutive keys would
+    leave a third of the partitions empty, and put several shards into others.
     """
     numbers = spark.range(TUNING.stream_tried * shards).selectExpr(
         "cast(id as int) as key", f"pmod(hash(key), {shards}) as place"

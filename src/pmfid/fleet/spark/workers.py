@@ -1,4 +1,4 @@
-"""What Spark runs: a source of files of blocks that grow, and the processor of a shard with its state."""
+"""Classes that Spark runs: a source of growing files of blocks, and the processor of a shard with its state."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 
 
 class BlockFiles(DataSource):  # type: ignore[misc]
-    """`spark.readStream.format("pmfid-blocks").load(FOLDER)`: columns `axis`, `block` of the *.pmfb files there.
+    """The source `spark.readStream.format("pmfid-blocks").load(FOLDER)` with the columns `axis` and `block` of *.pmfb
+    files.
 
-    A file may grow at its end, and new ones may come. Where the source stands is the size of each file that it has
-    read, so what is read again after a restart are the same bytes.
+    A file may grow at its end, and new files may come. The position of the source is the size of each file that it has
+    read. A restart therefore reads the same bytes again.
     """
 
     @classmethod
@@ -39,7 +40,7 @@ class BlockFiles(DataSource):  # type: ignore[misc]
 
 
 class _Range(InputPartition):  # type: ignore[misc]
-    """Bytes of a file."""
+    """A range of bytes in a file."""
 
     def __init__(self, path: str, start: int, end: int) -> None:
         self.path, self.start, self.end = path, start, end
@@ -53,7 +54,7 @@ class _BlockReader(DataSourceStreamReader):  # type: ignore[misc]
         return {}
 
     def latestOffset(self, start: dict[str, int], limit: object) -> dict[str, int]:
-        """Size of each file up to its last whole block; a block that has only begun waits."""
+        """Return the size of each file up to its last whole block. An incomplete block waits."""
         found = dict(start)
         for path in sorted(self._folder.glob("*.pmfb")):
             known = start.get(path.name, 0)
@@ -66,7 +67,7 @@ class _BlockReader(DataSourceStreamReader):  # type: ignore[misc]
         return [_Range(str(self._folder / name), first, last) for name, first, last in pairs if last > first]
 
     def read(self, partition: _Range) -> Iterator[tuple[Any, ...]]:
-        """Invalid data also become a row, so that the shards count them."""
+        """Yield a row for each block. Invalid data also become a row, so that the shards count them."""
         with open(partition.path, "rb") as file:
             file.seek(partition.start)
             data = file.read(partition.end - partition.start)
@@ -75,7 +76,7 @@ class _BlockReader(DataSourceStreamReader):  # type: ignore[misc]
 
 
 def _whole(path: Path, start: int) -> int:
-    """Bytes of whole blocks from `start` on."""
+    """Return the number of bytes of whole blocks from `start`."""
     stream, size = BlockStream(), 0
     with open(path, "rb") as file:
         file.seek(start)
@@ -85,21 +86,21 @@ def _whole(path: Path, start: int) -> int:
     return size - stream.waiting
 
 
-#: The name of the state, and its one column: the body of a checkpoint of `pmfid serve`, as `pack_state` makes it.
+#: The name of the state, and its only column: the body of a checkpoint of `pmfid serve`, packed by `pack_state`.
 STATE, COLUMN = "shard", "body binary"
-#: Of a body [bytes].
+#: Size of a body [bytes].
 SIZE = Struct("<Q")
 
 
 def pack_state(body: bytes) -> bytes:
-    """The size of a body, and its compressed bytes, about a third: Spark copies a state several times on its way."""
+    """Return the size of a body and its compressed bytes, about a third, because Spark copies a state several times."""
     from pyarrow import compress
 
     return SIZE.pack(len(body)) + bytes(compress(body, "lz4", asbytes=True))
 
 
 def unpack_state(state: bytes) -> bytes:
-    """The body. Raises ValueError for bytes that `pack_state` has not made."""
+    """Return the body. Raises ValueError for bytes that `pack_state` has not made."""
     from pyarrow import decompress
 
     size = SIZE.unpack_from(state)[0] if len(state) >= SIZE.size else -1
@@ -109,8 +110,11 @@ def unpack_state(state: bytes) -> bytes:
 
 
 class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
-    """keys: of each shard; rows: the column `block`, nowhere missing; a checkpoint's body of a shard to begin with
-    where one is given."""
+    """The processor of the shards, with a key for each shard.
+
+    Its rows have the column `block`, never missing. If an initial state is given, the shard begins with this body of a
+    checkpoint.
+    """
 
     def __init__(self, plan: StreamPlan, keys: Sequence[int]) -> None:
         self._plan = plan
@@ -127,7 +131,7 @@ class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
         yield table_of(shard).to_pandas()
 
     def handleInitialState(self, key: Any, initialState: pd.DataFrame, timerValues: Any) -> None:
-        """Begins from states that came from elsewhere."""
+        """Begin from states that came from elsewhere."""
         self._state.update((pack_state(initialState["body"].iloc[0]),))
 
     def close(self) -> None:
