@@ -84,7 +84,7 @@ def _views(
         return
     if follows:
         yield np.maximum((whole[0] - theta) ** 2 - whole[1] - std**2, 0.0)
-    yield from _contradictions(twin, columns, found.difference.motion(found.q)[1])
+    yield from _contradictions(twin, columns, found.difference.read_velocity(found.q))
 
 
 def _kinds_of_force(found: Adequacy) -> Iterator[list[int]]:

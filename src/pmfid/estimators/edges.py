@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from typing import ClassVar
 
@@ -66,7 +67,7 @@ class EdgeDifference(Difference):
     All instants may be late by the same time, as those of an interrupt are. `late` (m,) is the effect of such a time,
     scaled to length 1; the difference is without it. `margin` (m,) is the time between an edge and the nearest sample
     [s], and `age` (m,) the time to the next sample [s]. `scatter` is the standard deviation of the instants [s].
-    `moved` counts the corrections of lines.
+    `moved` counts the corrections of lines. `samples` has the places of the samples of the record.
     """
 
     at: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
@@ -78,6 +79,7 @@ class EdgeDifference(Difference):
     age: Floats = field(default_factory=lambda: np.zeros(0))
     scatter: float = 0.0
     moved: int = 0
+    samples: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
 
     @property
     def rows(self) -> int:
@@ -91,8 +93,13 @@ class EdgeDifference(Difference):
         white = self.whiten(self.filter_signal(signal[self.at] / self.resolution))
         return white if self.late is None else white - (white @ self.late) * self.late
 
+    def read_velocity(self, q: Floats) -> Floats:
+        return np.asarray(self.motion(q)[1][self.samples])
+
     def measure_misfit(self, q: Floats) -> float:
-        return rms(self.left_at(q)) * self.resolution / max(float(np.std(self.y)), TUNING.tiny)
+        place = self.y[self.at] / self.resolution
+        motion = self.filter_signal(place - np.mean(place))
+        return rms(self.filter_signal(self.left_at(q))) / max(rms(motion), TUNING.tiny)
 
     def left_at(self, q: Floats) -> Floats:
         """Return the position of each edge minus the simulated position (m,) [counts], not whitened."""
@@ -267,17 +274,19 @@ class EdgeFit(Following):
             raise UsageError("EdgeFit takes no gaps in u yet; cut the record at the gap")
         theta, status = self._start(known, whole)
         difference, q = self._begin(theta, known, whole, ages)
-        found = difference.rows
-        try:
+        drifting: tuple[EdgeDifference, Floats] | None = None
+        with suppress(NotIdentifiableError):
             for part in TUNING.edges_slower:
                 q = least(replace(difference, pole=part * self.cutoff), q)
                 difference = difference.correct_lines(q, self.turn)
-            difference = replace(difference, pole=0.0).drop_far(q)
-            dropped = found - difference.rows
-            if dropped <= TUNING.edges_most_dropped * found:
-                return self._conclude(*_settle(difference, q), status, dropped)
-        except NotIdentifiableError:
-            pass
+                drifting = drifting or (replace(difference, pole=self.cutoff), q)
+            near = replace(difference, pole=0.0).drop_far(q)
+            dropped = difference.rows - near.rows
+            if dropped <= TUNING.edges_most_dropped * difference.rows:
+                return self._conclude(*_settle(near, q), status, dropped)
+        with suppress(NotIdentifiableError):
+            if drifting:
+                return self._conclude(*drifting, status, 0)
         fallback = like(OE, self).fit(u, counts)
         note = "the simulated motion does not pass the edges: this is output error of the counts"
         status |= fallback.status | int(Status.FALLBACK | Status.UNMODELLED)
@@ -302,6 +311,7 @@ class EdgeFit(Following):
         line = edges.lines - edges.lines.min() if self.turn is None else edges.lines % self.turn
         values = {item.name: getattr(own, item.name) for item in fields(Difference)}
         values |= {"u": held, "y": np.interp(grid, instants, places), "dt": float(grid[-1]) / at.size}
+        values["samples"] = np.searchsorted(grid, t)
         values["uneven"] = np.append(np.diff(grid), self.dt)
         after = t[np.searchsorted(t, edges.instants)]
         before = t[np.searchsorted(t, edges.instants) - 1]
@@ -322,19 +332,23 @@ class EdgeFit(Following):
         correlated = block_scatter(moves * error[:, None]) / np.sum((moves * error[:, None]) ** 2, axis=0)
         steady = np.diagonal(covariance) < (TUNING.edges_exact * q[: len(self.names)]) ** 2
         unlikely = max(dropped / TUNING.edges_few, difference.moved / TUNING.edges_moved) > left.size
-        rough = unlikely or np.std(left) > TUNING.edges_rough
+        rough = unlikely or bool(difference.pole) or np.std(left) > TUNING.edges_rough
         if rough or np.any((correlated > TUNING.edges_correlated) & ~steady):
             status |= int(Status.UNMODELLED)
         scale = difference.scale[: len(self.names)]
-        relative = rms(left) * self.encoder.resolution / float(np.std(difference.y))
+        relative = difference.measure_misfit(q)
         notes = [f"{dropped} edges that no motion explains were left out"] if dropped else []
+        if difference.pole:
+            notes.append("the position drifts away from the simulated motion: its changes between edges were fitted")
         if self.turn is not None and difference.spread > TUNING.edges_told:
             notes.append(_describe_lines(difference, left, self.turn))
         covariance = covariance + np.diag((TUNING.edges_exact * q[: len(self.names)]) ** 2)
         theta, cov = q[: scale.size] * scale, covariance * np.outer(scale, scale)
         left *= self.encoder.resolution
-        fit = Fit(self.names, self.units, theta, cov, left.size, left, relative, status, notes=tuple(notes))
         found = weigh(Best(difference, q, q, None, status))
+        if found.missed and np.any(found.spread() > np.sqrt(np.diagonal(cov))[: found.moves.shape[0]]):
+            status |= int(Status.UNMODELLED)
+        fit = Fit(self.names, self.units, theta, cov, left.size, left, relative, status, notes=tuple(notes))
         return fit, found if rough else replace(found, noise=1.0)  # the motion is within the noise of the edges
 
 

@@ -435,6 +435,10 @@ class Difference:
         uneven = None if self.uneven is None else self.uneven[first:last]
         return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past, uneven=uneven)
 
+    def read_velocity(self, q: Floats) -> Floats:
+        """The simulated mean velocity (n,) after each sample of the record at q (q,)."""
+        return self.motion(q)[1]
+
     def measure_misfit(self, q: Floats) -> float:
         """The part of the motion, 0 to about 1, that neither the model at q (q,) nor the encoder explains."""
         motion = self.filter_signal(self.y - np.mean(self.y))
