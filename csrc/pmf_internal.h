@@ -37,7 +37,7 @@ typedef int truth_t; /* combined by & and |, turned round by PMF_NOT */
 #define PMF_WHOLE 1
 #define PMF_LINEAR PMF_WITH_LINEAR
 #endif
-#ifdef PMF_STRAIGHT
+#ifdef PMF_WITH_MODEL /* one method of a drive */
 #define PMF_PROCESS 0
 #define PMF_MODELLED(config) PMF_WITH_MODEL
 #else

@@ -103,7 +103,7 @@ pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config)
     case PMF_RLS: return pmf_step_rls;
     case PMF_BCRLS: return pmf_step_bcrls;
     case PMF_RIV: return pmf_step_riv;
-    default: return pmf_step;
+    default: return pmf_is_plain(config) ? pmf_step_plain : pmf_step;
     }
 }
 

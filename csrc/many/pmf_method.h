@@ -1,7 +1,9 @@
 /* What a drive with mass, viscous and Coulomb friction needs of the kernel, by the recursive method, whose name is
  * PMF_STRAIGHT: without tests for parts that it has not, loops over parameters unrolled, the network as straight code.
+ * Of `plain`, for every equation and method, the tests for parts that few have are left out, and nothing else.
  * SPDX-License-Identifier: Apache-2.0
  */
+#define METHOD_plain 0
 #define METHOD_rls 1
 #define METHOD_bcrls 2
 #define METHOD_riv 3
@@ -27,13 +29,15 @@
 #elif METHOD == METHOD_bcrls
 #define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
     MEASURED(STAGE, DELAY) PREFILTERED(STAGE) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN)
-#else
+#elif METHOD == METHOD_riv
 #define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
     MEASURED(STAGE, DELAY)                     \
     PREFILTERED(STAGE)                         \
     SIMULATED(STAGE) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) BY_MODEL(COLUMN, TAP) OF_MODEL(COLUMN, TAP) CHECKED(COLUMN)
 #endif
+#if METHOD != METHOD_plain
 #define PMF_PARAMETERS 3U
 #define PMF_INSTRUMENTAL (METHOD != METHOD_rls)
 #define PMF_WITH_MODEL (METHOD == METHOD_riv)
 #define PMF_SCHEME PMF_EXPONENTIAL
+#endif

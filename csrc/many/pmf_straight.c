@@ -1,4 +1,5 @@
-/* The step of one axis, once more for each recursive method. SPDX-License-Identifier: Apache-2.0
+/* The step of one axis, once more for each recursive method, and for all that is plain.
+ * SPDX-License-Identifier: Apache-2.0
  */
 #include "pmf_method.h"
 #define PMF_API static __attribute__((unused))
@@ -12,6 +13,7 @@
 
 #include "pmf_straight.h"
 
+#ifdef PMF_NETWORK
 #define ALIKE_STAGE(k, from) \
     n_stages += 1U;          \
     alike &= network->stage[k].source == (from);
@@ -44,6 +46,20 @@ static uint32_t has_recursion(const pmf_recursion_config_t *config)
            config->scheme == PMF_SCHEME;
 }
 
+static uint32_t has_method(const pmf_config_t *config)
+{
+    return config->encoder.process == 0U && config->auxiliary.enabled == PMF_WITH_MODEL &&
+           has_network(&config->network) && has_recursion(&config->direct) &&
+           (PMF_WITH_MODEL == 0 || has_recursion(&config->instrument));
+}
+#else
+static uint32_t has_method(const pmf_config_t *config)
+{
+    (void)config;
+    return 1U;
+}
+#endif
+
 #define JOINED(name, method) name##_##method
 #define JOIN(name, method) JOINED(name, method)
 
@@ -54,9 +70,6 @@ uint32_t JOIN(pmf_step, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t *s
 
 uint32_t JOIN(pmf_is, PMF_STRAIGHT)(const pmf_config_t *config)
 {
-    uint32_t plain = config->encoder.process == 0U && config->encoder.rate == 0 && config->late.room == 0U &&
-                     config->linear.enabled == 0U && config->auxiliary.shapes.n == 0U &&
-                     config->auxiliary.enabled == PMF_WITH_MODEL;
-    return plain && has_network(&config->network) && has_recursion(&config->direct) &&
-           (PMF_WITH_MODEL == 0 || has_recursion(&config->instrument));
+    return config->encoder.rate == 0 && config->late.room == 0U && config->linear.enabled == 0U &&
+           config->auxiliary.shapes.n == 0U && has_method(config);
 }

@@ -12,10 +12,13 @@ typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, s
 uint32_t pmf_is_rls(const pmf_config_t *config);
 uint32_t pmf_is_bcrls(const pmf_config_t *config);
 uint32_t pmf_is_riv(const pmf_config_t *config);
-/* Its step. */
+/* Has it a fixed step, and neither shapes nor a dead time nor a linear process that is simulated? */
+uint32_t pmf_is_plain(const pmf_config_t *config);
+/* The steps of these. */
 uint32_t pmf_step_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 uint32_t pmf_step_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 uint32_t pmf_step_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_step_plain(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
 /* Of PMF_GENERAL and so on. */
 uint32_t pmf_method_of(const pmf_config_t *config);
