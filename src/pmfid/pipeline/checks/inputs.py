@@ -103,5 +103,5 @@ def _misses_force(log: CheckedLog, shape: Floats, time: float) -> bool:
     wider = View(time, np.column_stack([plain.phi, cut.z]), seen.z)
     missing = -float(wider.theta[-1]) * float(np.mean(np.abs(shape[shape != 0]))) / float(np.max(np.abs(log.force)))
     less = 1 - wider.unexplained / max(plain.unexplained, 1e-300)
-    sure = wider.sure(np.eye(wider.theta.size)[-1]) < -TUNING.inputs_certain
-    return sure and missing * less > TUNING.inputs_short and wider.unexplained < TUNING.inputs_seen
+    large = missing * less > TUNING.inputs_short and wider.unexplained < TUNING.inputs_seen
+    return large and wider.sure(np.eye(wider.theta.size)[-1]) < -TUNING.inputs_certain
