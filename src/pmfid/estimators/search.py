@@ -268,15 +268,19 @@ def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Diffe
     counts = [count for count in TUNING.restarts_tried if difference.y.size >= count * TUNING.search_fewest]
     if not counts:
         return None
-    shortest = _fit_in_windows(coarse, q[:-2], cutoff, counts[0], coarse.explained)
-    for count in counts[-1:] if shortest.lost else counts[1:]:
-        if shortest.left > coarse.explained:
-            shortest = _fit_in_windows(coarse, q[:-2], cutoff, count, coarse.explained)
-    if shortest.lost:
+    found = _fit_in_windows(coarse, q[:-2], cutoff, counts[0], coarse.explained)
+    if found.left > coarse.explained and counts[1:]:
+        found = _fit_in_windows(coarse, q[:-2], cutoff, counts[-1], coarse.explained)
+    if found.lost:
         raise NotIdentifiableError(LOST)
-    if shortest.left > coarse.explained:
+    if found.left > coarse.explained:  # by the shortest windows, and longer ones leave no less
         return None
-    found = shortest
+    for count in counts[1:-1] if len(found.windows.pieces) == counts[-1] > counts[0] else ():
+        other = _fit_in_windows(coarse, q[:-2], cutoff, count, coarse.explained)
+        if other.left <= coarse.explained:
+            found = other
+            break
+    shortest = found
     while len(found.windows.pieces) > 1:
         count = len(found.windows.pieces) // 2
         enough = _most_left(shortest, count)

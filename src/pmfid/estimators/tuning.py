@@ -273,6 +273,8 @@ class EstimatorTuning:
     motion_apart: float = 1e-3
 
     # output_error
+    #: Parts of a sample in which a motion of more parts is followed first.
+    parts_roughly: int = 2
     #: Multiple of the smallest allowed mass, below which the fit would rather have no mass.
     at_bound: float = 3.0
     #: Factor by which the high-pass at most raises white noise: a larger residual after it does not explain the counts.
