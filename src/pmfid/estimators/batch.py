@@ -31,7 +31,8 @@ def check_identifiable(
             f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} "
             "parameters; record longer, or use a higher cutoff"
         )
-    if not max(np.max(np.abs(part)) for part in (columns.phi, columns.z, columns.zeta)) < TUNING.batch_beyond:
+    parts = (columns.phi, columns.z, columns.zeta)
+    if not max(np.max([np.max(part), -np.min(part)]) for part in parts) < TUNING.batch_beyond:
         raise NotIdentifiableError(
             "the motion, or the one simulated, leaves the range of numbers: check the scales of input and output, and "
             "the signs in [model]"
@@ -48,6 +49,8 @@ def check_identifiable(
             "after the filters have settled the input is zero while the axis moves: record the input that drives it, "
             "from before the motion on"
         )
+    if _are_apart(columns, least_part):
+        return
     _check_target(columns, names)
     for kind, matrix in (("regressor", columns.phi), ("instrument", columns.zeta)):
         _check_rank(kind, matrix, names, least_part)
@@ -70,10 +73,7 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], 
     for name, norm in zip(names, scale, strict=True):
         if norm == 0:
             raise NotIdentifiableError(f"the {kind} of {name} is zero throughout: the record says nothing about it")
-    scaled = matrix / scale
-    if _is_well_conditioned(scaled.T @ scaled, least_part):
-        return
-    inverse = np.linalg.pinv(np.linalg.qr(scaled, mode="r"))  # its rows are as long as those for the matrix
+    inverse = np.linalg.pinv(np.linalg.qr(matrix / scale, mode="r"))  # its rows are as long as those for the matrix
     own = 1 / np.sum(inverse**2, axis=1)  # what of a column is not a combination of the others
     worst = int(np.argmin(own))
     if own[worst] < least_part:
@@ -83,14 +83,23 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], 
         )
 
 
-def _is_well_conditioned(products: NDArray[np.float64], least_part: float) -> bool:
-    """Is each column far from a combination of the others, by their products (p, p)? A decomposition of the columns
-    takes ten times as long, and is needed only where the products are not accurate enough."""
-    try:
-        own = 1 / np.diagonal(np.linalg.inv(products))
-    except np.linalg.LinAlgError:
-        return False
-    return bool(np.min(own) > max(TUNING.products_accurate, 2 * least_part))
+def _are_apart(columns: Columns, least_part: float) -> bool:
+    """Are the target, the regressors and the instruments far from each other by their products? A decomposition of the
+    columns takes ten times as long, and is needed only where the products are not accurate enough."""
+    least, z = max(TUNING.products_accurate, 2 * least_part), columns.z
+    for matrix in (columns.phi, columns.zeta):
+        products, along = matrix.T @ matrix, matrix.T @ z
+        size = np.sqrt(np.diagonal(products))
+        if not np.all(size > 0):
+            return False
+        try:
+            own = 1 / np.diagonal(np.linalg.inv(products / np.outer(size, size)))
+        except np.linalg.LinAlgError:
+            return False
+        alone = 1 - (along / size) ** 2 / (z @ z)  # of the power of the target, beyond one column
+        if not min(np.min(own), np.min(alone)) > least:
+            return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -137,9 +137,7 @@ class Following(Simulating, BatchEstimator):
         if difference.parts > TUNING.parts_roughly:
             coarse = replace(difference, parts=TUNING.parts_roughly)
             with suppress(NotIdentifiableError):
-                return least(
-                    difference, find_least_from_start(coarse, q, self.cutoff, [TUNING.output_error_roughly])
-                )
+                return least(difference, find_least_from_start(coarse, q, self.cutoff, [TUNING.output_error_roughly]))
         return find_least_from_start(difference, q, self.cutoff)
 
     def _slowly(self, difference: Difference, q: Floats) -> Floats:
