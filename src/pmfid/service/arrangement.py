@@ -1,5 +1,7 @@
-"""Assigns axes to groups at the start, after a restart, and after a change of PLANT.toml. Keeps the history of
-configurations, which is part of a checkpoint and goes to the sinks."""
+"""The assignment of axes to groups at the start, after a restart, and after a change of PLANT.toml.
+
+This module also keeps the history of configurations, which is part of a checkpoint and goes to the sinks.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,22 @@ from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
 @dataclass
 class Configurations:
-    """The configurations of a plant, calibrated one after the other, each once. A configuration that fails is reported,
-    and costs its own axes only. record: on which the only axis is watched, None if samples come from a source."""
+    """The configurations of a plant, calibrated one after the other, each once.
+
+    A configuration that fails is reported, and only its own axes are lost. `record` is the record on which the only
+    axis is watched, or None if samples come from a source.
+    """
 
     tell: Tell
     record: Record | None = None
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
 
     def load_all(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
-        """Name -> configuration of all axes with a usable one: the present one, or the one before if that fails. Raises
-        PmfidError or OSError if the only configuration has never been usable."""
+        """Return the configuration of each axis that has a usable one, by the axis' name.
+
+        If the present configuration of an axis fails, the previous one holds. Raises PmfidError or OSError if the only
+        configuration has never been usable.
+        """
         paths = dict.fromkeys(axes.values())
         loaded = {path: self._load_one(path, only=len(paths) == 1) for path in paths}
         return {name: prepared for name, path in axes.items() if (prepared := loaded[path]) is not None}
@@ -37,7 +45,7 @@ class Configurations:
         before = self._known.get(path)
         try:
             axis = load_axis(path)
-            # a text that changes with the configuration and with its reference record
+            # The text changes with the configuration and with its reference record.
             reference = axis.monitor.reference
             status = None if reference is None else (path.parent / reference).stat()
             state = status and (status.st_size, status.st_mtime_ns, status.st_ino)
@@ -67,8 +75,10 @@ class Configurations:
 
 
 def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:
-    """The groups for these axes, and the names of axes without a history. An axis in a group with the same
-    configuration stays there with its state."""
+    """Return the groups for these axes, and the names of axes without a history.
+
+    An axis in a group with the same configuration stays in this group with its state.
+    """
     present = {group.prepared.digest: group for group in groups}
     wanted: dict[str, tuple[Prepared, list[str]]] = {}
     for name, prepared in axes.items():
@@ -86,7 +96,7 @@ def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: 
 
 
 def remember(engine: StreamEngine) -> None:
-    """Appends new configurations to the history, with the time."""
+    """Append new configurations to the history, with the time."""
     known = {entry["digest"] for entry in engine.history[-TUNING.arrangement_recent :]}
     for group in engine.groups:
         if group.prepared.digest not in known:
@@ -97,7 +107,7 @@ def remember(engine: StreamEngine) -> None:
 
 
 def tell_configurations(engine: StreamEngine) -> None:
-    """Reports the present configurations to the sinks, which keep the ones that differ from the last ones."""
+    """Report the present configurations to the sinks, which keep a configuration that differs from the last one."""
     present = {group.prepared.digest for group in engine.groups}
     for entry in engine.history:
         if entry["digest"] in present:

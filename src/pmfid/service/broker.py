@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def is_here(host: str) -> bool:
-    """Whether data to this host stay on this machine."""
+    """Return whether the host is the local machine."""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -28,8 +28,10 @@ def is_here(host: str) -> bool:
 
 
 def secret(env: str | None, file: str | None, folder: Path) -> str | None:
-    """A password or token from the environment or from a file in `folder`; None if neither is given. Raises UsageError
-    for a missing secret, and for a file that everybody can read."""
+    """Return a password or token from the environment or from a file in `folder`, or None if neither is given.
+
+    Raises UsageError for a missing secret, and for a file that everybody can read.
+    """
     if env is not None:
         if env not in os.environ:
             raise UsageError(f"the environment variable {env} is not set; set it to the secret, or give a file")
@@ -38,7 +40,7 @@ def secret(env: str | None, file: str | None, folder: Path) -> str | None:
 
 
 def read_secret(path: Path) -> str:
-    """The text of a file that not everybody can read. Raises UsageError."""
+    """Return the text of a file that not everybody can read. Raises UsageError for any other file."""
     try:
         with path.open(encoding="utf-8") as stream:
             if os.name == "posix" and os.fstat(stream.fileno()).st_mode & stat.S_IROTH:
@@ -51,7 +53,7 @@ def read_secret(path: Path) -> str:
 
 #: Ports of a broker, without and with TLS.
 PORT, TLS_PORT = 1883, 8883
-#: Seconds until an attempt to connect is given up.
+#: Time after which an attempt to connect is given up [s].
 _CONNECTING = 10.0
 
 Text = Annotated[str, Field(min_length=1)]
@@ -75,7 +77,7 @@ class BrokerSection(FileSection):
     @field_validator("host")
     @classmethod
     def _only_a_name(cls, host: str) -> str:
-        """Refuses an address with other parts, which would be looked up for ever as an unknown name."""
+        """Refuse an address with other parts, which would be looked up for ever as an unknown name."""
         if "/" in host or any(mark.isspace() for mark in host):
             raise ValueError("it should be a name or an address alone, without mqtt:// and path; tls = true is TLS")
         if host.count(":") == 1:
@@ -108,9 +110,12 @@ class BrokerSection(FileSection):
 
 
 def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges: bool = False) -> Client:
-    """A client of MQTT 5 that is not connected yet, connects once and acknowledges by itself, or not (`acknowledges`:
-    whoever takes its messages does). folder: that files are relative to. Raises UsageError without paho-mqtt, and for
-    certificates or a password that cannot be read."""
+    """Return a client of MQTT 5 that is not connected yet, and connects once.
+
+    The client acknowledges messages by itself, or leaves this to the receiver of its messages if `acknowledges` is set.
+    Names of files are relative to `folder`. Raises UsageError without paho-mqtt, and for certificates or a password
+    that cannot be read.
+    """
     try:
         from paho.mqtt import client as mqtt
         from paho.mqtt.enums import CallbackAPIVersion
@@ -127,7 +132,7 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
             context = ssl.create_default_context(cafile=None if section.ca is None else str(folder / section.ca))
             if section.cert is not None and section.key is not None:
                 context.load_cert_chain(folder / section.cert, folder / section.key)
-        except OSError as error:  # ssl.SSLError is one
+        except OSError as error:  # includes ssl.SSLError
             problem = f"the certificates of the broker cannot be used ({error})"
             raise UsageError(f"{problem}; correct ca, cert and key") from None
         client.tls_set_context(context)
@@ -135,7 +140,7 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
 
 
 def pauses(first: float = 0.5, longest: float = 10.0) -> Iterator[float]:
-    """Seconds to wait before each attempt after a failure: each twice the last one."""
+    """Yield the seconds to wait before each attempt after a failure; each pause is twice the previous one."""
     while True:
         yield first
         first = min(2 * first, longest)

@@ -13,25 +13,26 @@ from pmfid.errors import PmfidError
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
 
-#: Bytes that one call reads.
+#: Number of bytes that one call reads.
 CHUNK = 65_536
 
-#: Hands a delivery to the engine and waits while the inbox is full; False once the service ends: then the source
-#: returns, and what was not taken counts as not received.
+#: A function that hands a delivery to the engine, and waits while the inbox is full. It returns False once the service
+#: ends. The source then returns, and the delivery counts as not received.
 Take = Callable[[Delivery], bool]
-#: The AXIS.toml of an axis by its name as it is now, None if there is no such axis.
+#: A function that returns the present AXIS.toml of an axis by its name, or None for an unknown axis.
 FindAxis = Callable[[str], Axis | None]
-#: Makes a notice of the service of an object with "event", from any thread.
+#: A function that makes a notice of the service from an object with "event", from any thread.
 Tell = Callable[[dict[str, Any]], None]
 
 
 class Source(Protocol):
-    """Runs in a thread of its own.
+    """A source of deliveries, which runs in its own thread.
 
-    name: in PLANT.toml. `run` hands over what comes until the source ends, `stop` is called or `take` says False; it
-    connects again by itself after errors, with growing pauses, and tells them through `tell` (an object with "event":
-    "source", "source": name, "problem": ...). mark: of the last checkpoint, None at the first start; what was handed
-    over since is asked for again where that is possible. `stop` may be called from any thread, at any time, twice.
+    `name` is the name in PLANT.toml. `run` hands data over until the source ends, `stop` is called or `take` returns
+    False. After an error it connects again by itself, with growing pauses, and reports the error through `tell` (an
+    object with "event": "source", "source": name, "problem": ...). `mark` is the position in the last checkpoint, or
+    None at the first start. Where possible, `run` requests all later data again. `stop` may be called from any thread,
+    at any time, twice.
     """
 
     name: str
@@ -42,17 +43,22 @@ class Source(Protocol):
 
 
 class RefusedError(PmfidError):
-    """Raised by a sink for an outcome that it will never take, for example if a server rejects its content. The
-    outcome is dropped and counted, and the others go on."""
+    """Raised by a sink for an outcome that it will never take, for example if a server rejects its content.
+
+    The outcome is dropped and counted, and the others go on.
+    """
 
 
 class Sink(Protocol):
-    """Runs in a thread of its own, after a bounded queue (`sinks/queued.py`). A full queue drops and counts its oldest
-    rows, and keeps notices as long as it can: a broken sink never delays an estimate.
+    """A receiver of outcomes, which runs in its own thread after a bounded queue (`sinks/queued.py`).
 
-    name: in PLANT.toml. `put` writes outcomes in order. It raises OSError, also for errors of its library: the error is
-    reported once, and all outcomes are tried again after a pause and `open`. While no outcome waits, `put` is called
-    with an empty list, first at the start and then every few seconds. `close` writes the rest if it can.
+    A full queue drops and counts its oldest rows, and keeps notices as long as possible. A broken sink therefore never
+    delays an estimate.
+
+    `name` is the name in PLANT.toml. `put` writes outcomes in order. It raises OSError, also for errors of its library.
+    The error is reported once, and all outcomes are tried again after a pause and `open`. While no outcome waits, `put`
+    is called with an empty list, first at the start and then every few seconds. `close` writes the remaining outcomes
+    if possible.
     """
 
     name: str
@@ -66,8 +72,11 @@ class Sink(Protocol):
 
 @dataclass(frozen=True)
 class Context:
-    """name: of the service; folder: of PLANT.toml, to which names of files are relative; state: folder of the
-    checkpoints, None without checkpoints; counters, tell: of the service."""
+    """The part of the service that sources and sinks may use.
+
+    `name` is the name of the service. `folder` is the folder of PLANT.toml, to which names of files are relative.
+    `state` is the folder of the checkpoints, or None without checkpoints. `counters` and `tell` belong to the service.
+    """
 
     name: str
     folder: Path
@@ -79,7 +88,7 @@ class Context:
 
 @dataclass
 class ProblemReport:
-    """Reports a problem of a source once, and its end, as ""."""
+    """A reporter of a source's problems, which reports each problem once, and its end as ""."""
 
     source: str
     tell: Tell
@@ -92,8 +101,8 @@ class ProblemReport:
 
 
 class SourceSection(FileSection):
-    """[sources.NAME]: `kind` and what that kind needs."""
+    """[sources.NAME]: the key `kind`, and the keys of this kind."""
 
     def make(self, name: str, context: Context) -> Source:
-        """The source, not yet running. Raises UsageError for what the file alone does not show."""
+        """Return the source, not yet running. Raises UsageError for errors that the file alone does not show."""
         raise NotImplementedError

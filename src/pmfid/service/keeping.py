@@ -1,4 +1,4 @@
-"""Makes and writes checkpoints: the engine copies its states, a thread of its own does the rest."""
+"""Checkpoints: the engine copies its states, and another thread writes them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ Done = Callable[[], object]
 
 @dataclass
 class _Job:
-    """draft: the checkpoint to write; done: called afterwards; room: in place of a draft, bytes of a larger buffer."""
+    """A job for the thread that writes checkpoints.
+
+    `draft` is the checkpoint to write. The functions `done` are called afterwards. Without a draft, `room` is the size
+    of a larger buffer to make [bytes].
+    """
 
     draft: Draft | None = None
     done: list[Done] = field(default_factory=list)
@@ -28,11 +32,11 @@ class _Job:
 
 @dataclass
 class Checkpoints:
-    """A `Keeper`. period: time between two checkpoints [s], longer if writing takes long; tell: receives notices on the
-    disk.
+    """A `Keeper` that writes checkpoints to the disk.
 
-    While the disk fails, or is too slow for the deliveries, they are acknowledged without a checkpoint: otherwise their
-    source, and the watch, would stop. A notice reports this state, and the checkpoint that a restart would use.
+    `period` is the time between two checkpoints [s], which is longer if writing takes long. `tell` receives notices on
+    the disk. If the disk fails or is too slow, deliveries are acknowledged without a checkpoint. Otherwise their source
+    and the monitoring would stop. A notice reports this state, and the checkpoint that a restart would use.
     """
 
     vault: Vault
@@ -52,7 +56,7 @@ class Checkpoints:
         self._thread.start()
 
     def call_when_kept(self, done: Done) -> None:
-        """Registers `done`, which is called after the next durable checkpoint."""
+        """Register `done`, which is called after the next durable checkpoint."""
         self._undone.append(done)
         if not self._failing and len(self._undone) <= TUNING.keeping_most:
             return
@@ -64,8 +68,10 @@ class Checkpoints:
         self._undone = []
 
     def offer(self, engine: StreamEngine, last: bool = False) -> None:
-        """Makes a checkpoint if one is due, the state has changed, and the last one is written; last: at once, and
-        returns after the attempt to write it."""
+        """Make a checkpoint if one is due, the state has changed, and the last checkpoint is written.
+
+        If `last` is set, the checkpoint is made immediately, and the call returns after the attempt to write it.
+        """
         if last:
             self._close(engine)
         elif self._job is None and (monotonic() >= max(self._next, self._rested) or engine.urgent):
@@ -79,7 +85,7 @@ class Checkpoints:
 
     def _make(self, engine: StreamEngine) -> None:
         begun = monotonic()
-        # what waits for a sink will be written by the next one, also where nothing else changes
+        # The next checkpoint writes the outcomes that wait for a sink, even if nothing else changes.
         self._made_at, engine.urgent = -1 if any(engine.unwritten().values()) else engine.changes, False
         job, self._undone = _Job(draft(engine, self._room), self._undone), []
         crash_point("checkpoint.made")

@@ -13,7 +13,7 @@ from prometheus_client.registry import Collector
 
 from pmfid.stream.outcome import Counters
 
-#: Meanings of the service's counters; other counters get their name in words.
+#: Meanings of the service's counters. Any other counter is described by the words of its name.
 HELP: dict[str, str] = {
     "pmfid_axes": "Axes of a configuration.",
     "pmfid_axes_silent": "Axes with an alarm that they send nothing.",
@@ -52,13 +52,15 @@ HELP: dict[str, str] = {
     "pmfid_unusable_total": "What came and was no sample, by reason.",
 }
 
-#: Time of the import of this module, in place of the start of the process on a system that does not report it.
+#: Time of the import of this module, for a system that does not report the start of the process.
 _LOADED = time.time()
 
 
 def exposition(counters: Counters) -> str:
-    """All that is counted, and the figures of the process: families by name, a HELP and a TYPE line for each; what ends
-    in `_total` is a counter, all else a gauge."""
+    """Return all counters and the figures of the process, with a HELP and a TYPE line for each family.
+
+    A name that ends in `_total` is a counter, any other name a gauge.
+    """
     registry = CollectorRegistry()
     registry.register(_Counted(counters))
     registry.register(_Process(registry=None))
@@ -77,14 +79,14 @@ class _Counted(Collector):
                 words = HELP.get(name, f"{name.removeprefix('pmfid_').replace('_', ' ').capitalize()}.")
                 kind = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
                 families[name] = kind(name, words)
-            # a lone surrogate, as in the name of a file, is no UTF-8
+            # A lone surrogate, as in the name of a file, is no UTF-8.
             texts = {_legal(label): text.encode("utf-8", "replace").decode() for label, text in labels}
             families[name].add_sample(name, texts, value)
         return families.values()
 
 
 class _Process(ProcessCollector):
-    """Metrics of the process, with its threads; a system without /proc reports the CPU time alone."""
+    """Metrics of the process, with its threads. A system without /proc reports only the CPU time."""
 
     def collect(self) -> Iterable[Metric]:
         found = list(super().collect())
@@ -99,6 +101,6 @@ class _Process(ProcessCollector):
 
 
 def _legal(name: str) -> str:
-    """A name with only letters, digits and underscores; the first is no digit."""
+    """Return a name with only letters, digits and underscores, which does not begin with a digit."""
     legal = re.sub(r"[^a-zA-Z0-9_]", "_", name)
     return f"_{legal}" if legal[:1].isdigit() or not legal else legal

@@ -1,4 +1,4 @@
-"""PLANT.toml, and the meaning of its keys."""
+"""The file PLANT.toml, and the meaning of its keys."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ REMOVED: dict[str, str] = {
     "plotjuggler": "use the kind mqtt, to which PlotJuggler subscribes",
 }
 
-#: Names of the service, of axes, sources and sinks: they stand in topics and in names of files.
+#: Pattern of the names of the service, of axes, sources and sinks, which occur in topics and in names of files.
 _PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 Word = Annotated[str, Field(pattern=f"^{_PATTERN}$")]
 _WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
@@ -61,7 +61,7 @@ _NUMBER = re.compile(r"([^{}]*)\{(?::0?(\d?)d)?\}([^{}]*)")
 
 
 class ServiceSection(FileSection):
-    """[service]: its name, what it keeps, and how long it waits."""
+    """[service]: its name, its state, and its waiting times."""
 
     name: Word = Field("pmfid", description=f"the name of the service: {_WORD}")
     state: Name | None = Field(None, description='the folder of the checkpoints, as "state"; left out: nothing is kept')
@@ -78,20 +78,23 @@ class ServiceSection(FileSection):
 
 
 class AxisSection(FileSection):
-    """[axes.NAME]."""
+    """[axes.NAME]: one axis."""
 
     config: Name = Field(description='the AXIS.toml of the axis, as "cart.toml"')
 
 
 class FleetSection(FileSection):
-    """[fleets.NAME]: axes that are alike, named by a pattern."""
+    """[fleets.NAME]: equal axes, named by a pattern."""
 
     config: Name = Field(description='the AXIS.toml of all of them, as "cell.toml"')
     names: Name = Field(description='a pattern with one number, as "cell-{:05d}"')
     count: int = Field(ge=1, le=TUNING.most_axes, description="how many there are; the first has number 0")
 
     def expand(self, key: str) -> list[str]:
-        """Names of the axes; key: of the section. Raises UsageError if the pattern does not give different words."""
+        """Return the names of the axes. `key` is the name of the section.
+
+        Raises UsageError if the pattern does not give different words.
+        """
         number = _NUMBER.fullmatch(self.names)
         if number is None:
             where = f"[fleets.{key}] names = {self.names!r}"
@@ -102,8 +105,11 @@ class FleetSection(FileSection):
 
 @dataclass(frozen=True)
 class Plant:
-    """folder: of PLANT.toml; axes: name -> path of AXIS.toml; page: the section [page] as it is written, None
-    where there is none; sources, sinks: name -> section."""
+    """The content of a PLANT.toml.
+
+    `folder` is the folder of PLANT.toml. `axes` maps names to paths of AXIS.toml. `sources` and `sinks` map names to
+    sections. `page` is the section [page] as written, or None without this section.
+    """
 
     folder: Path
     service: ServiceSection
@@ -113,12 +119,12 @@ class Plant:
     page: Mapping[str, Any] | None = None
 
     def with_page(self, page: Mapping[str, Any] | None) -> Plant:
-        """The plant with these keys of [page] before its own; None: unchanged."""
+        """Return the plant with these keys of [page] instead of its own keys. None leaves the plant unchanged."""
         return self if page is None else replace(self, page={**(self.page or {}), **page})
 
     @property
     def speaks(self) -> bool:
-        """Whether a source writes on standard output, where nothing else may then be."""
+        """Return whether a source writes on standard output, which must then carry nothing else."""
         return any(getattr(one, "pass_on", False) for one in self.sources.values())
 
     @property
@@ -126,7 +132,7 @@ class Plant:
         return None if self.service.state is None else self.folder / self.service.state
 
     def unlike(self, other: Plant) -> list[str]:
-        """The sections of PLANT.toml that differ from the other plant; sections of axes are left out."""
+        """Return the sections of PLANT.toml that differ from the other plant, except sections of axes."""
         single = [
             f"[{name}]"
             for name in ("service", "page")
@@ -144,8 +150,10 @@ Section = TypeVar("Section", bound=FileSection)
 
 
 def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
-    """Reads and validates a PLANT.toml; given: keys of [service] that go before its own. Raises UsageError with what is
-    wrong and where."""
+    """Read and validate a PLANT.toml.
+
+    The keys `given` of [service] replace the keys in the file. Raises UsageError with the error and its place.
+    """
     try:
         raw = _read(path)
         _check_tables(raw)
@@ -162,8 +170,10 @@ def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
 
 
 def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, object] | None = None) -> Plant:
-    """The plant of one AXIS.toml and a record that is played, or standard input where `source` is "-": with one pipe
-    nothing waits for anything. given: keys of [service]."""
+    """Return the plant of one AXIS.toml and a record that is played, or standard input for the `source` "-".
+
+    With a single pipe, no sample waits for another. `given` has keys of [service].
+    """
     name = re.sub(r"[^A-Za-z0-9._-]|^[._-]+", "", config.stem)[:100] or "axis"
     piped = str(source) == "-"
     raw: dict[str, object] = {"kind": "stdin", "axis": name}
@@ -176,7 +186,7 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
 
 
 def page_config(plant: Plant) -> PageConfig:
-    """[page], with its defaults. Raises UsageError for an invalid value."""
+    """Return [page] with its defaults. Raises UsageError for an invalid value."""
     whole = create_model("Whole", __base__=FileSection, page=(PageConfig, ...))
     return validate_sections(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
 
@@ -190,7 +200,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise UsageError(f"not valid TOML: {error}; correct that line") from None
 
 
-#: The sections of a PLANT.toml; of the last four each has a table for each name.
+#: The sections of a PLANT.toml. Each of the last four has a table for each name.
 _KNOWN = ("service", "page", "axes", "fleets", "sources", "sinks")
 
 
@@ -223,7 +233,7 @@ def _check_name(where: str, name: str) -> None:
 
 
 def _section(label: str, cls: type[Section], table: Mapping[str, Any]) -> Section:
-    """A table as a section; label: what it stands under, for messages."""
+    """Return a table as a section. `label` is the section's name in messages."""
     try:
         return cls.model_validate(table)
     except ValidationError:
@@ -253,7 +263,7 @@ def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Pat
 
 
 def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, type[Section]]) -> Section:
-    """A source or a sink: `kind` says which section it is."""
+    """Return a source or a sink, whose `kind` decides on the section."""
     if "kind" not in table:
         raise UsageError(f"[{where}.{name}] kind is missing; give one of {', '.join(kinds)}")
     kind = str(table["kind"])
@@ -283,7 +293,7 @@ begun: [guide/service.md](guide/service.md); the axes themselves: [axis_toml.md]
 
 
 def plant_entries() -> tuple[ReferenceEntry, ...]:
-    """Entries of all keys; keys of sources and sinks stand under their kind."""
+    """Return entries of all keys. Keys of sources and sinks are listed by their kind."""
     models: dict[str, type[FileSection]] = {"service": ServiceSection, "page": PageConfig}
     models |= {"axes": AxisSection, "fleets": FleetSection}
     models |= {f"sources.{kind}": model for kind, model in SOURCES.items()}
@@ -292,8 +302,10 @@ def plant_entries() -> tuple[ReferenceEntry, ...]:
 
 
 def strip_names(word: str) -> list[str]:
-    """What a word with a name of someone's plant may mean: axes.x1.config is axes.config, and sources.hall.qos that key
-    of each kind."""
+    """Return the possible keys for a word with a name from a plant.
+
+    For example, axes.x1.config means axes.config, and sources.hall.qos means this key of each kind of source.
+    """
     found = re.fullmatch(r"\[?(axes|fleets|sources|sinks)\.[^.\]]+\]?[. ](\w+)", word.strip())
     if found is None:
         return []
@@ -303,7 +315,7 @@ def strip_names(word: str) -> list[str]:
 
 
 def plant_page() -> str:
-    """The page of all keys, in Markdown."""
+    """Return the page of all keys, in Markdown."""
 
     def describe(section: str) -> str:
         table, _, kind = section.partition(".")

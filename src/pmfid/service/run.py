@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class PauseWatch:
-    """Reports pauses of the whole process, the only explanation for late estimates. `look` is called regularly."""
+    """A reporter of pauses of the whole process, the only explanation for late estimates. Call `look` regularly."""
 
     tell: Callable[[dict[str, Any]], None]
     counters: Counters
@@ -57,7 +57,7 @@ class PauseWatch:
 
 
 def notify(state: str) -> None:
-    """Sends a state as sd_notify(3) does, as "READY=1"; does nothing without a listener."""
+    """Send a state such as "READY=1", as sd_notify(3) does. Without a listener, nothing is sent."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return
@@ -68,7 +68,10 @@ def notify(state: str) -> None:
 
 @dataclass
 class Running:
-    """A source in its thread. failed: the reported error that ended it; ended: no further delivery will come."""
+    """A source in its thread.
+
+    `failed` is the reported error that ended the source. `ended` is true if no further delivery will come.
+    """
 
     source: Source
     inbox: Inbox
@@ -90,7 +93,7 @@ class Running:
             self.tell({"event": "source", "source": self.source.name, "problem": ""})
         taken = self.inbox.put(delivery)
         if taken and delivery.mark is not None:
-            self._mark = delivery.mark  # start of a restart: the marks of the engine are older
+            self._mark = delivery.mark  # at a restart the marks of the engine are older
         return taken
 
     def _run(self) -> None:
@@ -122,8 +125,11 @@ class Running:
 
 @dataclass
 class Service:
-    """load: reads the plant, at the start and at SIGHUP; log: where notices are printed; until_end: the service ends
-    with its last source; record: that the only axis is watched on, read already."""
+    """A service with its sources, engine and sinks.
+
+    `load` reads the plant at the start and at SIGHUP. Notices are printed to `log`. With `until_end`, the service ends
+    with its last source. `record` is an already read record on which the only axis is watched.
+    """
 
     load: Callable[[], Plant]
     log: NoticeLog
@@ -132,16 +138,16 @@ class Service:
     counters: Counters = field(default_factory=Counters, init=False)
 
     def run(self) -> None:
-        """Until a signal, or the end of all sources. Raises UsageError for a plant that cannot be served at all."""
+        """Run until a signal, or until all sources end. Raises UsageError for a plant that cannot be served at all."""
         self._plant = plant = self.load()
         self._page: Page | None = None
         self._stopping = self._reload_due = False
         self._reloading: Thread | None = None
-        self._prepare(plant)  # may take minutes: a signal ends it at once, for nothing runs yet
+        self._prepare(plant)  # may take minutes; a signal ends it immediately, because no thread runs yet
         with catch_signals(self._handle_signal):
             try:
                 self._start(plant)
-                gc.freeze()  # existing objects stay: the collector need not examine them again and again
+                gc.freeze()  # existing objects stay, so the collector need not examine them repeatedly
                 gc.set_threshold(TUNING.run_collected)
                 notify("READY=1")
                 self._watch()
@@ -152,20 +158,20 @@ class Service:
             raise failed
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:
-        """SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
+        """Handle a signal: SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
         self._stopping |= number in (signal.SIGINT, signal.SIGTERM)
         self._reload_due |= number not in (signal.SIGINT, signal.SIGTERM)
 
     @property
     def _failed(self) -> PmfidError | None:
-        """The first error of the sources, if every one of them ended with one."""
+        """Return the first error of the sources if all of them ended with an error, otherwise None."""
         errors = [one.failed for one in self._sources]
         return errors[0] if errors and all(errors) else None
 
     # --- start --------------------------------------------------------------------------------------------------------
 
     def _prepare(self, plant: Plant) -> None:
-        """Does all steps that can fail before a thread runs."""
+        """Do all steps that can fail before a thread runs."""
         self._board = Board([], self.counters, every=max(plant.service.every, 0.1))
         self._log = Queued(self.log, self.counters, lambda notice: None, rows_wanted=False)
         self._log.start()
@@ -191,7 +197,7 @@ class Service:
             raise
 
     def _check_plant(self, plant: Plant) -> Vault | None:
-        """Checks and reports before the calibration of axes, which may take minutes."""
+        """Check the plant and report problems before the calibration of axes, which may take minutes."""
         page_config(plant)
         if not plant.sources:
             problem = "no source is configured, so nothing will come: add [sources.NAME]"
@@ -222,7 +228,10 @@ class Service:
         self._tell_now({**restored, "made": saved.wall, **more})
 
     def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
-        """A checkpoint and its groups that are still configured so. Raises ValueError for an invalid checkpoint."""
+        """Return a checkpoint, and its groups with a configuration that still exists.
+
+        Raises ValueError for an invalid checkpoint.
+        """
         saved = read_snapshot(body)
         present = {prepared.digest: prepared for prepared in self._axes.values()}
         groups = [one.restore_group(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
@@ -232,7 +241,7 @@ class Service:
         self._engine.notices.publish_own("", what)
 
     def _arrange(self, groups: list[Group]) -> list[str]:
-        """Assigns the axes to groups, with the given ones among them; returns the names of axes without a history."""
+        """Assign the axes to groups, including the given groups, and return the names of axes without a history."""
         made, fresh = arrange_groups(groups, self._axes, self._pace)
         self._engine.set_groups(made)
         remember(self._engine)
@@ -271,7 +280,7 @@ class Service:
         return None if prepared is None else prepared.axis
 
     def _say_started(self, plant: Plant) -> None:
-        """Reports the start to all outlets; the address of the page to the log, a new token to a terminal."""
+        """Report the start to all outlets. The log also gets the address of the page, and a terminal a new token."""
         state = None if plant.state is None else str(plant.state)
         serving = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
         self._outlets.remove(self._log)
@@ -318,7 +327,7 @@ class Service:
         return time.monotonic() - self._engine.beat < TUNING.run_stuck
 
     def _reference(self, axis: str) -> Record | None:
-        """The record of normal work of an axis."""
+        """Return the record of normal work of an axis."""
         prepared = self._axes.get(axis)
         if prepared is None or prepared.axis.monitor.reference is None:
             return None
@@ -348,7 +357,7 @@ class Service:
                 notify("WATCHDOG=1")
 
     def _reload(self) -> None:
-        """Reads the plant again in a thread: new calibrations do not delay other axes."""
+        """Read the plant again in a thread, so that new calibrations do not delay other axes."""
         if self._reloading is not None and self._reloading.is_alive():
             self._engine.tell({"event": "reload", "problem": "the last one is still under way; try again later"})
             return
@@ -383,7 +392,7 @@ class Service:
     # --- end ----------------------------------------------------------------------------------------------------------
 
     def _end(self) -> None:
-        """Ends the sources first, then the engine after their last delivery, then the outlets."""
+        """End the sources first, then the engine after their last delivery, then the outlets."""
         for running in self._sources:
             running.stop()
         for running in self._sources:

@@ -1,1 +1,1 @@
-"""Receivers of estimates and alarms: one file for each kind of sink."""
+"""Receivers of estimates and alarms, with one file for each kind of sink."""

@@ -1,4 +1,4 @@
-"""Estimates and events as lines of JSON in a file that grows, for one machine without a broker."""
+"""Estimates and events as lines of JSON in a growing file, for one machine without a broker."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ class FileSinkSection(SinkSection):
 
 
 class FileSink:
-    """A line for each row, `{"axis":...,"number":...,"theta":{...},...}`, and for each notice, which has an `event`.
+    """A sink that writes a line of JSON for each row and each notice; the line of a notice has an `event`.
 
-    A file that was renamed or removed, as by a rotation of logs, is made again. The same lines may come twice after an
-    error or a restart; axis and number tell.
+    If the file was renamed or removed, for example by a rotation of logs, it is made again. The same lines may come
+    twice after an error or a restart; axis and number identify them.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -52,17 +52,17 @@ class FileSink:
         self._path, self._file = path, -1
 
     def open(self) -> None:
-        """Raises OSError if the file cannot be made."""
+        """Open the file. Raises OSError if the file cannot be made."""
         self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        # without O_NONBLOCK a named pipe without a reader could not be given up
+        # Without O_NONBLOCK, the sink could not give up a named pipe without a reader.
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
         self._file = os.open(self._path, flags, 0o666)
         os.set_blocking(self._file, True)
         self._end_line()
 
     def _end_line(self) -> None:
-        """A line that a kill cut off gets its end, so that it spoils no other."""
+        """End a line that a kill cut off, so that the cut line spoils no other line."""
         if not stat.S_ISREG(os.fstat(self._file).st_mode):
             return
         with open(self._path, "rb") as file:
@@ -72,7 +72,7 @@ class FileSink:
                     _write_all(self._file, b"\n")
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError if the lines cannot be written: then a regular file has none of them."""
+        """Write the outcomes. Raises OSError if the lines cannot be written; a regular file then has none of them."""
         try:
             there = os.path.samestat(os.stat(self._path), os.fstat(self._file))
         except FileNotFoundError:
@@ -100,7 +100,7 @@ def _lines(outcome: EstimateRows | Notice) -> str:
 
 
 def _write_all(file: int, data: bytes) -> None:
-    """Writes to the last byte; what is written when an OSError comes stays."""
+    """Write all data. Bytes that were written before an OSError stay in the file."""
     left = memoryview(data)
     while left:
         left = left[os.write(file, left) :]

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 
 class BrokerLink:
-    """One connection at a time, each with a client of its own.
+    """One connection at a time to a broker, each with its own client.
 
-    new: makes a client that is not connected; address, keepalive [s]: of the broker; will: topic and text that the
-    broker publishes, retained, when the connection ends without a farewell. All methods raise OSError for what may
-    pass.
+    `new` makes a client that is not connected. `address` and `keepalive` [s] belong to the broker. `will` is the topic
+    and text that the broker publishes, retained, when the connection ends without a farewell. All methods raise OSError
+    for errors that may pass.
     """
 
     def __init__(
@@ -38,11 +38,11 @@ class BrokerLink:
         self._client: Client | None = None
         self._connected, self._ended = Event(), Event()
         self._problem = ""
-        self._acknowledged: list[MQTTMessageInfo] = []  # still to be, of quality of service 1
+        self._acknowledged: list[MQTTMessageInfo] = []  # messages of quality of service 1 without an acknowledgement
         self._last: MQTTMessageInfo | None = None
 
     def open(self) -> None:
-        """Ends the last connection, connects again, and waits until the broker agrees."""
+        """End the last connection, connect again, and wait until the broker accepts."""
         self.drop()
         client = self._client = self._new()
         self._connected, self._ended, self._problem = Event(), Event(), ""
@@ -59,7 +59,7 @@ class BrokerLink:
             self.drop()
             raise
 
-    # Callbacks of an older client, which comes to its end, must not speak for the present one.
+    # Callbacks of an older client, which is about to end, must not affect the present client.
 
     def _on_connect(self, client: Client, data: object, flags: object, reason: Any, properties: object) -> None:
         if client is self._client:
@@ -77,13 +77,13 @@ class BrokerLink:
             self._problem = f"the broker refuses a message: {reason}"
 
     def check(self) -> Client:
-        """The client. Raises OSError if the connection has ended, or a message was refused."""
+        """Return the client. Raises OSError if the connection has ended, or if a message was refused."""
         if self._problem or self._client is None or self._ended.is_set():
             raise OSError(self._problem or "there is no connection to the broker")
         return self._client
 
     def publish(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
-        """Hands over a message; `flush` reports its result."""
+        """Hand over a message; `flush` reports the result."""
         info = self.check().publish(topic, payload, qos, retain)
         if info.rc != 0:
             raise OSError(self._problem or "the connection to the broker ended")
@@ -92,7 +92,7 @@ class BrokerLink:
             self._acknowledged.append(info)
 
     def flush(self) -> None:
-        """Waits until all that was published is on its way, and acknowledged where that was asked for."""
+        """Wait until all published messages are sent, and acknowledged if that was requested."""
         waiting, self._acknowledged = self._acknowledged, []
         end = time.monotonic() + TUNING.mqtt_answer
         for info in [*waiting, *([self._last] if self._last is not None else [])]:
@@ -105,7 +105,7 @@ class BrokerLink:
         self.check()
 
     def drop(self) -> None:
-        """Ends the connection; the broker then knows that it was meant, and publishes no will."""
+        """End the connection with a farewell, so that the broker publishes no will."""
         client, self._client = self._client, None
         self._acknowledged, self._last = [], None
         if client is not None:
@@ -139,30 +139,33 @@ class MqttSinkSection(SinkSection, BrokerSection):
         return None if self.events else URGENT
 
     def make(self, name: str, context: Context) -> MqttSink:
-        """The sink, not yet open. Raises UsageError without paho-mqtt, and for secrets that are not there."""
+        """Return the sink, not yet open. Raises UsageError without paho-mqtt, and for missing secrets."""
         base = f"{self.prefix}/{quote(context.name, safe='')}"
         new = partial(new_client, self, context.folder, self.client_id or f"pmfid-{context.name}-{name}")
-        new()  # errors are reported at the start
+        new()  # reports errors at the start
         link = BrokerLink(new, self.address, self.keepalive, (f"{base}/status", OFFLINE))
         return MqttSink(name, base, link, self)
 
 
 class MqttSink:
-    """Topics, below prefix and service: `status` (retained; `offline` is the last will), `estimates/AXIS`,
-    `alarms/AXIS` (retained, empty when it is taken back; of silence `alarms/AXIS/silent`, `alarms/_source/NAME/silent`,
-    `alarms/_sink/NAME/silent`), `batches/CONFIG` for rows of many axes, `events`.
+    """A sink that publishes to topics below prefix and service.
 
-    Messages may come twice after an error or a restart; numbers tell.
+    The topics are `status` (retained; `offline` is the last will), `estimates/AXIS` and `alarms/AXIS` (retained, empty
+    after the alarm). Alarms on silence have `alarms/AXIS/silent`, `alarms/_source/NAME/silent` and
+    `alarms/_sink/NAME/silent`. Rows of many axes go to `batches/CONFIG`, events to `events`. Messages may come twice
+    after an error or a restart; their numbers identify them.
     """
 
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSinkSection) -> None:
         self.name = name
         self._base, self._link, self._section = base, link, section
-        self._standing: dict[str, tuple[int, bytes]] = {}  # topic -> what is retained there: number, message
+        self._standing: dict[str, tuple[int, bytes]] = {}  # topic -> number and message that the broker retains
 
     def open(self) -> None:
-        """Connects, and publishes what the broker is to know from now on: one that was killed may have lost what it
-        retained, or retain again what was taken back."""
+        """Connect, and publish all messages that the broker shall retain.
+
+        A killed broker may have lost a retained message, or retain an outdated message again.
+        """
         self._link.open()
         self._link.publish(f"{self._base}/status", ONLINE, 1, retain=True)
         for topic, (_, payload) in self._standing.items():
@@ -170,7 +173,7 @@ class MqttSink:
         self._link.flush()
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError if the connection has ended, or not all is acknowledged."""
+        """Publish the outcomes. Raises OSError if the connection has ended, or if an acknowledgement is missing."""
         self._link.check()
         for one in outcomes:
             if isinstance(one, Notice):
@@ -186,7 +189,7 @@ class MqttSink:
         self._link.flush()
 
     def _topic(self, what: str, of: str) -> str:
-        """A name as one level of a topic, with any characters."""
+        """Return a topic with a name as one level, whatever characters the name has."""
         return f"{self._base}/{what}/{quote(of, safe='')}"
 
     def _notice(self, notice: Notice) -> None:
@@ -199,8 +202,10 @@ class MqttSink:
             self._link.publish(f"{self._base}/events", payload, 1)
 
     def _alarm_topic(self, notice: Notice) -> str:
-        """Where an alarm is retained: silence has a topic of its own, for it may come and go under another alarm. No
-        axis has a name with "_" first."""
+        """Return the topic on which an alarm is retained.
+
+        Silence has its own topic, because it may come and go during another alarm. No name of an axis begins with "_".
+        """
         kind = notice.what.get("silent")
         if kind is None:
             return self._topic("alarms", notice.axis)
@@ -214,7 +219,7 @@ class MqttSink:
         self._link.publish(topic, payload, 1, retain=True)
 
     def _takes_back(self, notice: Notice, topic: str) -> bool:
-        """Whether the alarm of a topic is over. One that was raised before this start is not known here."""
+        """Return whether the alarm of a topic is over. An alarm that was raised before this start is unknown here."""
         event, clear = notice.what.get("event"), self._section.clear
         if event == "acknowledged" and clear in ("acknowledged", "either"):
             standing, named = self._standing.get(topic), notice.axis or "silent" in notice.what
@@ -222,7 +227,7 @@ class MqttSink:
         return event == "cleared" or (event == "settled" and clear in ("settled", "either"))
 
     def close(self) -> None:
-        """Says that the service is offline, and ends the connection."""
+        """Publish that the service is offline, and end the connection."""
         try:
             self._link.publish(f"{self._base}/status", OFFLINE, 1, retain=True)
             self._link.flush()
@@ -231,7 +236,8 @@ class MqttSink:
 
 
 def batches_of(rows: EstimateRows) -> Iterator[dict[str, Any]]:
-    """Columns of up to mqtt_batch rows each, for JSON: axis, number, time, theta and std as lists of lists, ..."""
+    """Yield columns of up to `mqtt_batch` rows each, for JSON: axis, number, time, theta and std as lists of lists,
+    ..."""
     named = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
     for start in range(0, rows.axis.size, TUNING.mqtt_batch):
         part = slice(start, start + TUNING.mqtt_batch)

@@ -1,4 +1,4 @@
-"""Rows and notices as plain values for texts: numbers and names in place of arrays, strict JSON."""
+"""Rows and notices as plain values for texts: numbers and names in place of arrays, in strict JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pmfid.stream.outcome import EstimateRows, Notice
 
 
 def row_objects(rows: EstimateRows) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The name of the axis and an object for JSON of each row of a block, in order."""
+    """Yield the name of the axis and an object for JSON for each row of a block, in order."""
     names = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
     columns = [getattr(rows, name).tolist() for name in names]
     for axis, state, *values in zip(rows.axis.tolist(), rows.state.tolist(), *columns, strict=True):
@@ -24,23 +24,25 @@ def row_objects(rows: EstimateRows) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def notice_object(notice: Notice) -> dict[str, Any]:
-    """The notice as an object for JSON: what `pmfid monitor --json` prints for the event, preceded by its axis, number
-    and wall time."""
+    """Return a notice as an object for JSON.
+
+    The object has axis, number and wall time, followed by the keys that `pmfid monitor --json` prints for the event.
+    """
     return {"axis": notice.axis, "number": notice.number, "wall": notice.wall} | {
-        # an acknowledgement has a number of its own besides the number of its alarm
+        # An acknowledgement has its own number in addition to the number of its alarm.
         {"number": "alarm"}.get(key, key): value
         for key, value in notice.what.items()
     }
 
 
 def alarm_of(notice: Notice) -> int | None:
-    """The number of the alarm that a notice acknowledges."""
+    """Return the number of the alarm that a notice acknowledges."""
     number = notice.what.get("alarm", notice.what.get("number"))
     return number if isinstance(number, int) else None
 
 
 def as_json(value: object) -> str:
-    """JSON on one line; a number that is not finite becomes null."""
+    """Return JSON on one line. A number that is not finite becomes null."""
     try:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError):
@@ -48,13 +50,16 @@ def as_json(value: object) -> str:
 
 
 def json_line(notice: Notice) -> str:
-    """A notice as one line of JSON."""
+    """Return a notice as one line of JSON."""
     return as_json(notice_object(notice))
 
 
 @dataclass
 class NoticeLog:
-    """A sink that writes lines to a stream; line: of a notice, "" to leave the notice out."""
+    """A sink that writes lines to a stream.
+
+    `line` returns the line of a notice, or "" to leave the notice out.
+    """
 
     stream: IO[str]
     line: Callable[[Notice], str] = json_line

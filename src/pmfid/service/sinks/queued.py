@@ -1,4 +1,4 @@
-"""Queues of sinks: what waits, is sent again, or is given up."""
+"""Queues of sinks, which keep, repeat or drop outcomes."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ from pmfid.service.context import Context, Sink, Tell
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
 
-#: Events that a person waits for; all others are dropped before them.
+#: Events that a person waits for. All other events are dropped first.
 URGENT = frozenset({"alarm", "acknowledged", "settled", "cleared"})
-#: Most outcomes that are taken at once.
+#: Largest number of outcomes that are taken together.
 MOST_ENTRIES = 1024
 
 
 @dataclass(frozen=True)
 class QueueLimits:
-    """How much may wait for one sink: rows, bytes of rows, notices, each at least 1; take: rows that are handed to the
-    sink at once."""
+    """Limits of the queue of one sink: numbers of rows and notices, and bytes of rows, each at least 1.
+
+    `take` is the number of rows that the sink gets together.
+    """
 
     rows: int = 100_000
     size: int = 64_000_000
@@ -36,7 +38,7 @@ class QueueLimits:
 
 
 class Lost(NamedTuple):
-    """Dropped outcomes: the number of rows and of notices; urgent: numbers of the urgent notices among them."""
+    """Numbers of dropped rows and notices; `urgent` has the numbers of the urgent notices among them."""
 
     rows: int = 0
     notices: int = 0
@@ -44,7 +46,10 @@ class Lost(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """An outcome that waits; serial: its place in the order in which they came; rows, size [bytes]: 0 for a notice."""
+    """A waiting outcome.
+
+    `serial` is the place of the outcome in the order of arrival. `rows` and `size` [bytes] are 0 for a notice.
+    """
 
     serial: int
     outcome: EstimateRows | Notice
@@ -56,7 +61,7 @@ Line = deque[Entry]
 
 
 def is_urgent(notice: Notice) -> bool:
-    """Whether a person waits for the outcome."""
+    """Return whether a person waits for the outcome."""
     return notice.what.get("event") in URGENT
 
 
@@ -66,9 +71,9 @@ def size_of(rows: EstimateRows) -> int:
 
 @dataclass
 class OutcomeQueue:
-    """Rows, urgent notices and other ones, each in a line of its own, and taken in the order in which they came.
+    """A queue with separate lines for rows, urgent notices and other notices, which are taken in the order of arrival.
 
-    The newest block always stays: a block of rows that exceeds the limits is kept until the next one arrives.
+    The newest block always stays: a block of rows that exceeds the limits is kept until the next block arrives.
     """
 
     limits: QueueLimits
@@ -93,7 +98,7 @@ class OutcomeQueue:
         return 2 * self.rows > limits.rows or 2 * self.size > limits.size or 2 * self.notices > limits.notices
 
     def add(self, outcome: EstimateRows | Notice) -> Lost:
-        """Appends an outcome. Returns the dropped outcomes."""
+        """Append an outcome, and return the dropped outcomes."""
         self._serial += 1
         if isinstance(outcome, EstimateRows):
             entry = Entry(self._serial, outcome, outcome.axis.size, size_of(outcome))
@@ -103,7 +108,7 @@ class OutcomeQueue:
         return self._drop_excess()
 
     def take(self, most: int = MOST_ENTRIES) -> list[Entry]:
-        """The oldest outcomes, in order, at most `most` and within the limits of a sink."""
+        """Return the oldest outcomes, in order, at most `most`, and within the limits of a sink."""
         taken: list[Entry] = []
         rows = 0
         lines = (self._rows, self._urgent, self._other)
@@ -118,13 +123,13 @@ class OutcomeQueue:
         return taken
 
     def give_back(self, taken: Sequence[Entry]) -> Lost:
-        """Puts the last taken outcomes in front again. Returns the dropped outcomes."""
+        """Put the last taken outcomes in front again, and return the dropped outcomes."""
         for entry in reversed(taken):
             self._count(entry).appendleft(entry)
         return self._drop_excess()
 
     def _count(self, entry: Entry) -> Line:
-        """Counts an entry. Returns its line."""
+        """Count an entry, and return its line."""
         self.rows += entry.rows
         self.size += entry.size
         if isinstance(entry.outcome, EstimateRows):
@@ -148,7 +153,10 @@ class OutcomeQueue:
 
 
 def problem_of(error: Exception) -> str:
-    """One line; of the errors of a system the words for its number, without addresses that may hold a secret."""
+    """Return the problem as one line.
+
+    A system error gives the words for its number, without addresses that may contain a secret.
+    """
     if isinstance(error, OSError) and error.strerror:
         name = f": {error.filename}" if isinstance(error.filename, str) else ""
         return printable(f"{error.strerror}{name}")
@@ -159,13 +167,13 @@ def problem_of(error: Exception) -> str:
 class Queued:
     """An outlet that keeps outcomes until the sink has them.
 
-    An offer takes microseconds: no write and no comparison holds the lock. After an OSError of the sink, which is
-    reported once, the outcomes are tried again with growing pauses and `open` before them. After another error each
-    outcome is tried alone, and dropped if it causes the error again.
-    Levels and totals, each with the label `sink`: pmfid_sink_waiting_rows, pmfid_sink_working, pmfid_sink_rows_total,
-    pmfid_sink_errors_total, pmfid_dropped_rows_total, pmfid_dropped_notices_total, pmfid_refused_total.
+    An offer takes microseconds, because no write and no comparison holds the lock. After an OSError of the sink, the
+    outcomes are tried again with growing pauses, each time after `open`. The error is reported once. After another
+    error each outcome is tried alone, and dropped if it causes the error again. Levels and totals have the label
+    `sink`: pmfid_sink_waiting_rows, pmfid_sink_working, pmfid_sink_rows_total, pmfid_sink_errors_total,
+    pmfid_dropped_rows_total, pmfid_dropped_notices_total, pmfid_refused_total.
 
-    rows_wanted: whether rows are for this sink; events: the notices that are, None for all.
+    `rows_wanted` is true if this sink takes rows. `events` has the notices for this sink; None means all notices.
     """
 
     def __init__(
@@ -183,7 +191,7 @@ class Queued:
         self._rows_wanted, self._events = rows_wanted, events
         self._waiting = OutcomeQueue(self._limits)
         self._changed, self._closing = Condition(), Event()
-        self._deadline = float("inf")  # of `close`
+        self._deadline = float("inf")  # deadline of `close`
         self._open = self._failing = False
         self._pause, self._working_since, self._taken_at = 0.0, 0.0, -TUNING.queued_idle
         self._alone = 0  # number of next outcomes that are written one by one
@@ -191,8 +199,8 @@ class Queued:
         self._reported_at = -TUNING.tell_every
         self._refusals: set[str] = set()
         self._trying: float | None = None  # time since which the sink has taken nothing
-        self._proved = False  # it has taken something
-        self._unwritten: dict[int, Notice] = {}  # urgent ones that the sink does not have yet, by number
+        self._proved = False  # true if the sink has taken something
+        self._unwritten: dict[int, Notice] = {}  # urgent notices that the sink does not have yet, by number
         self._thread = Thread(target=self._run, name=f"sink {sink.name}", daemon=True)
         for total in ("pmfid_dropped_rows_total", "pmfid_dropped_notices_total", "pmfid_sink_errors_total"):
             counters.add(total, 0, sink=self.name)
@@ -221,19 +229,19 @@ class Queued:
         self._count_lost(lost)
 
     def unwritten(self) -> list[Notice]:
-        """Alarms, and notices on them, that the sink does not have yet: a checkpoint keeps them."""
+        """Return alarms, and notices on alarms, that the sink does not have yet. A checkpoint keeps them."""
         with self._changed:
             return list(self._unwritten.values())
 
     def works(self, since: float) -> bool | None:
-        """Does the sink work? A sink that waits for a silent server does not."""
+        """Return whether the sink works, or None if unknown. A sink that waits for a silent server does not work."""
         trying = self._trying
         if trying is None:
             return self._proved or None
         return None if trying > since else False
 
     def _forget_written(self, batch: Sequence[Entry]) -> None:
-        """Forgets urgent notices that the sink has, or that it refuses."""
+        """Forget urgent notices that the sink has, or that it refuses."""
         with self._changed:
             for entry in batch:
                 if isinstance(entry.outcome, Notice):
@@ -243,8 +251,10 @@ class Queued:
         self._thread.start()
 
     def close(self, within: float) -> bool:
-        """Lets the sink write the waiting outcomes for at most `within` seconds, then drops and counts the rest. False
-        if the sink has not ended by then."""
+        """Let the sink write the waiting outcomes for at most `within` seconds, then drop and count the rest.
+
+        Returns False if the sink has not ended by then.
+        """
         with self._changed:
             self._deadline = time.monotonic() + within
             self._closing.set()
@@ -283,7 +293,10 @@ class Queued:
         self._end()
 
     def _next(self) -> list[Entry] | None:
-        """Waits for the next outcomes, an empty list after queued_idle; None at the end."""
+        """Wait for the next outcomes, and return them, or None at the end.
+
+        After `queued_idle`, the result is an empty list.
+        """
         with self._changed:
             while not (self._closing.is_set() or self._waiting.crowded or self._compute_wait() == 0):
                 self._changed.wait(self._compute_wait())
@@ -293,7 +306,7 @@ class Queued:
             return self._waiting.take(1 if self._alone else MOST_ENTRIES)
 
     def _compute_wait(self) -> float:
-        """Seconds until there is something to write, or until the sink is to be looked after."""
+        """Return the seconds until the sink has outcomes to write, or until it is to be checked."""
         return 0.0 if self._alone or self._waiting else max(self._taken_at + TUNING.queued_idle - time.monotonic(), 0.0)
 
     def _write(self, batch: Sequence[Entry]) -> None:
@@ -327,7 +340,7 @@ class Queued:
             self._tell({**recovery, "lost_rows": lost.rows, "lost_notices": lost.notices})
 
     def _note_failure(self, error: Exception, batch: Sequence[Entry]) -> None:
-        """Reports a passing error once; the outcomes wait in front of all others."""
+        """Report a passing error once. The outcomes wait in front of all others."""
         steady = not self._failing and time.monotonic() - self._working_since > TUNING.queued_steady
         again = min(2 * self._pause, TUNING.queued_longest_pause)
         self._pause = TUNING.queued_first_pause if steady or not self._pause else again
@@ -346,7 +359,7 @@ class Queued:
         self._count_lost(lost)
 
     def _drop_refused(self, error: Exception, batch: Sequence[Entry]) -> None:
-        """After a lasting error: has each outcome tried alone, and drops the outcome that causes the error."""
+        """Try each outcome alone after a lasting error, and drop the outcome that causes the error."""
         if len(batch) > 1:
             self._alone = len(batch)
             self._give_back(batch)
@@ -360,7 +373,7 @@ class Queued:
             self._tell({"event": "sink", "sink": self.name, "works": True, "problem": f"refused: {problem}"})
 
     def _tell_lost(self) -> None:
-        """Reports a slow sink; the report at the end of an error contains its own losses."""
+        """Report a slow sink. At the end of an error, the report on the error contains its own losses."""
         if self._failing or not any(self._lost) or time.monotonic() - self._reported_at < TUNING.tell_every:
             return
         self._reported_at = time.monotonic()
@@ -384,19 +397,21 @@ class SinkSection(FileSection):
     queue_notices: int = Field(10_000, ge=1, description="the number of notices that may wait")
 
     def make(self, name: str, context: Context) -> Sink:
-        """The sink, not yet open. Raises UsageError for what is known to be wrong before, as a missing library or
-        secret."""
+        """Return the sink, not yet open.
+
+        Raises UsageError for errors that are known before, for example a missing library or secret.
+        """
         raise NotImplementedError
 
     def wants_rows(self) -> bool:
         return True
 
     def wants_events(self) -> frozenset[str] | None:
-        """Events that are for this sink; None for all."""
+        """Return the events for this sink, or None for all events."""
         return None
 
     def outlet(self, name: str, context: Context) -> Queued:
-        """The queue of the sink, not yet started. Raises UsageError, as `make`."""
+        """Return the queue of the sink, not yet started. Raises UsageError as `make` does."""
         limits = QueueLimits(self.queue_rows, int(1e6 * self.queue_mb), self.queue_notices)
         sink = self.make(name, context)
         return Queued(sink, context.counters, context.tell, limits, self.wants_rows(), self.wants_events())

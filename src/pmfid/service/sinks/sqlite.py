@@ -18,7 +18,7 @@ from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
-#: Of the layout below, kept in the file; and what marks a file as one of these ("pmfd").
+#: Version of the layout in this module, and the number that marks such a file ("pmfd"). The file contains both.
 VERSION, APPLICATION = 1, 0x706D6664
 
 SCHEMA = """
@@ -93,7 +93,7 @@ class SqliteSection(SinkSection):
 
 @contextmanager
 def _raise_os_errors(path: Path) -> Iterator[None]:
-    """Raises OSError for errors of SQLite, which may pass: a full disk, a damaged file, or a file in use."""
+    """Convert errors of SQLite to OSError, because they may pass: a full disk, a damaged file, or a file in use."""
     try:
         yield
     except sqlite3.Error as error:
@@ -101,10 +101,11 @@ def _raise_os_errors(path: Path) -> Iterator[None]:
 
 
 class SqliteSink:
-    """Writes all given notices in one transaction, or none of them. When `put` returns, they are on the disk.
+    """A sink that writes all given notices in one transaction, or none of them.
 
-    A notice that is there already, with its number, its axis and all that it says, is not written again. Number alone
-    would not do: a service that lost its state counts from 1 again, and its alarms must not look like old ones.
+    When `put` returns, the notices are on the disk. A notice with the same number, axis and content is not written
+    again. The number alone does not suffice: a service that lost its state counts from 1 again. Its alarms must not
+    look like old ones.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -113,7 +114,7 @@ class SqliteSink:
         self._database: sqlite3.Connection | None = None
 
     def open(self) -> None:
-        """Raises OSError if the file cannot be used, or is not one of this kind."""
+        """Open the file. Raises OSError if the file cannot be used, or if it is of another kind."""
         self.close()
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with _raise_os_errors(self._path):
@@ -126,7 +127,7 @@ class SqliteSink:
         self._database = database
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError if they cannot be written."""
+        """Write the notices. Raises OSError if they cannot be written."""
         if self._database is None:
             raise OSError(f"{self._path.name} is not open")
         with _raise_os_errors(self._path), closing(self._database.cursor()) as cursor, _transaction(self._database):
@@ -135,7 +136,7 @@ class SqliteSink:
                     _insert(cursor, one)
 
     def close(self) -> None:
-        """Closes the file; all outcomes of `put` are on the disk already."""
+        """Close the file; all outcomes of `put` are on the disk already."""
         database, self._database = self._database, None
         if database is not None:
             with _raise_os_errors(self._path):
@@ -143,7 +144,7 @@ class SqliteSink:
 
 
 def _prepare(database: sqlite3.Connection, path: Path) -> None:
-    """The schema in a new file; a check of one that is there."""
+    """Make the schema in a new file, or check an existing file."""
     (application,), (version,) = (
         database.execute(f"PRAGMA {key}").fetchone() for key in ("application_id", "user_version")
     )
@@ -151,7 +152,7 @@ def _prepare(database: sqlite3.Connection, path: Path) -> None:
         raise OSError(f"{path.name} was written by a newer version of pmfid; give another file")
     if application != APPLICATION and database.execute("SELECT 1 FROM sqlite_master").fetchone():
         raise OSError(f"{path.name} is a database of something else; give another file")
-    # readers do not hold up the writer, and a transaction is on the disk when it ends
+    # Readers do not delay the writer, and a transaction is on the disk when it ends.
     database.execute("PRAGMA journal_mode = WAL")
     database.execute("PRAGMA synchronous = FULL")
     if application != APPLICATION:
@@ -169,7 +170,7 @@ def _transaction(database: sqlite3.Connection) -> Iterator[None]:
         yield
         database.execute("COMMIT")
     except BaseException:
-        if database.in_transaction:  # SQLite has ended it by itself after some errors
+        if database.in_transaction:  # SQLite ends the transaction by itself after some errors
             database.execute("ROLLBACK")
         raise
 
@@ -177,26 +178,26 @@ def _transaction(database: sqlite3.Connection) -> Iterator[None]:
 def _insert(cursor: sqlite3.Cursor, notice: Notice) -> None:
     what, event = notice.what, str(notice.what.get("event", ""))
     written = cursor.execute(INSERT, (notice.number, notice.axis, event, notice.wall, as_json(what)))
-    if written.rowcount == 0:  # it came before
+    if written.rowcount == 0:  # the notice came before
         return
     row = cursor.lastrowid
     if event == "alarm":
         values = (row, notice.number, notice.axis, notice.wall, *(_cell(what.get(key)) for key in ALARM))
         cursor.execute(f"INSERT INTO alarms VALUES ({', '.join('?' * len(values))})", values)
     elif event == "acknowledged":
-        # the newest of that number: a service that lost its state counts from 1 again
+        # The newest alarm of this number, because a service that lost its state counts from 1 again.
         alarm = "(SELECT max(id) FROM alarms WHERE number = ? AND axis = ?)"
         values = (row, alarm_of(notice), notice.axis, notice.axis, notice.wall, str(what.get("note", "")))
         cursor.execute(f"INSERT INTO acknowledgements VALUES (?, {alarm}, ?, ?, ?)", values)
     elif event == "configuration" and what.get("digest") is not None:
-        # the service reports its configuration at every start; only differences belong to the history
+        # The service reports its configuration at every start, but only differences belong to the history.
         config, digest = _cell(what.get("config")), _cell(what["digest"])
         values = (row, notice.axis, notice.wall, config, digest, as_json(what), config, notice.axis, digest)
         cursor.execute(INSERT_CONFIGURATION, values)
 
 
 def _cell(value: object) -> float | str | None:
-    """A value for a column; SQLite has NULL for a number that is not finite."""
+    """Return a value for a column. SQLite has NULL for a number that is not finite."""
     if isinstance(value, str) or value is None:
         return value
     if isinstance(value, int | float):

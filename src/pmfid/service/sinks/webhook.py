@@ -22,14 +22,17 @@ from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
-#: Answers that are about what was sent, and will be the same next time.
+#: Answers that concern the content of a request, and would be the same next time.
 ABOUT_CONTENT = (400, 413, 414, 415, 422, 431)
 
 
 def check_address(url: str, secret: str | None, label: str) -> SplitResult:
-    """The parts of an address. Raises UsageError for what is none, for a user or password in it, and for a secret that
-    would go unencrypted to another machine; label: of the section, for messages. No message shows the address: it may
-    be a secret."""
+    """Return the parts of an address.
+
+    Raises UsageError for an invalid address, for a user or password in it, and for a secret that would go unencrypted
+    to another machine. `label` is the name of the section in messages. No message contains the address, because it may
+    be a secret.
+    """
     try:
         parts = urlsplit(url)
         host, _ = parts.hostname, parts.port
@@ -47,8 +50,11 @@ def check_address(url: str, secret: str | None, label: str) -> SplitResult:
 
 
 class Poster:
-    """Posts to one address. headers: sent each time; timeout: s for a whole exchange; ca: file of the trusted
-    certificates, None for the certificates of the system. Raises UsageError if the file cannot be read."""
+    """A client that posts to one address.
+
+    `headers` are sent with every request. `timeout` is the time for a whole exchange [s]. `ca` is the file of the
+    trusted certificates; None takes the certificates of the system. Raises UsageError if the file cannot be read.
+    """
 
     def __init__(
         self, address: SplitResult, headers: Mapping[str, str], timeout: float, ca: Path | None = None
@@ -64,8 +70,10 @@ class Poster:
                 raise UsageError(f"the certificates in {ca} cannot be read; correct the name of the file") from None
 
     def post(self, body: bytes, headers: Mapping[str, str]) -> None:
-        """Sends it; the connection stays open until `close`. Raises OSError for what may pass, and RefusedError where
-        the server will not take what was sent."""
+        """Send the body. The connection stays open until `close`.
+
+        Raises OSError for errors that may pass, and RefusedError if the server will not take the content.
+        """
         connection = self._connection = self._connection or self._connect()
         late: list[bool] = []
         watch = Timer(self._timeout, _cut, (connection, late))
@@ -74,7 +82,7 @@ class Poster:
         try:
             connection.request("POST", self._target, body, {**self._headers, **headers})
             answer = connection.getresponse()
-            if len(answer.read(TUNING.most_answer)) == TUNING.most_answer or late:  # the status is all that counts
+            if len(answer.read(TUNING.most_answer)) == TUNING.most_answer or late:  # only the status counts
                 self.close()
         except (OSError, http.client.HTTPException) as error:
             self.close()
@@ -95,14 +103,14 @@ class Poster:
         return http.client.HTTPConnection(host, port, timeout=self._timeout)
 
     def close(self) -> None:
-        """Closes the connection; the next `post` opens another one."""
+        """Close the connection; the next `post` opens another one."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
 
 
 def _cut(connection: http.client.HTTPConnection, late: list[bool]) -> None:
-    """Ends an exchange that takes too long, even if single bytes still arrive."""
+    """End an exchange that takes too long, even if single bytes still arrive."""
     late.append(True)
     socket = connection.sock
     if socket is not None:
@@ -120,7 +128,7 @@ def _build_os_error(error: OSError | http.client.HTTPException, late: bool, time
     return OSError(f"the connection ended without an answer ({type(error).__name__})")
 
 
-#: All events of a service: a misspelt event would never be sent.
+#: All events of a service. A misspelt event would never be sent.
 EVENTS = (
     *("alarm", "acknowledged", "settled", "cleared", "state", "outlier", "gap", "clock", "epoch", "period", "late"),
     "duplicate",
@@ -143,7 +151,7 @@ class WebhookSection(SinkSection):
     url: Name | None = Field(None, description='the address, as "https://example.org/alarms"')
     url_env: Name | None = Field(None, description="the environment variable with the address, where that is a secret")
     url_file: Name | None = Field(None, description="the file with the address, where that is a secret")
-    # not strict, because TOML has lists and a frozen object wants a tuple
+    # The field is not strict, because TOML has lists and a frozen object needs a tuple.
     events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1), AfterValidator(_check_events)] = Field(
         ("alarm", "cleared"), description='the events that are sent, as ["alarm", "settled", "acknowledged"]'
     )
@@ -170,7 +178,7 @@ class WebhookSection(SinkSection):
         return frozenset(self.events)
 
     def make(self, name: str, context: Context) -> WebhookSink:
-        """The sink, not yet open. Raises UsageError for an address or a secret that is none."""
+        """Return the sink, not yet open. Raises UsageError for an invalid address or secret."""
         label, folder = f"[sinks.{name}]", context.folder
         url = self.url or secret(self.url_env, self.url_file, folder)
         if url is None:
@@ -183,8 +191,10 @@ class WebhookSection(SinkSection):
 
 
 class WebhookSink:
-    """Each notice that is put goes out once as long as this process lives, and once more where it comes again after a
-    restart: then with the same `Idempotency-Key`."""
+    """A sink that sends each notice once during the life of this process.
+
+    A notice that comes again after a restart is sent again, with the same `Idempotency-Key`.
+    """
 
     def __init__(self, name: str, service: str, poster: Poster) -> None:
         self.name = name
@@ -195,7 +205,10 @@ class WebhookSink:
         pass
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Raises OSError if the server does not answer or has a problem, RefusedError where it will not take one."""
+        """Send the notices.
+
+        Raises OSError if the server does not answer or has a problem, and RefusedError if it will not take a notice.
+        """
         try:
             for notice in outcomes:
                 if isinstance(notice, Notice):

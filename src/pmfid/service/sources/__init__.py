@@ -1,1 +1,1 @@
-"""Origins of data: one file for each kind of source."""
+"""Origins of data, with one file for each kind of source."""

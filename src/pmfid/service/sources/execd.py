@@ -1,4 +1,4 @@
-"""Telegraf's execd: line protocol on standard input, of an output or of a processor, which passes every line on.
+"""Line protocol on standard input for Telegraf's execd, as an output or as a processor that passes every line on.
 
 Telegraf starts the service, and ends it by closing the pipe.
 """
@@ -35,7 +35,7 @@ class ExecdSection(SourceSection):
 
 @dataclass
 class ExecdSource:
-    """A `Source` of line protocol. stdin, stdout: file descriptors."""
+    """A `Source` of line protocol. `stdin` and `stdout` are file descriptors."""
 
     name: str
     section: ExecdSection
@@ -46,7 +46,7 @@ class ExecdSource:
     _stopped: Event = field(default_factory=Event, init=False)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Reads until the pipe is closed or `stop` is called."""
+        """Read until the pipe is closed or `stop` is called."""
         form = Messages(Readers(self.axis), "line", self.section.axis_tag, self.section.precision)
         splitter, passing = LineSplitter(), self.section.pass_on
         while not self._stopped.is_set():
@@ -66,7 +66,7 @@ class ExecdSource:
         self._stopped.set()
 
     def _pass_on(self, text: bytes) -> bool:
-        """Writes lines to standard output; False once it has no reader."""
+        """Write lines to standard output. Returns False once the output has no reader."""
         try:
             while text:
                 text = text[os.write(self.stdout, text) :]

@@ -1,4 +1,4 @@
-"""Files as sources: a record played at a speed, a file that grows, and standard input."""
+"""Files as sources: a record played at a given speed, a growing file, and standard input."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Speed = Annotated[float, AfterValidator(_usable)]
 
 
 class FileSource(SourceSection):
-    """[sources.NAME] kind = "file": lines of a file that grows, or a record that is played."""
+    """[sources.NAME] kind = "file": lines of a growing file, or a record that is played."""
 
     kind: Literal["file"] = Field(description='"file"')
     path: Name = Field(description='the file, as "logs/x1.csv"')
@@ -48,7 +48,7 @@ class FileSource(SourceSection):
     )
 
     def make(self, name: str, context: Context) -> Source:
-        """Raises UsageError for an axis that is not in the plant."""
+        """Return the source. Raises UsageError for an axis that is not in the plant."""
         axis, path = _axis(context, self.axis), context.folder / self.path
         if self.speed is not None:
             return Player(name, self.axis, path, axis, self.speed)
@@ -74,7 +74,10 @@ def _axis(context: Context, name: str) -> Axis:
 
 @dataclass
 class Player:
-    """A record in blocks, as if it were measured now; speed: times the speed of the machine, 0: as fast as it goes."""
+    """A record in blocks, as if it were measured now.
+
+    `speed` is a multiple of the machine's speed; 0 means as fast as possible.
+    """
 
     name: str
     axis: str
@@ -85,7 +88,7 @@ class Player:
     _stop: Event = field(default_factory=Event, init=False)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Hands over all samples, or the samples after the mark."""
+        """Hand over all samples, or the samples after the mark."""
         record = read_record(self.path, self.config) if self.record is None else self.record
         status = os.stat(self.path)
         version, epoch, start = f"{status.st_size} {status.st_mtime_ns}", 0, 0
@@ -110,7 +113,7 @@ class Player:
 
 @dataclass
 class _Text:
-    """Bytes of a stream as lines of one axis. header: the line that says what the columns are, once it came."""
+    """The bytes of a stream as lines of one axis. `header` is the line with the names of the columns, once known."""
 
     source: str
     axis: str
@@ -123,7 +126,10 @@ class _Text:
         self._parse = LineParser(self.header, self.config) if self.header else None
 
     def take(self, chunk: bytes) -> list[Line]:
-        """Samples of the lines that end in the chunk; an unfinished one waits. Raises UsageError without a header."""
+        """Return the samples of the lines that end in the chunk; an unfinished line waits.
+
+        Raises UsageError without a header.
+        """
         text = self._rest + chunk
         *whole, self._rest = text.split(b"\n")
         if len(self._rest) > PIPELINE_TUNING.longest_line:
@@ -131,13 +137,13 @@ class _Text:
         return list(self._lines(whole))
 
     def end(self) -> list[Line]:
-        """The samples of the last line, which no line feed ends."""
+        """Return the samples of the last line, which has no line feed."""
         rest, self._rest = self._rest, b""
         return list(self._lines([rest]))
 
     @property
     def unfinished(self) -> int:
-        """Bytes of the line that waits for its end."""
+        """Number of bytes of the line that waits for its end."""
         return len(self._rest)
 
     def _lines(self, whole: list[bytes]) -> Iterator[Line]:
@@ -153,7 +159,7 @@ class _Text:
 
 @dataclass
 class Piped:
-    """Lines of a stream, until it ends."""
+    """A source of the lines of a stream, until the stream ends."""
 
     name: str
     axis: str
@@ -162,8 +168,10 @@ class Piped:
     _stop: Event = field(default_factory=Event, init=False)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Hands over the lines as they arrive. Lines cannot be read twice, so there is no mark. Raises UsageError for a
-        stream without a header."""
+        """Hand over the lines as they arrive.
+
+        Lines cannot be read twice, so they have no mark. Raises UsageError for a stream without a header.
+        """
         text = _Text(self.name, self.axis, self.config)
         while not self._stop.is_set():
             chunk = self._read()
@@ -176,7 +184,7 @@ class Piped:
                 return
 
     def _read(self) -> bytes | None:
-        """The next bytes, b"" at the end; None after a pause without bytes, so that `stop` takes effect."""
+        """Return the next bytes, b"" at the end, or None after a pause without bytes, so that `stop` takes effect."""
         try:
             number = self.stream.fileno()
         except OSError:  # a stream of the same process
@@ -191,8 +199,10 @@ class Piped:
 
 @dataclass
 class Follower:
-    """Lines of a file that grows, as `tail -F` follows it: a file that takes its place is read from its start, and so
-    is one that was cut short."""
+    """The lines of a growing file, as `tail -F` follows it.
+
+    A new file of the same name is read from its start, and so is a truncated file.
+    """
 
     name: str
     axis: str
@@ -205,7 +215,7 @@ class Follower:
         self._report = ProblemReport(self.name, self.context.tell)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Hands over the lines as they come, from the mark on where the file is still that one."""
+        """Hand over the lines as they come, starting at the mark if the file is still the same."""
         while not self._stop.is_set():
             try:
                 with open(self.path, "rb", buffering=0) as file:
@@ -218,7 +228,7 @@ class Follower:
             self._stop.wait(TUNING.file_look)
 
     def _follow(self, file: BinaryIO, take: Take, mark: Mark | None) -> bool:
-        """False once the service ends, True if another file took the place of this one."""
+        """Follow a file. Returns False once the service ends, and True if another file has replaced this one."""
         number, offset, header = os.fstat(file.fileno()).st_ino, 0, b""
         if mark is not None and mark["file"] == number and int(mark["offset"]) <= os.fstat(file.fileno()).st_size:
             offset, header = int(mark["offset"]), str(mark["header"]).encode("utf-8", "surrogateescape")
@@ -246,7 +256,7 @@ class Follower:
         try:
             status = os.stat(self.path)
         except OSError:
-            return False  # between two files: the next one will come
+            return False  # the next file will come soon
         return status.st_ino != number or status.st_size < offset
 
     def stop(self) -> None:

@@ -1,7 +1,8 @@
-"""Messages of a broker by MQTT 5, each acknowledged when it is durable: what the service loses the broker sends again.
+"""Messages of a broker by MQTT 5, each acknowledged when it is durable.
 
-A persistent session under a fixed name, quality of service 1. The broker sends at most `receive_maximum` messages that
-are not acknowledged, so that is also what may be under way between two checkpoints.
+The broker sends again what the service loses. The session is persistent, has a fixed name, and uses quality of service
+1. The broker sends at most `receive_maximum` messages without an acknowledgement. This number also limits the messages
+between two checkpoints.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
 #: A level of a topic that names the axis.
 AXIS_LEVEL = "{axis}"
-#: Number of consecutive brief connections, and their longest duration [s], that show two services under one name: they
-#: end each other's connections, which Mosquitto does not report. Later attempts have growing pauses.
+#: Number of consecutive brief connections, and their longest duration [s], that reveal two services with one name. Such
+#: services end each other's connections, which Mosquitto does not report. Later attempts have growing pauses.
 _TAKEN_OVER, _BRIEF = 3, 1.0
 
 
@@ -61,16 +62,19 @@ class MqttSourceSection(BrokerSection, SourceSection):
     largest: int = Field(LARGEST, ge=1024, le=2**28, description="the most bytes of a message")
 
     def make(self, name: str, context: Context) -> MqttSource:
-        """The source. Raises UsageError if the client cannot be made."""
+        """Return the source. Raises UsageError if the client cannot be made."""
         client = self.client or f"pmfid-{context.name}-{name}"
-        new_client(self, context.folder, client, acknowledges=True)  # says now what would fail later
+        new_client(self, context.folder, client, acknowledges=True)  # reports later errors now
         return MqttSource(name, self, context.axis, context.tell, context.folder, client)
 
 
 @dataclass
 class MqttSource:
-    """A `Source` of messages. folder: that files in the section are relative to; client: name of the session where the
-    section has none; subscribed: it is, now."""
+    """A `Source` of messages.
+
+    Names of files in the section are relative to `folder`. `client` is the name of the session if the section has none.
+    `subscribed` is true while the source is subscribed.
+    """
 
     name: str
     section: MqttSourceSection
@@ -92,7 +96,7 @@ class MqttSource:
         self._messages = Messages(readers, section.format, section.axis_tag, section.precision, section.largest)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Takes messages until `stop`. Raises UsageError for a section that cannot work."""
+        """Take messages until `stop`. Raises UsageError for a section that cannot work."""
         waiting, brief = pauses(), 0
         while not self._stopped.is_set():
             self._since = math.inf
@@ -101,7 +105,7 @@ class MqttSource:
                 raise self._failure
             if self._stopped.is_set():
                 return
-            lasted = time.monotonic() - self._since  # minus infinity where there was no subscription
+            lasted = time.monotonic() - self._since  # minus infinity without a subscription
             brief = brief + (0 < lasted < _BRIEF) if lasted < _BRIEF else 0
             if lasted > 0 and brief < _TAKEN_OVER:
                 waiting = pauses()
@@ -110,12 +114,12 @@ class MqttSource:
             self._stopped.wait(next(waiting))
 
     def stop(self) -> None:
-        """Ends `run`; what has been taken may still be acknowledged until then."""
+        """End `run`. Until its end, taken messages may still be acknowledged."""
         self._stopped.set()
         self._over.set()
 
     def _hold_connection(self, take: Take) -> None:
-        """One connection, from its beginning to its end."""
+        """Hold one connection, from its beginning to its end."""
         section, self._problem = self.section, ""
         self._over.clear()
         client = new_client(section, self.folder, self._session, acknowledges=True)
@@ -128,7 +132,7 @@ class MqttSource:
             self._problem = f"no connection to {section.host} port {section.address[1]}: {error}"
             return
         client.loop_start()
-        if self._stopped.is_set():  # while the connection was made
+        if self._stopped.is_set():  # during the connection
             self._over.set()
         self._over.wait()
         self.subscribed = False
@@ -178,16 +182,17 @@ class MqttSource:
     def _on_message(self, take: Take, client: Client, _: object, message: MQTTMessage) -> None:
         try:
             items = self._messages.items(bytes(message.payload), self._axis_of(message.topic))
-            # on a connection that is over it goes nowhere: the message comes again, maybe under another number
+            # An acknowledgement on a closed connection has no effect. The message comes again, maybe under another
+            # number.
             done = partial(client.ack, message.mid, 1) if message.qos == 1 else None
             if not take(Delivery(self.name, items, done, None, time.monotonic())):
                 self.stop()
-        except BaseException as error:  # paho's thread would end without a word
+        except BaseException as error:  # paho's thread would end without a report
             self._failure = error
             self._over.set()
 
     def _axis_of(self, topic: str) -> str:
-        """The axis that a topic names, "" where it names none."""
+        """Return the axis that a topic names, or "" if the topic names none."""
         from paho.mqtt.client import topic_matches_sub
 
         for pattern in self.section.topics:
@@ -200,6 +205,6 @@ class MqttSource:
         return self.section.client or self.client
 
     def _end(self, problem: str) -> None:
-        """Ends the connection; the first problem is reported."""
+        """End the connection. The first problem is reported."""
         self._problem = self._problem or problem
         self._over.set()

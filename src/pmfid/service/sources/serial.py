@@ -1,4 +1,4 @@
-"""A serial port: lines of CSV of one axis, or binary blocks of any."""
+"""A serial port with lines of CSV of one axis, or with binary blocks of any axis."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class SerialSection(SourceSection):
 
 
 class _Csv:
-    """Makes items of bytes as they come. name: of the axis. Raises UsageError for a header with missing columns."""
+    """A converter from bytes to items of the axis `name`. Raises UsageError for a header with missing columns."""
 
     def __init__(self, name: str, axis: Axis, header: str | None) -> None:
         self._name, self._axis, self._tried = name, axis, 0
@@ -58,8 +58,8 @@ class _Csv:
         self.begin()
 
     def begin(self) -> None:
-        """The port has been opened, maybe in the middle of a line."""
-        self._splitter = LineSplitter(cut=self._parser is not None)  # before it is known, the first may be the header
+        """Begin after the port has been opened, maybe in the middle of a line."""
+        self._splitter = LineSplitter(cut=self._parser is not None)  # else the first line may be the header
 
     def feed(self, data: bytes) -> Sequence[Item]:
         items: list[Item] = []
@@ -72,7 +72,7 @@ class _Csv:
         return [*items, Lines(self._name, lines)] if lines else items
 
     def _header(self, text: bytes) -> list[Unusable]:
-        """Uses a line as the header if it is one; reports the reason after first_lines other lines."""
+        """Use a line as the header if valid, and report the reason after `first_lines` other lines."""
         if is_comment(text):
             return []
         try:
@@ -89,7 +89,7 @@ class _Csv:
 
 @dataclass
 class SerialSource:
-    """A `Source` of a serial port. opened: the port is, now."""
+    """A `Source` of a serial port. `opened` is true while the port is open."""
 
     name: str
     section: SerialSection
@@ -102,7 +102,7 @@ class SerialSource:
         self._report = ProblemReport(self.name, self.tell)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Reads until `stop`. Raises UsageError for a section that cannot work, and without pyserial."""
+        """Read until `stop`. Raises UsageError for a section that cannot work, and without pyserial."""
         try:
             import serial
         except ImportError:
@@ -116,7 +116,7 @@ class SerialSource:
                     reader.begin()
                     self.opened = True
                     self._read(port, reader, take)
-            except OSError as error:  # serial.SerialException is one
+            except OSError as error:  # includes serial.SerialException
                 self.opened = False
                 self._report.say(f"the port {self.section.port} cannot be read: {error}")
                 self._stopped.wait(next(waiting))

@@ -1,1 +1,1 @@
-"""The page: overview of all axes, one axis live, alarms; and what guards it."""
+"""The page with an overview of all axes, one live axis and alarms, and the protection of the page."""

@@ -1,4 +1,4 @@
-"""The page's interface, and the streams of the browsers, packed once for all."""
+"""The page's interface, and the streams of the browsers, packed once for all browsers."""
 
 from __future__ import annotations
 
@@ -32,34 +32,45 @@ from pmfid.stream.outcome import Counters
 
 
 def pack_array(array: NDArray[np.generic], kind: str) -> str:
-    """`kind:base64`; kind: f8, f4, i4, u4 or u1, little endian. NaN and infinity stay what they are."""
+    """Return an array as `kind:base64`, where the kind is f8, f4, i4, u4 or u1, little endian.
+
+    NaN and infinity stay unchanged.
+    """
     return f"{kind}:{b64encode(np.ascontiguousarray(array, '<' + kind).tobytes()).decode('ascii')}"
 
 
 def pack_rows(rows: Records) -> dict[str, object]:
-    """Columns of rows by name; of theta and std a list with one for each parameter. Whole numbers are f8, exact to
-    2^53, which is what a browser computes with."""
+    """Return the columns of rows by name; theta and std have a list with one column for each parameter.
+
+    Whole numbers are f8, exact to 2^53, because a browser computes with this type.
+    """
     kinds = dict.fromkeys(("number", "time", "u", "counts", "innovation"), "f8") | {"status": "u4", "state": "u1"}
     columns = {name: [pack_array(column, "f8") for column in rows[name].T] for name in ("theta", "std")}
     return {**columns, **{name: pack_array(rows[name], kind) for name, kind in kinds.items()}}
 
 
 def pack_overview(group: int, overview: Overview, start: float) -> dict[str, object]:
-    """Changes in a group; received: in tenths of a second after `start`, by `time.monotonic()`."""
+    """Return the changes in a group.
+
+    `received` is in tenths of a second after `start`, by `time.monotonic()`.
+    """
     kinds = {"axis": "i4", "value": "f4", "std": "f4", "deviation": "f4", "status": "u4", "state": "u1"}
     packed = {name: pack_array(getattr(overview, name), kind) for name, kind in kinds.items()}
     return {"group": group, "received": pack_array(np.round(10 * (overview.received - start)), "i4"), **packed}
 
 
 def json_line(content: Mapping[str, object]) -> bytes:
-    """One line of NDJSON; numbers that JSON does not have are null."""
+    """Return one line of NDJSON. Numbers that JSON does not have become null."""
     return as_json(content).encode() + b"\n"
 
 
 @dataclass
 class Feed:
-    """The rows of one axis for all its viewers. rows: number of rows so far; dropped: number of rows that the board
-    could not keep; pieces: (rows before it, line)."""
+    """The rows of one axis for all its viewers.
+
+    `rows` is the number of rows so far. `dropped` is the number of rows that the board could not keep. `pieces` has
+    lines, each with the number of earlier rows.
+    """
 
     subscription: Subscription
     viewers: int = 0
@@ -68,7 +79,7 @@ class Feed:
     pieces: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=TUNING.hub_pieces))
 
     def take(self) -> None:
-        """Appends the rows since the last call."""
+        """Append the rows since the last call."""
         rows, dropped = self.subscription.take()
         self.dropped += dropped
         if rows is not None:
@@ -77,14 +88,17 @@ class Feed:
             self.rows += rows.size
 
     def get_lines_after(self, seen: int) -> tuple[int, list[bytes]]:
-        """(missed rows, lines of the other rows) after the first `seen` rows."""
+        """Return the number of missed rows, and the lines of the other rows, after the first `seen` rows."""
         waiting = [(before, line) for before, line in self.pieces if before >= seen]
         missed = waiting[0][0] - seen if waiting else 0
         return missed, [line for _, line in waiting]
 
 
 class Hub:
-    """One for the page, in its event loop. start: `time.monotonic()` that the page's times count from."""
+    """The hub of all streams, one for the page, in the page's event loop.
+
+    The times of the page count from `start` by `time.monotonic()`.
+    """
 
     def __init__(self, board: Board, counters: Counters) -> None:
         self._board, self._counters = board, counters
@@ -106,20 +120,20 @@ class Hub:
                 self._tick.notify_all()
 
     async def stop(self) -> None:
-        """Ends all streams."""
+        """End all streams."""
         async with self._tick:
             self.ended = True
             self._tick.notify_all()
 
     async def _wait(self, ticks: int) -> bool:
-        """Waits for a number of ticks; False at the end."""
+        """Wait for a number of ticks. Returns False at the end."""
         until = self._ticks + ticks
         async with self._tick:
             await self._tick.wait_for(lambda: self.ended or self._ticks >= until)
         return not self.ended
 
     def _changes(self, since: int, groups: bool) -> tuple[int, bytes]:
-        """(version, line) with the changes, shared by all browsers that request it in the same tick."""
+        """Return a version and a line with the changes, shared by all browsers that request it in the same tick."""
         key = since, self._ticks, groups
         if key not in self._written:
             while len(self._written) >= TUNING.hub_written:
@@ -146,7 +160,10 @@ class Hub:
         }
 
     async def overview(self) -> AsyncIterator[bytes]:
-        """Lines of the stream of all axes; one comes at every turn, so that silence means that the service is gone."""
+        """Yield the lines of the stream of all axes.
+
+        A line comes at every turn, so silence means that the service has ended.
+        """
         many = sum(len(group.axes) for group in self._board.groups) > TUNING.hub_many
         version = 0
         while True:
@@ -156,7 +173,7 @@ class Hub:
                 return
 
     async def axis(self, name: str) -> AsyncIterator[bytes]:
-        """Lines of the stream of one axis: every row, and news without the other axes."""
+        """Yield the lines of the stream of one axis: every row, and news without the other axes."""
         feed = self._feeds.get(name) or Feed(self._board.follow(name))
         self._feeds[name] = feed
         feed.viewers += 1
@@ -187,7 +204,11 @@ NO_AXIS = "there is no axis of that name; PLANT.toml may have changed"
 
 @dataclass
 class Api:
-    """name: of the service; streams: that may be open at once; the others as `server.serve` is given them."""
+    """The interface of the page.
+
+    `name` is the name of the service. `streams` is the largest number of open streams. The other fields are arguments
+    of `server.serve`.
+    """
 
     name: str
     board: Board
@@ -200,7 +221,9 @@ class Api:
     streams: int
 
     def routes(self) -> list[Route]:
-        """Names of axes may hold anything, slashes included: they are looked up, never opened."""
+        """Return the routes. Names of axes may contain any characters, even slashes, because they are never opened
+        as files.
+        """
         return [
             Route("/api/plant", self.plant),
             Route("/api/stream", self.stream),
@@ -215,7 +238,7 @@ class Api:
         ]
 
     async def plant(self, request: Request) -> Response:
-        """The plant: content that changes only with its layout."""
+        """Answer with the plant, whose content changes only with its layout."""
         content = {
             "name": self.name,
             "may": request.scope["may"],
@@ -240,7 +263,7 @@ class Api:
         return LineResponse(self.hub, self.hub.overview() if axis is None else self.hub.axis(axis))
 
     async def trends(self, request: Request) -> Response:
-        """`?group=0&axes=3,17`: their trends, in this order."""
+        """Answer `?group=0&axes=3,17` with the trends of these axes, in this order."""
         try:
             axes = [int(part) for part in request.query_params.get("axes", "").split(",")[: TUNING.api_trends]]
             group = int(request.query_params.get("group", "0"))
@@ -253,7 +276,7 @@ class Api:
         return Response(json_line(content), media_type="application/json")
 
     def _find_axis(self, axis: str) -> str:
-        """The name of the axis. Raises HTTPException if there is no such axis."""
+        """Return the name of the axis. Raises HTTPException for an unknown axis."""
         if self.board.group_of(axis) is None:
             raise HTTPException(404, NO_AXIS)
         return axis
@@ -269,7 +292,7 @@ class Api:
         axis = self._find_axis(request.path_params["axis"])
         try:
             record = await run_in_threadpool(self.reference, axis)
-        except (UsageError, OSError):  # the sentence contains names of files on the machine
+        except (UsageError, OSError):  # the message contains names of files on the machine
             raise HTTPException(404, "the reference record cannot be read; the log of the service says why") from None
         if record is None:
             raise HTTPException(
@@ -329,8 +352,10 @@ class LineResponse(StreamingResponse):
 
 
 def csv_of(record: Record) -> bytes:
-    """The reference record of an axis, as the page compares with it: columns t [s] from 0, u and counts; of a long
-    record its beginning, for a comparison needs every sample."""
+    """Return the reference record of an axis for the comparison on the page: columns t [s] from 0, u and counts.
+
+    A long record is cut to its beginning, because a comparison needs every sample.
+    """
     n = min(record.u.size, TUNING.api_rows)
     table = np.column_stack([record.dt * np.arange(n), record.u[:n], record.counts[:n]])
     text = io.StringIO()

@@ -19,7 +19,7 @@ Records = NDArray[np.void]
 
 
 def row_type(parameters: int) -> np.dtype[np.void]:
-    """A row as it is kept: the fields of `EstimateRows`, little endian as they are sent."""
+    """Return the data type of a stored row: the fields of `EstimateRows`, little endian, as they are sent."""
     return np.dtype(
         [
             *(("number", "<i8"), ("time", "<f8"), ("u", "<f8"), ("counts", "<i8")),
@@ -30,14 +30,18 @@ def row_type(parameters: int) -> np.dtype[np.void]:
 
 
 def row_bytes(group: Kindred) -> int:
-    """Size of a row of an axis [bytes]."""
+    """Return the size of a row of an axis [bytes]."""
     return row_type(len(group.names)).itemsize
 
 
 @dataclass(frozen=True)
 class Overview:
-    """Changes in a group. axis: (m,) number within it; received: (m,) `time.monotonic()` of their last data; value,
-    std, deviation: (m,) of the leading parameter, the last relative to nominal; status, state: as in `EstimateRows`."""
+    """Changes in a group, for m axes.
+
+    `axis` (m,) is the number within the group. `received` (m,) is `time.monotonic()` of the last data. `value`, `std`
+    and `deviation` (m,) belong to the leading parameter; the deviation is relative to nominal. `status` and `state` are
+    as in `EstimateRows`.
+    """
 
     axis: NDArray[np.int64]
     received: Floats
@@ -50,8 +54,11 @@ class Overview:
 
 @dataclass
 class Panel:
-    """The panel of one group. depth: rows kept of each axis; every: time between two of them [s]. Not safe from several
-    threads: the board holds its lock around every call."""
+    """The panel of one group.
+
+    `depth` is the number of kept rows of each axis. `every` is the time between two rows [s]. Several threads must not
+    call a panel together; the board holds its lock around every call.
+    """
 
     group: Kindred
     depth: int
@@ -74,30 +81,30 @@ class Panel:
 
     @property
     def leading(self) -> int:
-        """The first parameter whose deviations can be measured."""
+        """Index of the first parameter whose deviations can be measured."""
         usable = np.flatnonzero(self.group.nominal)
         return int(usable[0]) if usable.size else 0
 
     def refer_only(self, referred: Mapping[str, Sequence[float]]) -> None:
-        """Sets the references (q,) of these axes, and the reference of the group for all others."""
+        """Set the references (q,) of these axes, and the reference of the group for all others."""
         self.nominal[:] = self.group.nominal
         for name in referred.keys() & self.place.keys():
             self.nominal[self.place[name]] = referred[name]
 
     def list_referred(self) -> dict[int, list[float]]:
-        """Axes whose reference differs from the reference of the group, and their references."""
+        """Return the axes whose reference differs from the reference of the group, with their references."""
         own = np.flatnonzero((self.nominal != self.group.nominal).any(axis=1))
         return {int(axis): self.nominal[axis].tolist() for axis in own}
 
     def records(self, rows: EstimateRows) -> Records:
-        """(m,) the rows as they are kept."""
+        """Return the rows as stored rows (m,)."""
         found: Records = np.empty(rows.axis.size, self.last.dtype)
         for name in found.dtype.names or ():
             found[name] = getattr(rows, name)
         return found
 
     def update(self, rows: EstimateRows, records: Records, version: int) -> None:
-        """Takes the latest row of each axis; version: of the board, for `overview`."""
+        """Take the latest row of each axis. `version` is the version of the board, for `overview`."""
         last = np.full(self.last.size, -1, np.int64)  # rows of an axis come in the order of time
         last[rows.axis] = np.arange(rows.axis.size)
         axis = np.flatnonzero(last >= 0)
@@ -115,7 +122,9 @@ class Panel:
         self._kept_at[axis] = new["time"]
 
     def deviation(self, axis: NDArray[np.int64], rows: Records) -> Floats:
-        """(m,) of the leading parameter of these axes, relative to nominal; NaN without an estimate."""
+        """Return the relative deviation (m,) of the leading parameter of these axes from nominal, NaN without an
+        estimate.
+        """
         lead = self.leading
         nominal = self.nominal[axis, lead]
         known = np.isfinite(rows["std"][:, lead]) & (nominal != 0)
@@ -123,8 +132,10 @@ class Panel:
         return np.asarray(np.where(known, ratio - 1.0, np.nan), float)
 
     def _turn(self, now: float) -> None:
-        """Advances to the next point of the trend when it is due. A full trend keeps every second point; a trend of a
-        day drops its first points."""
+        """Advance to the next point of the trend when it is due.
+
+        A full trend keeps every second point. A trend of a day drops its first points.
+        """
         if self._bin_end == -np.inf:
             self._bin_end = now + self.interval
         steps = int(max(0.0, np.floor((now - self._bin_end) / self.interval) + 1))
@@ -149,11 +160,13 @@ class Panel:
         self._trend[:, self._bin :] = np.nan
 
     def trend(self, axis: NDArray[np.int64]) -> NDArray[np.float32]:
-        """(m, points so far) deviations of the leading parameter, one for each `interval` seconds, the last of now."""
+        """Return the deviations (m, points) of the leading parameter, one for each `interval` seconds, the last for
+        now.
+        """
         return self._trend[axis, : self._bin + 1]
 
     def history(self, axis: int) -> Records:
-        """The rows that are kept of one axis, oldest first."""
+        """Return the kept rows of one axis, oldest first."""
         rows, depth = int(self._rows[axis]), self.depth
         if rows <= depth:
             return self._kept[axis, :rows].copy()
@@ -161,7 +174,7 @@ class Panel:
         return np.concatenate([self._kept[axis, start:], self._kept[axis, :start]])
 
     def overview(self, since: int) -> Overview:
-        """The overview of the axes that changed after version `since`; 0 gives all axes that have had data."""
+        """Return the overview of the axes that changed after version `since`; 0 gives all axes with data."""
         axis = np.flatnonzero(self._changed > since)
         rows = self.last[axis]
         lead = self.leading
@@ -176,7 +189,7 @@ class Panel:
         )
 
     def adopt(self, other: Panel, version: int) -> None:
-        """Adopts the rows of axes with equal names and parameters, and their trends if the points in time are equal."""
+        """Adopt the rows of axes with equal names and parameters, and their trends if the points in time are equal."""
         if other.group.names != self.group.names:
             return
         common = [name for name in self.group.axes if name in other.place]
@@ -199,8 +212,11 @@ class Panel:
 
 @dataclass(frozen=True)
 class News:
-    """Changes since a version. version: for the next request; layout: raised when groups change; groups: in the order
-    of the board; notices, alarms: new or changed ones, oldest first."""
+    """Changes since a version.
+
+    `version` is the version for the next request. `layout` rises when groups change. `groups` is in the order of the
+    board. `notices` and `alarms` are new or changed, oldest first.
+    """
 
     version: int
     layout: int
@@ -210,10 +226,12 @@ class News:
 
 
 class Board:
-    """groups: the axes; budget: bytes for the history of all of them; every: time between two rows that are kept [s].
+    """The board of all `groups`.
 
-    The engine's thread calls `rows`, `notice`, `arrange` and `followed`, any thread the others. A reader holds the lock
-    while it copies arrays, which takes less than a millisecond with 10 000 axes, never while it writes to anyone.
+    `budget` is the number of bytes for the history of all axes. `every` is the time between two kept rows [s]. The
+    engine's thread calls `rows`, `notice`, `arrange` and `list_followed`; any thread may call the other methods. A
+    reader holds the lock while it copies arrays, which takes less than a millisecond with 10 000 axes. A reader never
+    holds the lock while it writes to a browser.
     """
 
     def __init__(
@@ -225,7 +243,7 @@ class Board:
         self._panels: list[Panel] = []
         self._alarms = Alarms()
         self._notices: deque[tuple[int, Notice]] = deque(maxlen=TUNING.board_notices)
-        self._changed: deque[tuple[int, int]] = deque(maxlen=TUNING.board_notices)  # version, number of an alarm
+        self._changed: deque[tuple[int, int]] = deque(maxlen=TUNING.board_notices)  # version, and number of an alarm
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._followed: frozenset[str] = frozenset()
         self.arrange(groups)
@@ -233,8 +251,11 @@ class Board:
     # --- for the engine ---
 
     def arrange(self, groups: Sequence[Kindred], referred: Mapping[str, Sequence[float]] | None = None) -> None:
-        """Replaces the groups; the rows of an axis stay if its parameters are the same. referred: axis -> (q,) its
-        reference, if it differs from the reference of its group; None: unchanged."""
+        """Replace the groups. The rows of an axis stay if its parameters are the same.
+
+        `referred` maps an axis to its reference (q,), if the reference differs from the one of its group. None leaves
+        the references unchanged.
+        """
         share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))
         panels = [Panel(group, int(share), self.every) for group in groups]
         with self._lock:
@@ -249,14 +270,14 @@ class Board:
             self._by_axis = {name: panel for panel in panels for name in panel.place}
 
     def keep(self, budget: float) -> None:
-        """Sets the number of bytes for the history. To be called before the engine's thread starts."""
+        """Set the number of bytes for the history, before the engine's thread starts."""
         self._budget = budget
         self.arrange(self.groups)
 
     def rows(self, rows: EstimateRows) -> None:
         if rows.axis.size == 0:
             return
-        if id(rows.group) not in self._by_group:  # replaces the groups that share names of axes with it
+        if id(rows.group) not in self._by_group:  # replaces the groups that share names of axes with this group
             others = [panel.group for panel in self._panels if not panel.place.keys() & set(rows.group.axes)]
             self.arrange([*others, rows.group])
         panel = self._by_group[id(rows.group)]
@@ -282,7 +303,7 @@ class Board:
                     self._layout += 1
 
     def list_followed(self) -> frozenset[str]:
-        """Names of the axes whose rows all have a viewer."""
+        """Return the names of the axes whose rows all have a viewer."""
         return self._followed
 
     # --- for the page ---
@@ -293,11 +314,14 @@ class Board:
 
     @property
     def layout(self) -> int:
-        """Raised whenever groups, or the reference of an axis, change."""
+        """Number that rises whenever groups, or the reference of an axis, change."""
         return self._layout
 
     def news(self, since: int = 0, groups: bool = True) -> News:
-        """Changes after version `since`; 0: everything. groups: the axes in addition to notices and alarms."""
+        """Return the changes after version `since`; 0 gives everything.
+
+        With `groups`, the changes include the axes in addition to notices and alarms.
+        """
         with self._lock:
             overviews = [panel.overview(since) for panel in self._panels] if groups else []
             notices = [notice for version, notice in self._notices if version > since]
@@ -309,36 +333,38 @@ class Board:
             return News(self._version, self._layout, overviews, notices, alarms)
 
     def list_referred(self) -> list[dict[int, list[float]]]:
-        """The axes of each group with a reference of their own, by number, and this reference."""
+        """Return the axes of each group with their own reference, by number, and this reference."""
         with self._lock:
             return [panel.list_referred() for panel in self._panels]
 
     def alarm(self, number: int) -> AlarmRecord | None:
-        """The alarm with this notice number, None if unknown."""
+        """Return the alarm with this notice number, or None if unknown."""
         with self._lock:
             return self._alarms.get(number)
 
     def group_of(self, axis: str) -> Kindred | None:
-        """The group of an axis, None if there is no such axis."""
+        """Return the group of an axis, or None for an unknown axis."""
         with self._lock:
             panel = self._by_axis.get(axis)
             return panel.group if panel else None
 
     def history(self, axis: str) -> Records | None:
-        """Rows of an axis, oldest first; None if there is no such axis."""
+        """Return the rows of an axis, oldest first, or None for an unknown axis."""
         with self._lock:
             panel = self._by_axis.get(axis)
             return panel.history(panel.place[axis]) if panel else None
 
     def trends(self, group: int, axes: NDArray[np.int64]) -> tuple[float, NDArray[np.float32]]:
-        """(time between two points [s], (m, points) relative deviations of the leading parameter), the last of now.
-        Raises IndexError for a group or an axis that is not there."""
+        """Return the time between two points [s], and the relative deviations (m, points) of the leading parameter.
+
+        The last point is for now. Raises IndexError for an unknown group or axis.
+        """
         with self._lock:
             panel = self._panels[group]
             return panel.interval, panel.trend(axes)
 
     def follow(self, axis: str) -> Subscription:
-        """A queue of every further row of an axis, until it is closed."""
+        """Return a queue of every further row of an axis, until the queue is closed."""
         subscription = Subscription(axis, TUNING.board_waiting, self._leave)
         with self._lock:
             self._subscriptions[axis] = [*self._subscriptions.get(axis, ()), subscription]
@@ -358,7 +384,9 @@ class Board:
 class Subscription:
     """Every row of one axis for a viewer: a bounded queue that drops and counts its oldest rows.
 
-    axis: its name; most: rows that wait at most; close: called when the viewer leaves."""
+    `axis` is the name of the axis. `most` is the largest number of waiting rows. `close` is called when the viewer
+    leaves.
+    """
 
     def __init__(self, axis: str, most: int, close: Callable[[Subscription], None]) -> None:
         self.axis, self._most, self._close = axis, most, close
@@ -368,8 +396,10 @@ class Subscription:
         self._lock = Lock()
 
     def put(self, rows: Records) -> int:
-        """Put outcomes on the board, in the engine's thread. A reader never delays this, because it holds the lock for
-        the swap of a list only. Returns the rows that had to go."""
+        """Put rows into the queue, in the engine's thread, and return the number of dropped rows.
+
+        A reader never delays this call, because it holds the lock only for the swap of a list.
+        """
         with self._lock:
             self._pieces.append(rows)
             self._waiting += rows.size
@@ -382,17 +412,17 @@ class Subscription:
         return dropped
 
     def take(self) -> tuple[Records | None, int]:
-        """The rows since the last call, None for none, and the number of rows dropped meanwhile."""
+        """Return the rows since the last call, or None, and the number of rows dropped meanwhile."""
         with self._lock:
             pieces, self._pieces = self._pieces, deque()
             dropped, self._dropped, self._waiting = self._dropped, 0, 0
         if not pieces:
             return None, dropped
         kinds = {piece.dtype for piece in pieces}
-        last = pieces[-1].dtype  # a changed configuration may have other parameters, so earlier rows are dropped
+        last = pieces[-1].dtype  # A changed configuration may have other parameters, so earlier rows are dropped.
         same = [piece for piece in pieces if piece.dtype == last] if len(kinds) > 1 else list(pieces)
         return np.concatenate(same), dropped
 
     def close(self) -> None:
-        """Ends the subscription. May be called twice."""
+        """End the subscription. This method may be called twice."""
         self._close(self)

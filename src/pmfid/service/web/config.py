@@ -1,4 +1,4 @@
-"""[page] of PLANT.toml: where the page is served, to whom, and what it may keep."""
+"""[page] of PLANT.toml: the address of the page, its users, and its memory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ HERE, PORT = "127.0.0.1", 8127
 
 
 class PageConfig(FileSection):
-    """[page]; without it the page is on `HERE` and `PORT`. Tokens are named by `_env` or `_file`, never given here."""
+    """[page]; without this section the page is on `HERE` and `PORT`.
+
+    Keys that end in `_env` or `_file` name the tokens, which never stand in this section.
+    """
 
     enabled: bool = Field(True, description="false for no page")
     address: Name = Field(HERE, description=f'the address to listen on, as "{HERE}"')
@@ -36,7 +39,7 @@ class PageConfig(FileSection):
 
     @property
     def local(self) -> bool:
-        """Can only this machine reach the address?"""
+        """Return whether only this machine can reach the address."""
         return is_here(self.address)
 
     @model_validator(mode="after")
@@ -51,7 +54,7 @@ class PageConfig(FileSection):
         return self
 
     def _check_remote(self) -> None:
-        """Checks the three settings that an address for other machines needs."""
+        """Check the three settings that an address for other machines needs."""
         where = f"[page] address = {self.address!r} can be reached from other machines"
         if not self.allow_remote:
             raise UsageError(f"{where}; set allow_remote = true if that is meant, or use {HERE}")

@@ -1,4 +1,4 @@
-"""Connections, and bounds of their number and time."""
+"""Connections, and limits of their number and time."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ WHOLE = (h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR)
 
 
 class Guarded(H11Protocol):
-    """uvicorn's protocol within limits; what they end is counted. gone: set at the end of the connection."""
+    """The protocol of uvicorn within limits, which counts the connections that the limits end.
+
+    `gone` is set at the end of the connection.
+    """
 
     counters: ClassVar[Counters]
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self.access_log = False  # uvicorn's own switch gives way to any handler of the process
+        self.access_log = False  # any handler of the process overrides uvicorn's own switch
         self._deadline: asyncio.TimerHandle | None = None
         self._stuck: asyncio.TimerHandle | None = None
         self._proved = False
@@ -46,7 +49,7 @@ class Guarded(H11Protocol):
         self._expect()
 
     def on_response_complete(self) -> None:
-        self._proved = self.proved  # the next request has a scope of its own
+        self._proved = self.proved  # the next request has its own scope
         super().on_response_complete()
 
     def data_received(self, data: bytes) -> None:
@@ -57,7 +60,7 @@ class Guarded(H11Protocol):
             self._expect()
 
     def _expect(self) -> None:
-        """The limit holds for the whole request, because a byte every few seconds would keep a connection open."""
+        """Limit the time of the whole request, because a byte every few seconds would keep a connection open."""
         self._deadline = self.loop.call_later(TUNING.connection_request, self._end)
 
     def _forget_deadline(self) -> None:
@@ -78,7 +81,7 @@ class Guarded(H11Protocol):
         self._stuck = self.loop.call_later(TUNING.connection_stuck, self._look, size)
 
     def _look(self, before: int) -> None:
-        """A slow line is not stuck as long as the amount of waiting data falls."""
+        """End a stuck connection. A slow connection is not stuck while the amount of waiting data falls."""
         if self.transport.get_write_buffer_size() < before:
             self._watch()
         else:
@@ -106,8 +109,10 @@ class Guarded(H11Protocol):
 
 
 def most_connections(wanted: int) -> int:
-    """The number of connections: the wanted number, but at most half of the files that the process may open. Sources,
-    sinks and checkpoints need theirs."""
+    """Return the wanted number of connections, but at most half of the files that the process may open.
+
+    Sources, sinks and checkpoints need the other half.
+    """
     try:
         import resource
     except ImportError:  # a system without such a limit
@@ -117,18 +122,18 @@ def most_connections(wanted: int) -> int:
 
 
 class Entrance:
-    """most: connections at once.
+    """The entrance for connections, with at most `most` connections at a time.
 
-    A new connection takes the place of the oldest one without an accepted token; only then of one with a token, and
-    only while that waits for a request.
+    A new connection replaces the oldest one without an accepted token. If all have a token, it replaces one that waits
+    for a request.
     """
 
     def __init__(self, listener: socket.socket, most: int, counters: Counters) -> None:
         self._listener, self._most, self._counters = listener, most, counters
-        self._guests: dict[socket.socket, tuple[Guarded, asyncio.Task[None]]] = {}  # in the order in which they came
+        self._guests: dict[socket.socket, tuple[Guarded, asyncio.Task[None]]] = {}  # in the order of arrival
 
     async def run(self, tls: ssl.SSLContext | None, make: Callable[[], Guarded]) -> None:
-        """Until it is cancelled; then the listener is closed. make: the protocol of a connection."""
+        """Accept connections until cancelled, then close the listener. `make` returns the protocol of a connection."""
         loop = asyncio.get_running_loop()
         self._listener.setblocking(False)
         try:
@@ -153,18 +158,18 @@ class Entrance:
             line.close()
 
     async def _host(self, line: socket.socket, guest: Guarded, tls: ssl.SSLContext | None) -> None:
-        """From the handshake to the end of a connection."""
+        """Serve a connection from the handshake to its end."""
         loop, timeout = asyncio.get_running_loop(), None if tls is None else TUNING.connection_handshake
         try:
             await loop.connect_accepted_socket(lambda: guest, line, ssl=tls, ssl_handshake_timeout=timeout)
             await guest.gone.wait()
-        except OSError:  # of the handshake
+        except OSError:  # an error of the handshake
             line.close()
         finally:
             self._guests.pop(line, None)
 
     def _make_room(self) -> bool:
-        """Whether a connection was closed for a new one."""
+        """Return whether a connection was closed for a new one."""
         unproved = (line for line, (guest, _) in self._guests.items() if not guest.proved)
         idle = (line for line, (guest, _) in self._guests.items() if guest.idle)
         line = next(unproved, None) or next(idle, None)

@@ -33,16 +33,22 @@ READ, WRITE = "read", "write"
 
 @dataclass(frozen=True)
 class Tokens:
-    """write: may do everything; read: may look, None if there is none; made: by this start rather than configured,
-    so that the start line may show it. Neither is part of what is printed of this object."""
+    """The tokens of the page, which never appear in a printed form of this object.
+
+    `write` allows everything. `read` allows only viewing; it is None without such a token. `made` is true if this start
+    made the token. The start line may then show the token.
+    """
 
     write: str = field(repr=False)
     read: str | None = field(default=None, repr=False)
     made: bool = False
 
     def scope(self, header: str | None) -> str | None:
-        """WRITE, READ, or None for an `Authorization` that opens nothing. The time it takes tells nothing about the
-        tokens: digests of the same length are compared, all of them."""
+        """Return WRITE, READ, or None for an `Authorization` that allows nothing.
+
+        The duration of this call reveals nothing about the tokens, because all digests have the same length and are
+        compared.
+        """
         scheme, _, given = (header or "").partition(" ")
         found = None
         digest = sha256(given.strip().encode()).digest()
@@ -53,7 +59,8 @@ class Tokens:
 
 
 def load_tokens(config: PageConfig, folder: Path) -> Tokens:
-    """The tokens that [page] names, or a new token. folder: to which names of files are relative. Raises UsageError."""
+    """Return the tokens that [page] names, or a new token. Names of files are relative to `folder`. Raises
+    UsageError."""
     write = _read_token("token", config.token_env, config.token_file, folder)
     read = _read_token("read_token", config.read_token_env, config.read_token_file, folder)
     if read and read == write:
@@ -62,8 +69,10 @@ def load_tokens(config: PageConfig, folder: Path) -> Tokens:
 
 
 def keep_token(token: str, folder: Path | None) -> str:
-    """Where a token stands that this start has made and no log may hold: a sentence. folder: of the checkpoints; its
-    file page.token is readable by the service's user alone."""
+    """Keep a new token outside the log, and return a sentence with the place of the token.
+
+    `folder` is the folder of the checkpoints. Only the user of the service can read its file page.token.
+    """
     if folder is None:
         return "the token of this start is shown on a terminal only: name your own with [page] token_file or token_env"
     path = folder / "page.token"
@@ -111,8 +120,11 @@ HEADERS = {
 
 
 class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
-    """reason: for counters; status: of HTTP; problem: a sentence that repeats nothing of what was sent; wait: time
-    until it may be asked again [s], 0: at once."""
+    """Raised for a request that is refused.
+
+    `reason` is the word for counters, `status` the HTTP status. `problem` is a sentence that repeats no content of the
+    request. `wait` is the time until the next allowed request [s], 0 for an immediate one.
+    """
 
     def __init__(self, reason: str, status: int, problem: str, wait: float = 0.0) -> None:
         super().__init__(problem)
@@ -121,16 +133,17 @@ class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
 
 @dataclass
 class Brake:
-    """A brake on guesses: wrong tokens are counted by the address that they come from, in bounded memory.
+    """A brake on guesses, which counts wrong tokens by the address of their sender, in bounded memory.
 
-    clock: monotonic [s]. Only wrong tokens are counted, so a valid token works even if someone guesses from the same
-    address."""
+    `clock` returns a monotonic time [s]. Only wrong tokens are counted, so a valid token works even if someone guesses
+    from the same address.
+    """
 
     clock: Callable[[], float] = time.monotonic
-    _wrong: dict[str, tuple[int, float]] = field(default_factory=dict, init=False)  # number, since when; oldest first
+    _wrong: dict[str, tuple[int, float]] = field(default_factory=dict, init=False)  # number, start; oldest first
 
     def wrong(self, address: str) -> float:
-        """Counts a wrong token. Time until the address is answered again [s]; 0 if it is not blocked."""
+        """Count a wrong token, and return the time until the address is answered again [s]; 0 if it is not blocked."""
         now, key = self.clock(), _network(address)
         number, since = self._wrong.pop(key, (0, now))
         if now - since >= TUNING.security_window:
@@ -142,7 +155,7 @@ class Brake:
 
 
 def _network(address: str) -> str:
-    """The first 64 bits of an IPv6 address: an owner of one address there has them all."""
+    """Return an IPv4 address, or the first 64 bits of an IPv6 address, because an owner of one address has them all."""
     try:
         parsed = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -151,7 +164,7 @@ def _network(address: str) -> str:
 
 
 def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
-    """The accepted values of Host in small letters: names of the address, and configured names."""
+    """Return the accepted values of Host in small letters: names of the address, and configured names."""
     literal = f"[{address}]" if ":" in address else address
     names = {literal}
     if address in ("127.0.0.1", "::1", "localhost"):
@@ -164,9 +177,9 @@ def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
 
 @dataclass
 class Guard:
-    """Refuses forbidden requests and passes on the others with `scope["may"]` READ, WRITE or None.
+    """A guard that refuses forbidden requests, and passes on the others with `scope["may"]` READ, WRITE or None.
 
-    open_paths: prefixes of what needs a token; everything else is files that say nothing of the plant.
+    `closed` has the prefixes of paths that need a token. All other paths are files without data of the plant.
     """
 
     app: ASGIApp
@@ -196,14 +209,17 @@ class Guard:
         await self.app(scope, receive, answer)
 
     def _check_origin(self, headers: Headers) -> None:
-        """A name of someone else that leads here (DNS rebinding) is in Host; a page of someone else is in Origin."""
+        """Check Host and Origin of a request.
+
+        The header Host reveals a foreign name for this address (DNS rebinding), the header Origin a foreign page.
+        """
         hosts = headers.getlist("host")
         if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
             raise Refusal("host", 421, "this page is not served under that name; see hosts in [page] of PLANT.toml")
         origins = headers.getlist("origin")
         own = {f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")}  # a proxy may speak TLS
         foreign = len(origins) > 1 or not {origin.lower() for origin in origins} <= own
-        from_here = headers.get("sec-fetch-site", "none") in ("same-origin", "none")  # same-site is another port
+        from_here = headers.get("sec-fetch-site", "none") in ("same-origin", "none")  # same-site means another port
         if foreign or not (from_here or headers.get("sec-fetch-mode") == "navigate"):
             raise Refusal("origin", 403, "another page may not ask here")
 
@@ -220,7 +236,7 @@ class Guard:
 
 
 def _build_answer(refusal: Refusal) -> JSONResponse:
-    """The connection ends with it: what else comes on it is not read."""
+    """Build the answer to a refused request. The connection then ends, and further data on it are not read."""
     headers = {"connection": "close"}
     if refusal.status == 401:
         headers["www-authenticate"] = "Bearer"
@@ -242,13 +258,13 @@ def _with_headers(send: Send, private: bool) -> Send:
 
 
 async def json_body(request: Request) -> dict[str, Any]:
-    """The object in a body. Raises HTTPException for a body that is no object, too large or too slow."""
+    """Return the object in a body. Raises HTTPException for a body that is no object, too large or too slow."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise HTTPException(415, "write JSON, with content-type: application/json")
     try:
         body = b""
         async with asyncio.timeout(TUNING.slowest_body):
-            async for piece in request.stream():  # a body without a length is counted while it comes
+            async for piece in request.stream():  # a body without a length is counted during its arrival
                 body += piece
                 if len(body) > TUNING.largest_body:
                     size = f"a request may have {TUNING.largest_body} bytes"

@@ -37,8 +37,8 @@ from pmfid.stream.outcome import Counters
 
 
 def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
-    """The application inside the guard: files of the page, and the API."""
-    mimetypes.add_type("text/javascript", ".js")  # whatever the system says
+    """Return the application inside the guard: files of the page, and the API."""
+    mimetypes.add_type("text/javascript", ".js")  # independent of the system's types
     files = StaticFiles(directory=Path(__file__).parent / "static", html=True)
 
     @contextlib.asynccontextmanager
@@ -56,7 +56,7 @@ def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
 
 
 async def _answer_error(request: Request, error: Exception) -> Response:
-    """A sentence without any text of the request."""
+    """Answer an error with a sentence that contains no text of the request."""
     if isinstance(error, HTTPException):
         return JSONResponse({"problem": error.detail}, error.status_code, error.headers)
     return JSONResponse({"problem": "the service could not answer; its log says why"}, 500)
@@ -64,8 +64,11 @@ async def _answer_error(request: Request, error: Exception) -> Response:
 
 @dataclass
 class Page:
-    """A page that is being served. url: without the token; made_token: that this start made, None for one that is
-    configured; notes: what to know about it, sentences."""
+    """A page in service.
+
+    `url` is the address without the token. `made_token` is the token that this start made, or None for a configured
+    token. `notes` has sentences with information on the page.
+    """
 
     url: str
     made_token: str | None = field(repr=False)
@@ -76,11 +79,11 @@ class Page:
 
     @property
     def start_url(self) -> str:
-        """The address with the token, if this start made the token: for a terminal, never for a log."""
+        """The address with the token if this start made the token. It may go to a terminal, never to a log."""
         return f"{self.url}#token={self.made_token}" if self.made_token else self.url
 
     def stop(self) -> None:
-        """Ends streams and thread, within seconds. May be called twice."""
+        """End streams and thread, within seconds. This method may be called twice."""
         self._server.should_exit = True
         self._thread.join(TUNING.server_ended)
 
@@ -97,10 +100,13 @@ def serve(
     metrics: Callable[[], str] | None = None,
     alive: Callable[[], bool] = lambda: True,
 ) -> Page:
-    """Starts to serve the page, before the engine's thread is started. name: of the service; folder: of
-    PLANT.toml; reference: record of normal work of an axis, by its name, read when someone asks, in a thread of its own
-    (it may raise UsageError); metrics: text for Prometheus; alive: whether the engine is, for health checks. Raises
-    UsageError where the address cannot be had, a token is missing, or the extra is not installed."""
+    """Start to serve the page, before the engine's thread starts.
+
+    `name` is the name of the service, `folder` the folder of PLANT.toml. `reference` returns the record of normal work
+    of an axis by its name. It is called on request, in its own thread, and may raise UsageError. `metrics` returns text
+    for Prometheus. `alive` returns whether the engine is alive, for health checks. Raises UsageError if the address is
+    not available, a token is missing, or the extra is not installed.
+    """
     tokens = load_tokens(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
@@ -139,7 +145,7 @@ def _listener(config: PageConfig) -> socket.socket:
 
 
 def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder: Path) -> Config:
-    """The configuration without a log of requests, and with limits on slow and stuck connections."""
+    """Return a configuration without a log of requests, and with limits on slow and stuck connections."""
     certificate, key = ((folder / str(path)) if path else None for path in (config.certificate, config.key))
     try:
         made = Config(
@@ -159,18 +165,19 @@ def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder:
             ssl_keyfile=key,
         )
         made.load()
-    except OSError as error:  # ssl.SSLError is one
+    except OSError as error:  # includes ssl.SSLError
         raise UsageError(f"[page] certificate and key cannot be used: {error}; give files in PEM format") from None
     return made
 
 
 def _only_failures(record: logging.LogRecord) -> bool:
-    """Keeps failures of the page, with their trace. Invalid requests are counted only: they must not fill a log."""
+    """Keep failures of the page, with their trace. Invalid requests are only counted, so that they do not fill a
+    log."""
     return record.exc_info is not None
 
 
 def _server(config: Config, hub: Hub, entrance: Entrance) -> Server:
-    """The server with an entrance of its own; it ends the streams before it waits for them."""
+    """Return a server with its own entrance, which ends the streams before it waits for them."""
     logging.getLogger("uvicorn.error").addFilter(_only_failures)
 
     class Own(Server):

@@ -1,1 +1,1 @@
-"""How blocks and lines are written in messages and on pipes."""
+"""The form of blocks and lines in messages and on pipes."""

@@ -1,5 +1,7 @@
-"""Messages and pipes: binary blocks, JSON or line protocol, identified by their first bytes, become blocks and lines of
-their axes."""
+"""Messages and pipes with binary blocks, JSON or line protocol, identified by their first bytes.
+
+They become blocks and lines of their axes.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +26,16 @@ from pmfid.stream.delivery import Block, Item, Lines, Unusable, split_tables
 
 @dataclass
 class LineSplitter:
-    """Whole lines of a stream; one of more than longest_line bytes is left out.
+    """The whole lines of a stream. A line of more than `longest_line` bytes is left out.
 
-    cut: the stream may begin in the middle of a line, so the first one is left out, too.
+    With `cut`, the stream may begin in the middle of a line, so the first line is left out as well.
     """
 
     cut: bool = False
     _rest: bytes = field(default=b"", init=False)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that end in `data`, without their ends."""
+        """Return the lines that end in `data`, without their ends."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         if lines and self.cut:
             self.cut = False
@@ -43,13 +45,16 @@ class LineSplitter:
         return [line for line in lines if len(line) <= PIPELINE_TUNING.longest_line]
 
 
-#: Most items of one message; further items are ignored.
+#: Largest number of items in one message. Further items are ignored.
 MOST_POINTS = 20_000
 
 
 @dataclass(frozen=True)
 class Point:
-    """A sample as it came. axis: its name; fields: by name; time: outside the fields [s], NaN without one."""
+    """A sample as received.
+
+    `axis` is the name, `fields` has the values by name. `time` is the time outside the fields [s], or NaN.
+    """
 
     axis: str
     fields: Mapping[str, object]
@@ -58,7 +63,10 @@ class Point:
 
 @dataclass(frozen=True)
 class PointColumns:
-    """Samples of one axis as columns. fields: lists of at least `rows` values; any other value holds for all rows."""
+    """Samples of one axis as columns.
+
+    `fields` has lists of at least `rows` values; any other value holds for all rows.
+    """
 
     axis: str
     fields: Mapping[str, object]
@@ -69,14 +77,14 @@ class PointColumns:
 class Readers:
     """The readers of the fields of each axis, by the [record] of its AXIS.toml.
 
-    find: called for each sample, because the axis may change; axes that share an object share a reader.
+    `find` is called for each sample, because the axis may change. Axes that share an object share a reader.
     """
 
     find: FindAxis
     _made: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
 
     def items(self, points: Iterable[Point | PointColumns | Unusable]) -> list[Lines | Unusable]:
-        """Lines of each axis, those that follow one another together."""
+        """Return the lines of each axis, with consecutive lines of an axis together."""
         found: list[Lines | Unusable] = []
         for axis, group in groupby(points, lambda point: None if isinstance(point, Unusable) else point.axis):
             some = list(group)
@@ -103,7 +111,7 @@ class Readers:
 
     def _reader(self, config: Axis) -> FieldReader:
         if id(config) not in self._made:
-            self._made[id(config)] = config, FieldReader(config)  # kept, so that no other object gets its id
+            self._made[id(config)] = config, FieldReader(config)  # the kept object keeps its id
         return self._made[id(config)][1]
 
 
@@ -112,7 +120,7 @@ AXIS_KEY = "axis"
 
 
 def decode_json(data: bytes, axis: str = "") -> list[Point | PointColumns | Unusable]:
-    """The samples of a message. axis: whose they are; "": the objects say so by AXIS_KEY."""
+    """Return the samples of a message. `axis` is the name of their axis; with "", the objects name it by AXIS_KEY."""
     found: list[Point | PointColumns | Unusable] = []
     left = MOST_POINTS
     for item in _parse_json(data, axis):
@@ -173,7 +181,7 @@ def _read_object(fields: dict[str, object], axis: str) -> Iterator[Point | Point
         yield PointColumns(named, fields, rows)
 
 
-#: Bytes of a message, if nothing else is configured.
+#: Largest size of a message if nothing else is configured [bytes].
 LARGEST = 2**20
 
 Form = Literal["auto", "block", "json", "line"]
@@ -181,8 +189,12 @@ Form = Literal["auto", "block", "json", "line"]
 
 @dataclass(frozen=True)
 class Messages:
-    """Takes messages apart. readers: what fields mean; form: of all messages, "auto": each says it; tag: that names the
-    axis in line protocol; precision: of its timestamps; largest: bytes of a message."""
+    """A reader of messages.
+
+    `readers` interpret the fields. `form` is the form of all messages; with "auto" each message reveals its form. `tag`
+    names the axis in line protocol, and `precision` is the unit of its time stamps. `largest` is the largest size of a
+    message [bytes].
+    """
 
     readers: Readers
     form: Form = "auto"
@@ -191,12 +203,15 @@ class Messages:
     largest: int = LARGEST
 
     def items(self, data: bytes, axis: str = "") -> Sequence[Item]:
-        """The items of a message. axis: the only one that it may contain, "": any. Never raises."""
+        """Return the items of a message, without an exception.
+
+        `axis` is the only axis that the message may contain; "" allows any axis.
+        """
         if len(data) > self.largest:
             return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
         try:
             return self._items(data, axis)
-        except Exception as error:  # without an acknowledgement the broker would send the message again and again
+        except Exception as error:  # without an acknowledgement the broker would repeat the message for ever
             return [Unusable("error", f"{type(error).__name__}: {str(error)[:200]}; it is left out", axis[:64])]
 
     def _items(self, data: bytes, axis: str) -> Sequence[Item]:
@@ -214,20 +229,21 @@ class Messages:
 
 
 def _check_axis(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Unusable:
-    """Refuses a block of another axis than its topic's: a sender may have rights for one topic only."""
+    """Refuse a block of another axis than the axis of its topic, because a sender may have rights for one topic
+    only."""
     if isinstance(item, Block) and item.axis != axis:
         return Unusable("name", f"a block of {item.axis!r} that came as one of {axis[:64]!r}", axis[:64])
     return item
 
 
 Precision = Literal["ns", "us", "ms", "s"]
-#: Unit of the timestamps -> ns.
+#: Nanoseconds in each unit of the time stamps.
 PRECISIONS: Mapping[Precision, int] = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
 
 Field = float | int | bool | str
 
-# A backslash takes the next character with it, whatever that is: so no pattern reads a character in two ways, and a
-# line takes time by its length alone.
+# A backslash takes the next character with it, whatever the character is. No pattern therefore reads a character in two
+# ways, and the time for a line depends only on its length.
 _NAME = re.compile(r"(?:[^\\, ]|\\.)+", re.DOTALL)
 _KEY = re.compile(r"((?:[^\\,= ]|\\.)+)=", re.DOTALL)
 _TAG_VALUE = re.compile(r"(?:[^\\,= ]|\\.)+", re.DOTALL)
@@ -242,7 +258,7 @@ _TRUTH |= {"t": True, "T": True, "f": False, "F": False}
 
 @dataclass(frozen=True)
 class Measured:
-    """The content of a line. time_ns: since 1970, None without a timestamp."""
+    """The content of a line. `time_ns` counts nanoseconds since 1970, or is None without a time stamp."""
 
     measurement: str
     tags: Mapping[str, str]
@@ -251,7 +267,9 @@ class Measured:
 
 
 def decode_lines(data: bytes, axis: str = "", tag: str = "axis", precision: Precision = "ns") -> list[Point | Unusable]:
-    """The samples of lines. axis: whose they are; "": the tag that is called so says it, or else the measurement."""
+    """Return the samples of lines. With `axis` = "", the tag with the given name, or else the measurement, names
+    the axis.
+    """
     texts = data.decode("utf-8", "replace").split("\n", MOST_POINTS)
     found: list[Point | Unusable] = []
     if len(texts) > MOST_POINTS and texts.pop().strip():
@@ -274,7 +292,7 @@ def _parse_lines(texts: list[str], axis: str, tag: str, precision: Precision) ->
 
 
 def parse_line(line: str, precision: Precision = "ns") -> Measured:
-    """The content of a line. Raises ValueError with a sentence for other text than line protocol."""
+    """Return the content of a line. Raises ValueError with a sentence for text that is no line protocol."""
     measurement = _NAME.match(line)
     if measurement is None:
         raise ValueError("a line must begin with the name of its measurement")
@@ -300,7 +318,7 @@ def _tags(line: str, place: int) -> tuple[dict[str, str], int]:
 
 
 def _fields(line: str, place: int) -> tuple[dict[str, Field], int]:
-    """The fields of a line, which begin after spaces, and the position of their end."""
+    """Return the fields of a line, which begin after spaces, and the position of their end."""
     if not line.startswith(" ", place):
         raise ValueError("a line must have fields after its measurement and tags")
     while line.startswith(" ", place):
@@ -332,5 +350,5 @@ def _value(line: str, place: int) -> tuple[Field, int]:
 
 
 def _plain(name: str, special: str = ",= ") -> str:
-    """A name without its escapes; a backslash before anything else is one."""
+    """Return a name without its escapes. A backslash before another character is a plain backslash."""
     return re.sub(rf"\\([{special}])", r"\1", name) if "\\" in name else name

@@ -1,4 +1,4 @@
-"""A sender that keeps what a broker may forget."""
+"""A sender that keeps messages that a broker may lose."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 
 @dataclass
 class _Axis:
-    """Samples that wait for their block. first: number of the first sample; time: of it [s]; u, counts: (n,)."""
+    """Samples u, counts (n,) that wait for their block.
+
+    `first` is the number of the first sample, and `time` its time [s].
+    """
 
     first: int = 0
     time: float = math.nan
@@ -40,8 +43,11 @@ class _Axis:
 
 @dataclass
 class Numbering:
-    """Numbers the samples of each axis from 0 on, and makes blocks of them. dt: sample period [s]; epoch: of all
-    blocks; samples: of a block. Raises UsageError for a number of samples that no receiver takes."""
+    """A numbering of the samples of each axis from 0, which also makes blocks of them.
+
+    `dt` is the sample period [s], `epoch` the epoch of all blocks. `samples` is the number of samples in a block.
+    Raises UsageError for a number of samples that no receiver takes.
+    """
 
     dt: float
     epoch: int
@@ -53,8 +59,11 @@ class Numbering:
             raise UsageError(f"a block has 1 to {MOST_SAMPLES} samples, got {self.samples}; give another number")
 
     def add(self, axis: str, u: ArrayLike, counts: ArrayLike, time: float) -> list[bytes]:
-        """The blocks that are full with samples u, counts (n,), or one of each, that follow the last ones; time: of the
-        first [s], NaN for none. Raises UsageError for what no block takes."""
+        """Add samples u, counts (n,), or a single sample, and return the full blocks.
+
+        The samples follow the last ones. `time` is the time of the first sample [s], or NaN. Raises UsageError for
+        values that no block takes.
+        """
         u, counts = np.atleast_1d(np.asarray(u, np.float64)), np.atleast_1d(np.asarray(counts, np.int64))
         if u.ndim != 1 or u.shape != counts.shape:
             raise UsageError(f"u and counts are not of one length: {u.shape} and {counts.shape}")
@@ -68,14 +77,14 @@ class Numbering:
         return list(self._blocks(axis, waiting, whole=True))
 
     def skip(self, axis: str, samples: int) -> list[bytes]:
-        """Leaves numbers of an axis out. Returns the block of its waiting samples before them, if there is one."""
+        """Leave numbers of an axis out, and return the block of its waiting samples before them, if any."""
         waiting = self._axes.setdefault(axis, _Axis())
         made = list(self._blocks(axis, waiting, whole=False))
         waiting.first += samples
         return made
 
     def rest(self) -> list[bytes]:
-        """Blocks of all that waits."""
+        """Return blocks of all waiting samples."""
         return [block for axis, waiting in self._axes.items() for block in self._blocks(axis, waiting, whole=False)]
 
     @property
@@ -83,7 +92,7 @@ class Numbering:
         return any(waiting.u.size for waiting in self._axes.values())
 
     def _blocks(self, axis: str, waiting: _Axis, whole: bool) -> Iterator[bytes]:
-        """Blocks of what waits, but for the last one that is not full (whole)."""
+        """Yield blocks of the waiting samples. With `whole`, a last block that is not full keeps waiting."""
         u, counts, begin = waiting.u, waiting.counts, 0
         while u.size - begin >= (self.samples if whole else 1):
             part = slice(begin, begin + self.samples)
@@ -97,8 +106,11 @@ class Numbering:
 
 @dataclass
 class _Message:
-    """payload: blocks; acknowledged: when the broker last said that it has it [s], infinite before; open: not
-    acknowledged on this connection."""
+    """A message of blocks.
+
+    `acknowledged` is the time of the last acknowledgement [s], infinite before. `open` is true without an
+    acknowledgement on the present connection.
+    """
 
     payload: bytes
     acknowledged: float = math.inf
@@ -107,8 +119,12 @@ class _Message:
 
 @dataclass
 class Outbox:
-    """Keeps a message until it is acknowledged and the connection has held for `keep` [s] since; at most `most` bytes,
-    beyond which the oldest go: dropped counts those that were never acknowledged. clock: gives the time [s]."""
+    """A store that keeps messages until they are safe.
+
+    A message is safe if it is acknowledged and the connection has since held for `keep` [s]. The store has at most
+    `most` bytes; above this limit, the oldest messages are dropped. `dropped` counts the dropped messages that were
+    never acknowledged. `clock` returns the time [s].
+    """
 
     keep: float
     most: int
@@ -123,7 +139,7 @@ class Outbox:
 
     @property
     def settled(self) -> bool:
-        """Whether all is acknowledged."""
+        """Whether all messages are acknowledged."""
         return not self._open
 
     def take(self, payload: bytes) -> None:
@@ -133,18 +149,20 @@ class Outbox:
         self._forget()
 
     def begin(self, room: int) -> None:
-        """Begins a connection that allows `room` messages under way: all kept messages are sent again, in order."""
+        """Begin a connection that allows `room` messages in transit. All kept messages are sent again, in order."""
         self._room, self._next, self._sent = room, 0, {}
         for message in self._log:
             message.open = True
         self._open = len(self._log)
 
     def end(self) -> None:
-        """The connection is over: nothing goes out, and nothing becomes safe."""
+        """Note that the connection is over: no message is sent, and none becomes safe."""
         self._room = 0
 
     def pump(self, publish: Callable[[bytes], int]) -> bool:
-        """Publishes messages while there is room, and notes their numbers. Returns whether there were any."""
+        """Publish messages while the connection has room, and note their numbers. Returns whether any message was
+        published.
+        """
         before = self._next
         while self._next < len(self._log) and len(self._sent) < self._room:
             message = self._log[self._next]
@@ -153,7 +171,7 @@ class Outbox:
         return self._next > before
 
     def note_acknowledged(self, number: int) -> None:
-        """The broker has a message."""
+        """Note that the broker has a message."""
         message = self._sent.pop(number, None)
         if message is not None:
             self._open -= message.open
@@ -174,14 +192,13 @@ class Outbox:
 
 
 class Sender:
-    """Sends samples of axes with the sample period dt [s] to a topic; a context manager, which flushes at its end.
+    """A sender of samples with the period dt [s] to a topic; a context manager, which flushes at its end.
 
-    epoch: raised whenever the numbers restart, None: the time of day; samples: of a block; size: bytes of a message
-    from which on it is sent; delay: after which it is sent at the latest [s]; keep: a message that is acknowledged is
-    forgotten when the connection has held for this time since [s], which must be more than the broker's
-    autosave_interval; most: bytes that are kept at most, beyond which the oldest messages are dropped, and counted in
-    `dropped`. Methods may be called from any thread. Raises UsageError for sizes that no receiver takes, and without
-    paho-mqtt.
+    `epoch` rises whenever the numbers restart; None takes the time of day. `samples` is the number of samples in a
+    block. A message is sent at `size` bytes, at the latest after `delay` [s]. An acknowledged message is forgotten when
+    the connection has since held for `keep` [s]. This time must be longer than the broker's autosave_interval. `most`
+    is the largest number of kept bytes; above it, the oldest messages are dropped, and counted in `dropped`. Methods
+    may be called from any thread. Raises UsageError for sizes that no receiver takes, and without paho-mqtt.
     """
 
     def __init__(
@@ -204,19 +221,19 @@ class Sender:
         self._size, self._delay = size, delay
         self._numbering = Numbering(dt, int(time.time()) if epoch is None else epoch, samples)
         self._outbox = Outbox(keep, most)
-        self._lock = Lock()  # of what waits for its message
+        self._lock = Lock()  # protects the blocks that wait for their message
         self._blocks: list[bytes] = []
         self._bytes, self._since = 0, math.inf
         self._events: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._client: Client | None = None
         self._idle, self._closed = Event(), False
-        self._make_client()  # what cannot work is refused here
+        self._make_client()  # refuses settings that cannot work
         self._thread = Thread(target=self._run, name="pmfid-sender", daemon=True)
         self._thread.start()
 
     @property
     def dropped(self) -> int:
-        """Messages that went without an acknowledgement, for want of room."""
+        """Number of messages that were dropped without an acknowledgement, for lack of room."""
         return self._outbox.dropped
 
     def __enter__(self) -> Self:
@@ -226,19 +243,23 @@ class Sender:
         self.close()
 
     def add(self, axis: str, u: ArrayLike, counts: ArrayLike, time: float = math.nan) -> None:
-        """Takes samples of an axis that follow its last ones: u, counts (n,) or one of each; time: of the first [s],
-        NaN where there is none. Raises UsageError for what no block takes."""
+        """Add samples of an axis that follow its last ones: u, counts (n,), or a single sample.
+
+        `time` is the time of the first sample [s], or NaN. Raises UsageError for values that no block takes.
+        """
         with self._lock:
             self._wait(self._numbering.add(axis, u, counts, time))
 
     def skip(self, axis: str, samples: int) -> None:
-        """Leaves out the numbers of samples of an axis that were lost before they came here."""
+        """Leave out the numbers of samples of an axis that were lost before they reached the sender."""
         with self._lock:
             self._wait(self._numbering.skip(axis, samples))
 
     def flush(self, timeout: float = 10.0) -> bool:
-        """Sends what waits, and waits itself until the broker has acknowledged all of it; False if it has not within
-        `timeout` [s]."""
+        """Send all waiting samples, and wait until the broker has acknowledged them.
+
+        Returns False if this takes longer than `timeout` [s].
+        """
         with self._lock:
             self._complete()
         self._idle.clear()
@@ -254,7 +275,7 @@ class Sender:
         return done
 
     def _wait(self, blocks: list[bytes]) -> None:
-        """Blocks that wait until there are enough for a message; with the lock."""
+        """Collect blocks until they suffice for a message. The caller holds the lock."""
         for block in blocks:
             self._blocks.append(block)
             self._bytes += len(block)
@@ -264,7 +285,7 @@ class Sender:
             self._since = min(self._since, time.monotonic())
 
     def _complete(self) -> None:
-        """Makes a message of all that waits; with the lock."""
+        """Make a message of all waiting samples. The caller holds the lock."""
         self._wait(self._numbering.rest())
         if self._blocks:
             self._message()
@@ -274,7 +295,7 @@ class Sender:
         payload, self._blocks, self._bytes = b"".join(self._blocks), [], 0
         self._events.put(lambda: self._outbox.take(payload))
 
-    # what follows runs in the sender's own thread; paho's thread and the callers only leave events
+    # The methods below run in the sender's own thread. The thread of paho and the callers only leave events.
 
     def _run(self) -> None:
         waiting, retry = pauses(longest=TUNING.sender_longest_pause), 0.0
@@ -292,7 +313,7 @@ class Sender:
             self._disconnect(self._client)
 
     def _handle_events(self) -> None:
-        """Those that are there, or the next one if it comes soon."""
+        """Handle the present events, or the next event if it comes soon."""
         try:
             self._events.get(timeout=max(self._delay / 2, 0.01))()
             while True:
@@ -307,10 +328,10 @@ class Sender:
         return new_client(self._broker, self._folder, self._name)
 
     def _connect(self) -> None:
-        """A new client each time: one of paho's own would send again what it has, without regard to the order."""
+        """Connect with a new client each time, because paho's own client would repeat its messages in another order."""
         try:
             client = self._make_client()
-        except UsageError as error:  # a file of the password that was there before
+        except UsageError as error:  # a missing file of the password
             self.problem = str(error)
             return
         client.max_inflight_messages_set(0)
@@ -353,7 +374,7 @@ class Sender:
         self._settle()
 
     def _settle(self) -> None:
-        """Whether all is acknowledged, for `flush`."""
+        """Signal to `flush` that all messages are acknowledged."""
         if self._outbox.settled:
             self._idle.set()
 
