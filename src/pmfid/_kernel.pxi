@@ -285,11 +285,12 @@ cdef class Kernel:
         self._check_steps(steps)
         cdef const double *step = NULL if steps is None else <const double *> _numbers(steps)
         cdef Py_ssize_t n = u.shape[0], p = pmf_parameters(&self.config), k, i
-        cdef cnp.ndarray[double, ndim=2, mode="c"] theta = np.empty((n, p))
-        cdef cnp.ndarray[double, ndim=2, mode="c"] factor = np.empty((n, p))
-        cdef cnp.ndarray[double, ndim=2, mode="c"] inflation = np.empty((n, p))
-        cdef cnp.ndarray[double, mode="c"] innovation = np.empty(n)
-        cdef cnp.ndarray[double, mode="c"] variance = np.empty(n)
+        # one block: NumPy asks for pages of 2 MB where it has 4 MB, and fresh small ones take as long as a third of the steps
+        tables, pairs = np.split(np.empty(n * (3 * p + 2)), [3 * n * p])
+        cdef cnp.ndarray[double, ndim=2, mode="c"] theta, factor, inflation
+        cdef cnp.ndarray[double, mode="c"] innovation, variance
+        theta, factor, inflation = tables.reshape(3, n, p)
+        innovation, variance = pairs.reshape(2, n)
         cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
         cdef const pmf_estimate_t *last
         with nogil:
