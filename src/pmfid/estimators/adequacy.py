@@ -360,15 +360,17 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:])
     candidates = list_candidate_forces(difference, q, places)
     effects = _effects(difference, q, candidates)
-    effects = np.where(np.all(np.isfinite(effects), axis=0), effects, 0.0)  # of next to nothing, beyond numbers
+    effects[:, ~np.all(np.isfinite(effects), axis=0)] = 0.0  # of next to nothing, beyond numbers
     cleaned = difference.remove_nuisance(effects, sensitivity[:, p:])
+    del effects  # of long records each of these takes some 100 MB
     scale = np.maximum(np.linalg.norm(own, axis=0), TUNING.tiny)
     shift = np.linalg.lstsq(own / scale, cleaned)[0] / scale[:, None]
-    alone = cleaned - own @ shift
-    apart = np.linalg.norm(alone, axis=0) > TUNING.adequacy_apart * np.linalg.norm(cleaned, axis=0)
+    before, alone = np.linalg.norm(cleaned, axis=0), cleaned
+    alone -= own @ shift
+    apart = np.linalg.norm(alone, axis=0) > TUNING.adequacy_apart * before
     moves = -shift * difference.scale[:p, None]
     hidden = moves[:, ~apart] * np.array([candidate.plausible for candidate in candidates])[~apart]
-    alone, moves = alone[:, apart], moves[:, apart]
+    alone, moves = alone if np.all(apart) else alone[:, apart], moves[:, apart]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = score_variance(best, alone, information, slope)
     if best.noise is None and not np.any(np.abs(score) > TUNING.adequacy_missed * np.sqrt(variance)):

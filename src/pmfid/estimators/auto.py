@@ -6,22 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import Adequacy, is_contradicted, weigh
 from pmfid.estimators.base import Estimator, Simulating
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.configuration import like
+from pmfid.estimators.configuration import check_arrays, like
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.likelihood import Best
 from pmfid.estimators.ls import BCLS, LS
 from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.recursive import BCRLS
-from pmfid.estimators.results import Fit
+from pmfid.estimators.results import Columns, Fit
 from pmfid.models.equation import ESTIMATE, Equation
 from pmfid.status import Status
+from pmfid.types import Floats
 
 AUTO = "auto"
 
@@ -63,8 +64,11 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     """
     refused: list[str] = []
     simulates = not configured.equation.without_simulation
-    best = best or (_find_best(configured, u, counts, refused) if simulates else None)
+    u, counts = check_arrays(u, counts)
+    settled = _settle_iteration(configured, u, counts) if best is None else None
+    best = best or (_find_best(configured, u, counts, settled, refused) if simulates else None)
     sharp = _sharp(configured, best, refused) if best and simulates else None
+    groundwork = _Groundwork(settled, best, sharp, refused)
     if sharp is not None and not sharp.doubt:
         return sharp.make_choice("the model explains every count")
     adequacy = sharp.adequacy if sharp else None
@@ -78,7 +82,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
             continue
         candidate = _candidate(cls, configured, u, counts)
         try:
-            fit = _fit_candidate(candidate, best, sharp, refused, u, counts)
+            fit = groundwork.fit_candidate(candidate, u, counts)
         except NotIdentifiableError as error:
             refused.append(f"{cls.method}: {error}")
             continue
@@ -128,9 +132,51 @@ def _needs_motion(equation: Equation) -> bool:
     return ESTIMATE in (equation.dead_time, equation.lag) or bool(equation.searched)
 
 
-def _find_best(configured: Estimator, u: ArrayLike, counts: ArrayLike, refused: list[str]) -> Best | None:
+#: Columns and theta (p,) of an iteration of instrumental variables that has settled.
+Settled = tuple[Columns, Floats]
+
+
+@dataclass(frozen=True)
+class _Groundwork:
+    """What is found on a record before the candidates are fitted; None: not found. refused: the reasons so far."""
+
+    settled: Settled | None
+    best: Best | None
+    sharp: _Sharp | None
+    refused: Sequence[str]
+
+    def fit_candidate(self, candidate: BatchEstimator, u: Floats, counts: NDArray[np.int64]) -> Fit:
+        """The fit of a candidate. Output error is that of the motion that is known, and where none was found it finds
+        none: what the interval likelihood was refused for."""
+        if isinstance(candidate, IV) and self.settled is not None:
+            return candidate.fit_settled(*self.settled, u, counts)
+        if not isinstance(candidate, OE) or candidate.window is not None:
+            return candidate.fit(u, counts)
+        if self.best is None:
+            raise NotIdentifiableError(self.refused[0].partition(": ")[2])
+        if self.sharp is not None and self.best.noise is None:
+            return replace(self.sharp.fit, status=self.best.status)
+        return candidate.make_least_squares_fit(self.best)
+
+
+def _settle_iteration(configured: Estimator, u: Floats, counts: NDArray[np.int64]) -> Settled | None:
+    """That of `IV`, which is both a candidate and what the motion that fits best starts from; None: there is none."""
+    if configured.equation.without_simulation or configured.equation.searched:
+        return None
     try:
-        return like(IntervalML, configured, prefilter_zeros=None).best(u, counts)
+        return like(IV, configured, prefilter_zeros=None).settle_iteration(u, counts)
+    except NotIdentifiableError:
+        return None
+
+
+def _find_best(
+    configured: Estimator, u: Floats, counts: NDArray[np.int64], settled: Settled | None, refused: list[str]
+) -> Best | None:
+    method = like(IntervalML, configured, prefilter_zeros=None)
+    try:
+        if settled is None:
+            return method.best(u, counts)
+        return replace(method.best(u, counts, settled[1]), status=settled[0].status)
     except NotIdentifiableError as error:
         refused.append(f"{IntervalML.method}: {error}")
         return None
@@ -151,25 +197,6 @@ def _sharp(configured: Estimator, best: Best, refused: list[str]) -> _Sharp | No
     elif np.any(spread > fit.theta_std):
         doubt = "; the error bars of interval leave out unmodelled effects that this record does not show"
     return _Sharp(method, fit, found, doubt)
-
-
-def _fit_candidate(
-    candidate: BatchEstimator,
-    best: Best | None,
-    sharp: _Sharp | None,
-    refused: Sequence[str],
-    u: ArrayLike,
-    counts: ArrayLike,
-) -> Fit:
-    """The fit of a candidate. Output error is that of the motion that is known, and where none was found it finds
-    none: what the interval likelihood was refused for."""
-    if not isinstance(candidate, OE) or candidate.window is not None:
-        return candidate.fit(u, counts)
-    if best is None:
-        raise NotIdentifiableError(refused[0].partition(": ")[2])
-    if sharp is not None and best.noise is None:
-        return replace(sharp.fit, status=best.status)
-    return candidate.make_least_squares_fit(best)
 
 
 def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, counts: ArrayLike) -> BatchEstimator:

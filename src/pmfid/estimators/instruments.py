@@ -58,7 +58,12 @@ class Instruments(ProcessSolver, Simulating):
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Raises NotIdentifiableError also where no iteration settles."""
         u, counts = check_arrays(u, counts)
-        columns, theta = self.settle_iteration(u, counts)
+        return self.fit_settled(*self.settle_iteration(u, counts), u, counts)
+
+    def fit_settled(
+        self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
+    ) -> Fit:
+        """The fit of an iteration that has settled: its columns and theta (p,)."""
         return self._result(columns, theta, self.estimate_covariance(columns, theta, u, counts))
 
     def settle_iteration(

@@ -7,17 +7,17 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.adequacy import weigh
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Simulating
-from pmfid.estimators.configuration import check_arrays, like
+from pmfid.estimators.configuration import like
 from pmfid.estimators.instruments import Instruments, initial_vector
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.results import Fit
+from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
 from pmfid.types import Floats
@@ -66,10 +66,8 @@ class IV(Instruments):
 
     method: ClassVar[str] = "iv"
 
-    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Raises NotIdentifiableError also where no iteration settles."""
-        u, counts = check_arrays(u, counts)
-        fit = super()._fit(u, counts)
+    def fit_settled(self, columns: Columns, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Fit:
+        fit = super().fit_settled(columns, theta, u, counts)
         late = [i for i, name in enumerate(self.names) if name in (DEAD_TIME, LAG)]
         if not late or np.all(fit.theta_std[late] < TUNING.iv_sharp * self.dt):
             return fit
