@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog
@@ -46,6 +45,8 @@ def _measure_signs(u: Floats, position: Floats, width: int) -> tuple[float, floa
     Acceleration, velocity, direction and load explain the input. The best signs are the signs of the explained force.
     All signals are means over `width` samples, which cause no delay.
     """
+    from scipy.ndimage import uniform_filter1d  # slow to import, and only an unsigned input needs it
+
     smooth = uniform_filter1d(uniform_filter1d(position, width), width)
     velocity = np.gradient(smooth)
     columns = np.column_stack([np.gradient(velocity), velocity, np.sign(velocity), np.ones(u.size)])
