@@ -110,13 +110,14 @@ class Worth:
 
     `fisher` (p, p) is the information on the unknown parameters in their own units, with the prior. `value` is the
     value of the criterion, over the scenarios if the problem has an average. `surviving` is the part of the claimed
-    information that remains with true stiction. It is the least value over nominal, slightly larger and slightly
-    smaller parameters, or None without a simulation. `predicted_std` is the standard deviation of each unknown
-    parameter after one run. It is infinite if run and prior do not determine the parameter. `std_encoder` is the
-    standard deviation that `pmfid design SPEC RECORD` will reach from the encoder's counts (`encoder_covariance`). The
-    start position is unknown then. `std_encoder` is infinite for an undetermined parameter, and if the noise does not
-    come from an encoder. `covariance` (p, p) belongs to the estimate of unknown and nuisance parameters after one run,
-    in their units. It decides on the choice of an input, and is None if a parameter is undetermined.
+    information that remains with true stiction. `surviving` is the least value over nominal, slightly larger and
+    slightly smaller parameters, or None without a simulation. `predicted_std` is the standard deviation of each unknown
+    parameter after one run. This deviation is infinite if run and prior do not determine the parameter. `std_encoder`
+    is the standard deviation that `pmfid design SPEC RECORD` will reach from the encoder's counts
+    (`encoder_covariance`). The start position is unknown then. `std_encoder` is infinite for an undetermined parameter,
+    and if the noise does not come from an encoder. `covariance` (p, p) belongs to the estimate of unknown and nuisance
+    parameters after one run, in their units. `covariance` decides on the choice of an input, and is None if a parameter
+    is undetermined.
     """
 
     fisher: Floats

@@ -70,12 +70,12 @@ class RunsEstimate:
     """The estimate from all runs.
 
     `parameters` maps each name to its value, known parameters included. `information` (p, p) of unknown and nuisance
-    parameters, in their units, includes the prior. Its inverse is their covariance. `interval` maps each of these names
-    to the lowest and highest value of an interval that holds 95 %. For normal noise, `inflation` is the variance of the
-    residual over the variance of the noise, times the number of samples that correlate. An inflation above 1 divides
-    the information of the runs. For counts the inflation is 1. `unexplained` is the largest distance of the best motion
-    from a count, in counts. A distance above 0 is an error of the model, and all counts were widened by twice this
-    distance.
+    parameters, in their units, includes the prior. The inverse of the information is the covariance of the parameters.
+    `interval` maps each of these names to the lowest and highest value of an interval that holds 95 %. For normal
+    noise, `inflation` is the variance of the residual over the variance of the noise, times the number of samples that
+    correlate. An inflation above 1 divides the information of the runs. For counts the inflation is 1. `unexplained` is
+    the largest distance of the best motion from a count, in counts. A distance above 0 is an error of the model, and
+    all counts were widened by twice this distance.
     """
 
     parameters: Mapping[str, float]

@@ -312,8 +312,8 @@ def log_of_room(distance: Floats, half: float) -> Floats:
     """Return the logarithm of the distance by which a motion may move with each sample within its count.
 
     `distance` (..., N) is the distance of the motion from the middles of the counts, in counts. `half` is half the
-    width of a count. The result is -inf for an impossible motion. Its exponential is the likelihood of a motion whose
-    start on the encoder's lattice is unknown.
+    width of a count. The result is -inf for an impossible motion. The exponential of the result is the likelihood of a
+    motion whose start on the encoder's lattice is unknown.
     """
     room = 2.0 * half - (distance.max(axis=-1) - distance.min(axis=-1))
     return np.asarray(np.log(room, out=np.full(room.shape, -np.inf), where=room > 0))
@@ -379,7 +379,8 @@ def what_is_open(
     errors = distances(middle)
     narrowest = widest(errors) / 2.0
     unexplained = max(0.0, narrowest - TUNING.encoder_error_half)
-    # A set that has almost vanished shows a model that the counts almost refute. It does not show accuracy.
+    # A set that has almost vanished shows a model that the counts almost refute. A small set does not show accuracy
+    # here.
     least_room = TUNING.least_room / max(e.size for e in errors)
     half = max(TUNING.encoder_error_half + TUNING.encoder_error_missing * unexplained, narrowest + least_room)
     rng = np.random.default_rng(seed)

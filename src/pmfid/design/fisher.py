@@ -27,8 +27,8 @@ class Regime:
 
     `A` is (n, n); `b`, `g` and `c` are (n,). The derivatives by the parameters are `A_slope` (p, n, n), `b_slope` (p,
     n) and `g_slope` (p, n); `c` depends on no parameter. The matrix `entry` (n, n) multiplies the sensitivities of the
-    state where the regime begins. It is the identity except for a rest, in which friction removes every deviation of
-    the velocity.
+    state where the regime begins. The matrix `entry` is the identity except for a rest, in which friction removes every
+    deviation of the velocity.
     """
 
     A: Floats

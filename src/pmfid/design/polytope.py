@@ -223,7 +223,7 @@ def retreat(inputs: InputSet, centre: Floats, u: Floats) -> Floats:
 
 
 def nearest_of_any_energy(inputs: InputSet, wish: Floats) -> Floats:
-    """Return the nearest input to the wish without the limit of energy.
+    """Return the input that is nearest to the wished input, without the limit of energy.
 
     The input is u = wish + base + Z d with the least norm of d, where `base` meets the equations.
     """

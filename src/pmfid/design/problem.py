@@ -343,7 +343,7 @@ class Problem:
 
     @property
     def cases(self) -> tuple[Mapping[str, float], ...]:
-        """Parameters of each case of the criterion: the nominal ones and, with an average, the ones of each
+        """Parameters of each case of the criterion: the nominal parameters and, with an average, the parameters of each
         scenario."""
         return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
@@ -396,8 +396,8 @@ class Design(Presentable):
     x, v
         (n+1,) nominal position [m] and velocity [m/s].
     fisher
-        (p, p) information on the unknown parameters, in their own units. It includes the prior, and nuisance parameters
-        are eliminated.
+        (p, p) information on the unknown parameters, in their own units. The information includes the prior, and
+        nuisance parameters are eliminated.
     value
         Value of the criterion; larger is better (see `criteria`).
     bound

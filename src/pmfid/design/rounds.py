@@ -119,7 +119,7 @@ def sequential(
     problem
         Equation, parameters and limits.
     experiment
-        Function from a `Design` to its `DesignedRun`: a machine, a file, or `simulated_experiment`.
+        Function that runs a `Design` and returns its `DesignedRun`, from a machine, a file, or `simulated_experiment`.
     wanted
         {unknown parameter: standard deviation in its unit}. If empty, all rounds are run.
     criterion, starts, seed

@@ -43,8 +43,8 @@ def simulated_information(
     """Return the Fisher information (p, p) of one run on unknown and nuisance parameters, without the prior.
 
     The parameters have their own units. `u` is (n,). `step` > 0 is the change of each parameter as a part of its
-    nominal value. `side` 1 changes the parameters upwards, -1 downwards, 0 both ways. If the axis just stops, or just
-    fails to stop, the two sides differ. Raises the errors of `simulate`.
+    nominal value. A `side` of 1 changes the parameters upwards, -1 downwards, and 0 both ways. If the axis just stops,
+    or just fails to stop, the two sides differ. Raises the errors of `simulate`.
     """
     columns = []
     for name in problem.names:

@@ -239,7 +239,7 @@ def solve(
     seed
         Seed of the starts.
     progress
-        Function that is called after every start.
+        Function that is called after every start of the search.
     certify
         Processor time for the proof of an upper bound [s]; None proves no bound.
     gap

@@ -113,9 +113,9 @@ class StandardInput:
 def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()) -> dict[str, StandardInput]:
     """Return the standard inputs within the limits of a problem.
 
-    They are trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp. The input "minimum_time"
-    reaches the end of each leg as early as the limits allow. After the end it goes on at the least speed. If the limits
-    do not allow a profile, the nearest input in the sum of squares replaces the profile.
+    The standard inputs are trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp. The input
+    "minimum_time" reaches the end of each leg as early as the limits allow. After the end it goes on at the least
+    speed. If the limits do not allow a profile, the nearest input in the sum of squares replaces the profile.
 
     Parameters
     ----------

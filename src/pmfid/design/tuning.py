@@ -107,7 +107,7 @@ class DesignTuning:
     encoder_error_within: tuple[float, float] = (0.025, 0.975)
 
     # fisher
-    #: Trace of an information below which it counts as 0.
+    #: Trace below which an information counts as 0.
     fisher_tiny: float = 1e-200
 
     # oracle

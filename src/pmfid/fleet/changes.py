@@ -231,7 +231,8 @@ def compare_with_wander(series: Series, since: float) -> Beyond:
 
 
 def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:
-    """Return means of neighbours (m, p), never across `place`, with their standard errors and middle times (m,)."""
+    """Return means of neighbouring segments (m, p), with standard errors and middle times (m,). No mean crosses
+    `place`."""
     n = series.start.size
     many = -(-n // TUNING.changes_most)
     starts = np.r_[np.arange(place % many, place, many), np.arange(place, n, many)].astype(int)

@@ -299,9 +299,9 @@ def estimate(
 
     `data` is a folder of Parquet or Arrow files in any partition, a file of any format, or a frame. The frame may come
     from pandas, Polars (lazy, too), Arrow or Spark. The data have a row for each sample of each axis, in any order.
-    `axis` is an AXIS.toml or its path. It names the columns of time, input and counts, and describes the common
-    properties of all axes. `by` is the column, or the key of the folders, with the names of the axes. `period` is
-    "day", "shift", "run" or a duration such as "10min". `type` is the column with the types of the axes; axes are
+    `axis` is an AXIS.toml or its path. The AXIS.toml names the columns of time, input and counts, and describes the
+    common properties of all axes. `by` is the column, or the key of the folders, with the names of the axes. `period`
+    is "day", "shift", "run" or a duration such as "10min". `type` is the column with the types of the axes; axes are
     compared within a type. `engine` is by default this machine, `Local()`, or the session of a Spark DataFrame. `out`
     is a folder that keeps finished work. A second call with the same folder processes only new or changed data.
     `segment` is the length of one estimate [s], the unit in which changes are found. The default is 60 s, or a length
@@ -332,7 +332,7 @@ def estimate(
 
 
 class _Run:
-    """One call: its survey, its plan, and its store."""
+    """The survey, the plan and the store of one call of `estimate`."""
 
     def __init__(
         self, axis: Axis, columns: SourceColumns, data: Parts | SparkRows, store: Store | None, tell: Progress

@@ -41,9 +41,9 @@ class RowProblem:
 class Survey:
     """The axes and days in the parts of a data set.
 
-    `rows` has a row for each axis and day in each part. Its columns are the part's name, number of rows, first and last
-    time [s], type, place of the first row, and extent in rows. `problems` has parts that are left out, and
-    peculiarities of other parts.
+    `rows` has a row for each axis and day in each part. The columns of `rows` are the part's name, number of rows,
+    first and last time [s], type, place of the first row, and extent in rows. `problems` has parts that are left out,
+    and peculiarities of other parts.
     """
 
     rows: pl.DataFrame

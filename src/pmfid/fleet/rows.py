@@ -114,8 +114,8 @@ class Aside:
     def read(self, name: str, shard: RowShard) -> dict[str, NDArray[np.generic]]:
         """Return the rows of a shard from one part that is put aside.
 
-        They have the number of the axis in the shard, and the columns of `source`. Raises UsageError if the part could
-        not be read.
+        The rows have the number of the axis in the shard, and the columns of `source`. Raises UsageError if the part
+        could not be read.
         """
         laid = self._laid[name]
         if laid.error is not None:
@@ -181,7 +181,7 @@ class ShardTable:
     """A table that finds the shard of a row.
 
     The `shards` share no row. `length` is the duration of a slice [s]. `axes` has the sorted names of all shards.
-    `times` (n,) [s] has the begins and ends of shards.
+    `times` (n,) has the times at which shards begin or end [s].
     """
 
     def __init__(self, shards: Sequence[RowShard], length: float) -> None:

@@ -227,8 +227,8 @@ def velocity(counts: Counts) -> Floats:
 def settled_std(tracks: Tracks) -> Floats:
     """Return the standard deviations (n, p) at the end of the segments.
 
-    They are larger if the estimates still moved by more than chance explains. A biased start, or a change within the
-    segment, is forgotten no faster than the samples.
+    These deviations are larger if the estimates still moved by more than chance explains. A biased start, or a change
+    within the segment, is forgotten no faster than the samples.
     """
     std = tracks.theta_std[:, -1]
     moved = np.ptp(tracks.theta[:, _first_after(tracks, 4) :], axis=1)

@@ -48,7 +48,7 @@ class Series:
     def usable(self) -> Flags:
         """The segments that count, as flags (n,).
 
-        They are the usable segments in which the equation holds, if these are the majority of the usable segments. The
+        A usable segment counts if its equation holds. If such segments are a minority, all usable segments count. The
         equation fails in a segment with a change or a bad start.
         """
         clean = self.known & ((self.status & int(Status.UNMODELLED)) == 0)
@@ -58,8 +58,8 @@ class Series:
     def known(self) -> Flags:
         """The segments with a usable estimate, as flags (n,).
 
-        These are estimates by the method itself if any exist, otherwise by its fallback. The standard errors of a
-        fallback are less reliable.
+        An estimate must come from the method itself if such estimates exist, otherwise from the fallback. The standard
+        errors of a fallback are less reliable.
         """
         known = ((self.status & UNUSABLE) == 0) & np.all(np.isfinite(self.std) & (self.std > 0), axis=1)
         own = known & ((self.status & int(Status.FALLBACK)) == 0)

@@ -138,7 +138,7 @@ def quarter_of(settings: Settings, dt: float) -> int:
 def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
     """Choose the pole and zeros with which most segments of some records have an estimate.
 
-    Among equal choices, the one with the smallest standard errors wins. The tables belong to different axes. Raises
+    Among equal choices, the choice with the smallest standard errors wins. The tables belong to different axes. Raises
     UsageError for a method that is not recursive. If no pole fits, the error of the first table is raised.
     """
     axis = choose_method(axis)

@@ -224,10 +224,10 @@ class SourceColumns:
 class Part:
     """One file, or one frame in memory.
 
-    `name` is for people. `stamp` changes with the content, and is empty for a frame. `constants` has the values that
-    the names of the folders give to all rows. `stamp_now` returns the present stamp, and is None for a part that cannot
-    change. `sliced` is true if some rows can be read without the others. `first` and `many` are the number of the first
-    row and the number of rows; None means all rows.
+    `name` identifies the part in messages. `stamp` changes with the content, and is empty for a frame. `constants` has
+    the values that the names of the folders give to all rows. `stamp_now` returns the present stamp, and is None for a
+    part that cannot change. `sliced` is true if some rows can be read without the others. `first` and `many` are the
+    number of the first row and the number of rows; None means all rows.
     """
 
     name: str

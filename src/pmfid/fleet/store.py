@@ -159,8 +159,8 @@ class Keep:
     ) -> Iterator[Kept]:
         """Yield the table of each key, in order.
 
-        `make` is called once with the indices of the missing keys, and yields their tables in order. These are stored
-        one by one. With `here`, the tables are also kept in memory. Raises UsageError if the disk is full.
+        `make` is called once with the indices of the missing keys, and yields their tables in order. The new tables are
+        stored one by one. With `here`, the tables are also kept in memory. Raises UsageError if the disk is full.
         """
         self.keys += keys
         there = [self._there(key, here) for key in keys]

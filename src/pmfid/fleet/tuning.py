@@ -71,7 +71,8 @@ class FleetTuning:
     segments_tolerance: float = 0.02
     #: Least number of counts over which a velocity is computed, at the usual speed.
     segments_counts: float = 4.0
-    #: Largest number of samples for a second look. They suffice, and the look takes longer than the estimate.
+    #: Largest number of samples for a second look. These samples suffice, and a second look takes longer than the
+    #: estimate.
     segments_most: int = 2**15
     #: Number of estimates of a segment that are kept.
     segments_marks: int = 16
@@ -79,7 +80,7 @@ class FleetTuning:
     segments_usual: float = 3.0
     #: Part of the second half with a wrong equation from which the segment counts as wrong.
     segments_off: float = 0.25
-    #: Least part of the travel in the other direction. The second value is the largest ratio of mean and maximum of an
+    #: Least part of the travel in the other direction. `segments_level` is the largest ratio of mean and maximum of an
     #: input with several sizes.
     segments_back: float = 0.05
     segments_level: float = 0.98
@@ -91,8 +92,8 @@ class FleetTuning:
     # series
     #: Least number of batches whose means reveal a lasting deviation.
     series_batches: int = 4
-    #: Least factor by which the scatter of segments may correct their standard errors. The second value is the least
-    #: number of segments for a correction below 1.
+    #: Least factor by which the scatter of segments may correct their standard errors. `series_few` is the least number
+    #: of segments for a correction below 1.
     least_noise: float = 0.7
     series_few: int = 20
     #: Least number of segments that reveal their shared scatter.
@@ -170,7 +171,7 @@ class FleetTuning:
     processor_most: int = 255
 
     # spark.stream
-    #: Number of keys that are tried for each shard. One shard in e^30 finds none among them.
+    #: Number of keys that are tried for each shard. One shard in e^30 finds no key among them.
     stream_tried: int = 30
 
     # verdicts

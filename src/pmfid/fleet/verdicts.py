@@ -167,7 +167,7 @@ def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdic
 
 
 def _wandering(verdict: AxisVerdict, wander: Beyond, names: Sequence[str]) -> AxisVerdict:
-    """Return a verdict of wandering, in place of a step or drift that explains no more."""
+    """Return a verdict of wandering for an axis whose step or drift explains no more than wandering does."""
     own = [size for size, name in zip(wander.size, names, strict=True) if verdict.cause in name]
     return AxisVerdict(WANDERS, verdict.score, verdict.cause, float(max(own or wander.size)))
 
@@ -210,7 +210,7 @@ def _estimates(follows: Sequence[Follow], members: Sequence[int]) -> tuple[Float
 def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
     """Return the relative deviation (p,) of each axis from the median of its kind, and the excess over the tolerance.
 
-    The excess is in spreads. Both are NaN for too few axes, or if the sign differs.
+    The excess is in spreads. Deviation and excess are NaN for too few axes, or if the sign differs.
     """
     p = follows[0].theta.size if follows else 0
     found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]

@@ -275,8 +275,8 @@ class WatchedAxis:
     def _evidence(self, estimate: Estimate) -> ChangeEvidence | None:
         """Return the evidence of the estimate on the cause, or None while no estimate exists.
 
-        If the model has unmodelled effects, the evidence excludes their constant offset. Its covariance then includes
-        the covariance of a unit of normal work.
+        If the model has unmodelled effects, the evidence excludes their constant offset. The covariance of the evidence
+        then includes the covariance of a unit of normal work.
         """
         found, work = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self.calibration.work
         if work is not None:
@@ -287,8 +287,8 @@ class WatchedAxis:
     def _friction(self) -> Floats | None:
         """Return the frictions (p,) of the reference, or None if they cannot have a common cause.
 
-        The result is None if the reference has only one friction. It is also None if causes are named within a few
-        blocks. A few blocks cannot separate growth of all frictions from growth of one.
+        The result is None if the reference has only one friction. The result is also None if causes are named within a
+        few blocks. A few blocks cannot separate growth of all frictions from growth of one.
         """
         equation, reference = self.estimator.equation, self.reference
         kinds = np.array(equation.positive) & (np.arange(reference.size) != equation.leading)

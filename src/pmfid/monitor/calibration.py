@@ -84,8 +84,8 @@ def resample_units(
 ) -> tuple[Floats, Floats]:
     """Draw units (runs, n, p) in pieces of `length` from random places of a record x, w (n, p).
 
-    Mean and standard deviation of each run come from a second record of the original length, drawn in the same way.
-    Their errors are then as large as the errors of a record of this length.
+    Mean and standard deviation of each run come from a second record of the original length, drawn in the same way. The
+    errors of mean and standard deviation are then as large as in a record of this length.
     """
     drawn = _rows(len(x), shape, length, rng)
     learned = _rows(len(x), (shape[0], len(x)), length, rng)
@@ -201,7 +201,7 @@ class Tail:
     parts: tuple[tuple[float, float, float], ...] = ()
 
     def threshold(self, mtbf_hours: float) -> float:
-        """Return the threshold for a mean time between false alarms [h], one standard error towards fewer alarms."""
+        """Return the threshold for a mean time between false alarms [h], raised by one standard error."""
         careful = min(math.exp(self.doubt(mtbf_hours)), TUNING.calibration_careful)
         return _line(self.level, self.slope, self.rate, careful * mtbf_hours)
 
@@ -486,7 +486,7 @@ def fit_tail(statistic: Floats, block_time: float, top: int = TUNING.calibration
 
 
 def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
-    """Return the standard deviation (p,) of the blocks of a record over the one of the scale.
+    """Return the standard deviation (p,) of the blocks of a record over the standard deviation of the scale.
 
     The ratio is 1 if the difference could be chance.
     """

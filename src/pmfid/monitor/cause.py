@@ -139,7 +139,7 @@ def new_gain(evidence: ChangeEvidence, theta: Floats, input_gain: float) -> tupl
 def _scale_cause(
     cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float
 ) -> Cause:
-    """Return the cause with its size along its direction, expressed as a change of the parameter."""
+    """Return the cause with its size converted to a change of the parameter."""
     if cause.name == FRICTION:
         return replace(cause, change=size, std=std, relative=size)
     if cause.name != INPUT_GAIN:
@@ -162,8 +162,8 @@ def _start(gain: Floats) -> int:
 def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[float, float]:
     """Return the change along a direction (p,), and its standard deviation.
 
-    Blocks in which the change occurs and the filters settle show only a part of the change. They are left out if enough
-    information remains. The uncertainty of the start is the change of the size by one more block, or one fewer.
+    Blocks in which the change occurs and the filters settle show only a part of the change. Such blocks are left out if
+    enough information remains. The uncertainty of the start is the change of the size by one more block, or one fewer.
     """
     by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the moved parameters
     information = np.cumsum(by_block[::-1])[::-1]

@@ -1,6 +1,6 @@
 """Detectors of a change, on standardised block deviations x and their information w (see `scores.Scale`).
 
-Each detector is a frozen configuration. Its state is an array (rows, p) for each axis, which the kernel
+Each detector is a frozen configuration. The state of a detector is an array (rows, p) for each axis, which the kernel
 `_stage.Detection` updates axis by axis. The statistic grows with the evidence for a change of any parameter in either
 direction. The module `calibration` finds the values that the statistic may reach by chance. A block without information
 changes nothing.

@@ -107,7 +107,7 @@ T = TypeVar("T")
 class MonitorFleet:
     """Many axes watched with the configuration and calibration of one monitor.
 
-    Each axis has its own state. Its results have the same bits as those from a single `Monitor`.
+    Each axis has its own state. The results have the same bits as the results of a single `Monitor`.
 
     Parameters
     ----------

@@ -16,8 +16,9 @@ class MonitorTuning:
     #: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
     model_information: float = 15.0
     reference_information: float = 60.0
-    #: Information at which a cause is named. The first value holds if all other causes are excluded, the second without
-    #: an estimate, the third with one. If friction is small, only braking separates mass from gain.
+    #: Information at which a cause is named. `cause_information` holds if all other causes are excluded. Otherwise
+    #: `cause_blind` holds without an estimate, and `cause_latest` with an estimate. If friction is small, only braking
+    #: separates mass from gain.
     cause_information: float = 4.0
     cause_blind: float = 16.0
     cause_latest: float = 32.0
@@ -61,8 +62,8 @@ class MonitorTuning:
     #: divided.
     calibration_resampled: float = 4.0
     calibration_runs: int = 64
-    #: Number of parts of a record whose thresholds are compared. The second value limits the factor by which alarms
-    #: become rarer than asked, because the record leaves doubt. Fewer false alarms are better than more.
+    #: Number of parts of a record whose thresholds are compared. The record leaves doubt, so alarms are made rarer than
+    #: asked, by a factor of at most `calibration_careful`. Fewer false alarms are better than more.
     calibration_parts: int = 4
     calibration_careful: float = 2.0
     #: Discount of a unit of work in the memory of `ChiSquare`.
@@ -82,7 +83,7 @@ class MonitorTuning:
     cause_transition: int = 2
     #: Least information, in average blocks, that remains for the size without the blocks of the transition.
     least_information: float = 2.0
-    #: Excess of the unexplained deviation over the one of another cause [squared standard errors] that excludes a
+    #: Difference between the unexplained deviations of two causes [squared standard errors] that excludes the worse
     #: cause: three standard errors.
     cause_excluded: float = 9.0
     #: Relative error of a size from blocks, in addition to its standard error. The simulated motion reverses at other

@@ -153,8 +153,8 @@ __all__ = [
 def model_checks(result: DriveResult) -> list[Section]:
     """Return sections on the fit of the model at the result's theta, for a recursive method at the last theta.
 
-    With a forgetting factor below 1, only the last three memories of the record are judged. One section gives the
-    reason if the parameters are impossible for a drive, for example a negative mass, or if nothing can be simulated.
+    With a forgetting factor below 1, only the last three memories of the record are judged. If the parameters are
+    impossible for a drive, or if nothing can be simulated, one section gives the reason.
     """
     try:
         theta = result.theta[: len(result.estimator.names)]  # without an estimated input gain

@@ -128,7 +128,7 @@ def figure_of(shown: object, **options: object) -> Drawing:
         if "unexpected keyword" in str(error):
             raise UsageError(f"the figure of {type(shown).__name__} has no such option: {error}") from None
         raise
-    figure.__class__ = Drawing  # holds for figures of other functions, too
+    figure.__class__ = Drawing  # figures of other functions get this class, too
     return cast(Drawing, figure)
 
 

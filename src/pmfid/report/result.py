@@ -44,8 +44,8 @@ HOW_TO_READ = (
 def write_drive(out: Path, result: DriveResult) -> None:
     """Write report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
 
-    An existing track.parquet is kept under another name, such as track-2.parquet. It belongs to an earlier run or to
-    another program.
+    An existing track.parquet is kept under another name, such as track-2.parquet. The existing file belongs to an
+    earlier run or to another program.
     """
     out.mkdir(parents=True, exist_ok=True)
     track = out / "track.parquet"

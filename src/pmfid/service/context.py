@@ -16,8 +16,8 @@ from pmfid.stream.outcome import Counters, EstimateRows, Notice
 #: Number of bytes that one call reads.
 CHUNK = 65_536
 
-#: A function that hands a delivery to the engine, and waits while the inbox is full. It returns False once the service
-#: ends. The source then returns, and the delivery counts as not received.
+#: A function that hands a delivery to the engine, and waits while the inbox is full. The function returns False once
+#: the service ends. The source then returns, and the delivery counts as not received.
 Take = Callable[[Delivery], bool]
 #: A function that returns the present AXIS.toml of an axis by its name, or None for an unknown axis.
 FindAxis = Callable[[str], Axis | None]
@@ -29,7 +29,7 @@ class Source(Protocol):
     """A source of deliveries, which runs in its own thread.
 
     `name` is the name in PLANT.toml. `run` hands data over until the source ends, `stop` is called or `take` returns
-    False. After an error it connects again by itself, with growing pauses, and reports the error through `tell` (an
+    False. After an error `run` connects again by itself, with growing pauses, and reports the error through `tell` (an
     object with "event": "source", "source": name, "problem": ...). `mark` is the position in the last checkpoint, or
     None at the first start. Where possible, `run` requests all later data again. `stop` may be called from any thread,
     at any time, twice.
@@ -55,10 +55,10 @@ class Sink(Protocol):
     A full queue drops and counts its oldest rows, and keeps notices as long as possible. A broken sink therefore never
     delays an estimate.
 
-    `name` is the name in PLANT.toml. `put` writes outcomes in order. It raises OSError, also for errors of its library.
-    The error is reported once, and all outcomes are tried again after a pause and `open`. While no outcome waits, `put`
-    is called with an empty list, first at the start and then every few seconds. `close` writes the remaining outcomes
-    if possible.
+    `name` is the name in PLANT.toml. `put` writes outcomes in order. `put` raises OSError, also for errors of its
+    library. The error is reported once, and all outcomes are tried again after a pause and `open`. While no outcome
+    waits, `put` is called with an empty list, first at the start and then every few seconds. `close` writes the
+    remaining outcomes if possible.
     """
 
     name: str

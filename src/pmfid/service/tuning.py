@@ -22,8 +22,8 @@ class ServiceTuning:
     board_waiting: int = 50_000
 
     # board.panel
-    #: Number of points in a trend, and shortest and longest interval of a point [s], which makes a trend of a day. The
-    #: last value is the least number of rows in an interval, because with about one row some points would be empty.
+    #: Number of points in a trend, and shortest and longest interval of a point [s], which makes a trend of a day.
+    #: `panel_rows` is the least number of rows in an interval, because with about one row some points would be empty.
     panel_points: int = 90
     panel_finest: float = 2.0
     panel_coarsest: float = 1024.0
@@ -90,7 +90,7 @@ class ServiceTuning:
     sqlite_busy: float = 5.0
 
     # sinks.webhook
-    #: Number of bytes of an answer that are read.
+    #: Number of bytes that are read of an answer.
     most_answer: int = 1 << 16
     #: Number of notices that are remembered as delivered, while others of the same time are tried again.
     webhook_remembered: int = 2048

@@ -1,4 +1,5 @@
-"""The exactly simulated laboratory drive. It knows the true parameters, so no lower package may import it."""
+"""The exactly simulated laboratory drive. The simulation knows the true parameters, so no lower package may import this
+package."""
 
 from pmfid.simulation.drive import (
     DriveParameters,

@@ -342,7 +342,8 @@ class Machine:
     drive
         Parameters of the model. A rotary axis has rad, kg m2 and N m in place of m, kg and N.
     stribeck
-        Friction at rest beyond Coulomb friction [N], >= 0. It falls with exp(-(v / stribeck_speed)^2).
+        Friction at rest beyond Coulomb friction [N], >= 0. This part of the friction falls with exp(-(v /
+        stribeck_speed)^2).
     stribeck_speed
         Speed at which the Stribeck friction has fallen to 1/e [m/s], > 0.
     quadratic

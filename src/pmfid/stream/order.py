@@ -184,7 +184,7 @@ class SamplePiece(NamedTuple):
     `lead` is the number of samples missing before the first one, or UNKNOWN_GAP. `apart` is true if the sender and its
     counter restarted, so that the samples on both sides share nothing. `time` is the time of sample `-offset` [s], or
     NaN. `received` is `time.monotonic()`. `turn` is the number of the item since the start, which orders events.
-    `times` (n,) has the times of the samples if they have their own.
+    `times` (n,) has the times of the samples if the samples have times of their own.
     """
 
     lead: int

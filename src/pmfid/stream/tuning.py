@@ -18,10 +18,10 @@ class StreamTuning:
     #: Largest number of waiting deliveries, and of items in them. Above these numbers, the sources wait.
     engine_most: int = 8192
     most_items: int = 8192
-    #: Number of items that the engine takes together, apart from the items of the last delivery. They fit into the
-    #: processor's cache. More items would be stepped more slowly, and a backlog would remain.
+    #: Number of items that the engine takes together, apart from the items of the last delivery. This number of items
+    #: fits into the processor's cache. More items would be stepped more slowly, and a backlog would remain.
     at_once: int = 1024
-    #: Time over which deliveries are collected [s]. It fills the arrays, and the delay remains invisible.
+    #: Time over which deliveries are collected [s]. This time fills the arrays, and the delay remains invisible.
     engine_tick: float = 0.025
     #: Time between two tests for commands while no delivery arrives [s].
     engine_idle: float = 0.1
@@ -46,8 +46,8 @@ class StreamTuning:
     intake_most_names: int = 2**17
 
     # notices
-    #: Smallest number of a notice of the service, in microseconds since 1970, beyond the numbers of all axes. The
-    #: second value is the number of notices reserved for each axis.
+    #: Smallest number of a notice of the service, in microseconds since 1970, beyond the numbers of all axes. `of_axis`
+    #: is the number of notices reserved for each axis.
     notices_own: int = 10**15
     of_axis: int = 10**9
     #: Time between two tests [s], and the longest counted pause of the engine [s]. No data can come while the process
@@ -57,7 +57,7 @@ class StreamTuning:
     #: Number of sample periods for which an axis may be silent, however short the limit is.
     notices_periods: float = 5.0
     #: Largest number of axes that get their own alarm if they fall silent between two tests. More axes share one alarm,
-    #: which names as many axes as the second value.
+    #: which names `notices_most_names` axes.
     notices_most: int = 100
     notices_most_names: int = 100
 

@@ -1,1 +1,2 @@
-"""The history of a fleet on Apache Spark, at the place of the data. It needs `pmfid[spark]` and a Java runtime."""
+"""The history of a fleet on Apache Spark, at the place of the data. This package needs `pmfid[spark]` and a Java
+runtime."""

@@ -197,8 +197,8 @@ B = TypeVar("B")
 class Spark:
     """The engine of a Spark cluster.
 
-    `master` is as in `session_of`; None takes the running session, or the one that the environment defines. Files must
-    be visible to all executors under the same names. A Spark DataFrame takes its own session.
+    `master` is as in `session_of`; None takes the running session, or the session that the environment defines. Files
+    must be visible to all executors under the same names. A Spark DataFrame takes its own session.
     """
 
     name: ClassVar[str] = "spark"

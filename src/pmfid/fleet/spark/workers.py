@@ -112,8 +112,8 @@ def unpack_state(state: bytes) -> bytes:
 class ShardProcessor(StatefulProcessor):  # type: ignore[misc]
     """The processor of the shards, with a key for each shard.
 
-    Its rows have the column `block`, never missing. If an initial state is given, the shard begins with this body of a
-    checkpoint.
+    The rows of a shard have the column `block`, which is never missing. If an initial state is given, the shard begins
+    with this state.
     """
 
     def __init__(self, plan: StreamPlan, keys: Sequence[int]) -> None:

@@ -1,4 +1,4 @@
-"""Rows and events to a broker."""
+"""A sink that publishes rows and events to an MQTT broker."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class MqttSinkSection(SinkSection, BrokerSection):
         """Return the sink, not yet open. Raises UsageError without paho-mqtt, and for missing secrets."""
         base = f"{self.prefix}/{quote(context.name, safe='')}"
         new = partial(new_client, self, context.folder, self.client_id or f"pmfid-{context.name}-{name}")
-        new()  # reports errors at the start
+        new()  # this call reports errors at the start
         link = BrokerLink(new, self.address, self.keepalive, (f"{base}/status", OFFLINE))
         return MqttSink(name, base, link, self)
 

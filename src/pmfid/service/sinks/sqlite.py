@@ -104,8 +104,8 @@ class SqliteSink:
     """A sink that writes all given notices in one transaction, or none of them.
 
     When `put` returns, the notices are on the disk. A notice with the same number, axis and content is not written
-    again. The number alone does not suffice: a service that lost its state counts from 1 again. Its alarms must not
-    look like old ones.
+    again. The number alone does not suffice: a service that lost its state counts from 1 again. The alarms of such a
+    service must not look like old alarms.
     """
 
     def __init__(self, name: str, path: Path) -> None:

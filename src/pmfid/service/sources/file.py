@@ -187,7 +187,7 @@ class Piped:
         """Return the next bytes, b"" at the end, or None after a pause without bytes, so that `stop` takes effect."""
         try:
             number = self.stream.fileno()
-        except OSError:  # a stream of the same process
+        except OSError:  # a stream in this process has no number
             return self.stream.read(CHUNK)
         if not select.select([number], [], [], 2 * TUNING.file_look)[0]:
             return None

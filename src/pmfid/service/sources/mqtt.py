@@ -64,7 +64,7 @@ class MqttSourceSection(BrokerSection, SourceSection):
     def make(self, name: str, context: Context) -> MqttSource:
         """Return the source. Raises UsageError if the client cannot be made."""
         client = self.client or f"pmfid-{context.name}-{name}"
-        new_client(self, context.folder, client, acknowledges=True)  # reports later errors now
+        new_client(self, context.folder, client, acknowledges=True)  # this call reports errors at the start
         return MqttSource(name, self, context.axis, context.tell, context.folder, client)
 
 
@@ -132,7 +132,7 @@ class MqttSource:
             self._problem = f"no connection to {section.host} port {section.address[1]}: {error}"
             return
         client.loop_start()
-        if self._stopped.is_set():  # during the connection
+        if self._stopped.is_set():  # `stop` was called during the connection
             self._over.set()
         self._over.wait()
         self.subscribed = False

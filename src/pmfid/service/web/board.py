@@ -253,7 +253,7 @@ class Board:
     def arrange(self, groups: Sequence[Kindred], referred: Mapping[str, Sequence[float]] | None = None) -> None:
         """Replace the groups. The rows of an axis stay if its parameters are the same.
 
-        `referred` maps an axis to its reference (q,), if the reference differs from the one of its group. None leaves
+        `referred` maps an axis to its reference (q,), if the axis does not have the reference of its group. None leaves
         the references unchanged.
         """
         share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))

@@ -115,7 +115,7 @@ def most_connections(wanted: int) -> int:
     """
     try:
         import resource
-    except ImportError:  # a system without such a limit
+    except ImportError:  # Windows has no such module
         return wanted
     files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return wanted if files == resource.RLIM_INFINITY else min(wanted, files // 2)
@@ -163,7 +163,7 @@ class Entrance:
         try:
             await loop.connect_accepted_socket(lambda: guest, line, ssl=tls, ssl_handshake_timeout=timeout)
             await guest.gone.wait()
-        except OSError:  # an error of the handshake
+        except OSError:  # the handshake failed
             line.close()
         finally:
             self._guests.pop(line, None)

@@ -79,7 +79,8 @@ class Page:
 
     @property
     def start_url(self) -> str:
-        """The address with the token if this start made the token. It may go to a terminal, never to a log."""
+        """The address with the token if this start made the token. An address with a token may go to a terminal, never
+        to a log."""
         return f"{self.url}#token={self.made_token}" if self.made_token else self.url
 
     def stop(self) -> None:
@@ -103,9 +104,9 @@ def serve(
     """Start to serve the page, before the engine's thread starts.
 
     `name` is the name of the service, `folder` the folder of PLANT.toml. `reference` returns the record of normal work
-    of an axis by its name. It is called on request, in its own thread, and may raise UsageError. `metrics` returns text
-    for Prometheus. `alive` returns whether the engine is alive, for health checks. Raises UsageError if the address is
-    not available, a token is missing, or the extra is not installed.
+    of an axis by its name. The function `reference` is called on request, in its own thread, and may raise UsageError.
+    `metrics` returns text for Prometheus. `alive` returns whether the engine is alive, for health checks. Raises
+    UsageError if the address is not available, a token is missing, or the extra is not installed.
     """
     tokens = load_tokens(config, folder)
     board.keep(1e6 * config.history_mb)

@@ -1,6 +1,6 @@
 """Messages and pipes with binary blocks, JSON or line protocol, identified by their first bytes.
 
-They become blocks and lines of their axes.
+The messages become blocks and lines of their axes.
 """
 
 from __future__ import annotations
