@@ -114,10 +114,10 @@ class Worth:
     slightly smaller parameters, or None without a simulation. `predicted_std` is the standard deviation of each unknown
     parameter after one run. This deviation is infinite if run and prior do not determine the parameter. `std_encoder`
     is the standard deviation that `pmfid design SPEC RECORD` will reach from the encoder's counts
-    (`encoder_covariance`). The start position is unknown then. `std_encoder` is infinite for an undetermined parameter,
-    and if the noise does not come from an encoder. `covariance` (p, p) belongs to the estimate of unknown and nuisance
-    parameters after one run, in their units. `covariance` decides on the choice of an input, and is None if a parameter
-    is undetermined.
+    (`encoder_covariance`). This prediction assumes an unknown start position. `std_encoder` is infinite for an
+    undetermined parameter, and if the noise does not come from an encoder. `covariance` (p, p) belongs to the estimate
+    of unknown and nuisance parameters after one run, in their units. `covariance` decides on the choice of an input,
+    and is None if a parameter is undetermined.
     """
 
     fisher: Floats

@@ -148,7 +148,8 @@ class Allowed:
 
 
 def spread_along_ridges(allowed: Allowed, samples: Floats, middle: Floats, rng: np.random.Generator) -> Floats:
-    """Spread the samples (n, p) along the ridges that go on beyond them, or return the samples if no ridge does.
+    """Spread the samples (n, p) along the ridges that extend beyond the samples. Without such a ridge, return the
+    samples.
 
     `middle` (p,) is a possible place in the middle of the samples.
     """

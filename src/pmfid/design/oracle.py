@@ -84,7 +84,7 @@ class Oracle:
 
         The value at this input is an upper bound of the value from `maximise`.
         """
-        # HiGHS works to absolute tolerances. An objective of order one makes them relative.
+        # HiGHS works to absolute tolerances. An objective of order one makes these tolerances relative.
         size = float(np.abs(objective).max()) or 1.0
         self._cost(-objective / size)
         status = self._run()

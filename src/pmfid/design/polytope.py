@@ -202,8 +202,8 @@ def nearest(inputs: InputSet, wish: Floats) -> Floats:
     """Return the input u (K,) that meets all limits and is nearest to the wish (K,) in the sum of squares.
 
     The problem is a least distance problem (Lawson and Hanson 1974, chapter 23). The nearest input may take more energy
-    than allowed. The result is then the first input with allowed energy on the way from the nearest input to the input
-    of least energy. Raises InfeasibleError if no input meets the limits.
+    than allowed. In this case the result is the first input with allowed energy on the way from the nearest input to
+    the input of least energy. Raises InfeasibleError if no input meets the limits.
     """
     u = nearest_of_any_energy(inputs, wish)
     if np.linalg.norm(u) <= inputs.radius:
@@ -251,9 +251,9 @@ def _least_distance(G: Floats, h: Floats) -> Floats:
 def _least_distance_of_one(G: Floats, h: Floats) -> Floats:
     """Return the vector d of least norm with G d >= h, where the largest entry of h is 1.
 
-    If limits of position and velocity coincide next to a standstill, the active set of `nnls` may become singular. The
-    result of `nnls` is then no minimum. The result is therefore checked, and computed in another way if the check
-    fails.
+    If limits of position and velocity coincide next to a standstill, the active set of `nnls` may become singular. In
+    this case the result of `nnls` is no minimum. The result is therefore checked, and computed in another way if the
+    check fails.
     """
     matrix, wanted = np.vstack([G.T, h]), np.r_[np.zeros(G.shape[1]), 1.0]
     try:

@@ -24,7 +24,7 @@ Experiment = Callable[[Design], DesignedRun]
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One round: a run, the estimate `known` from all runs so far, and the design of the run, if known."""
+    """A round with a run, the estimate `known` from all runs so far, and the design of the run, if known."""
 
     run: DesignedRun
     known: RunsEstimate

@@ -189,7 +189,7 @@ def _least_widening(problem: Problem, inputs: InputSet, names: tuple[str, ...]) 
 def _make_relaxation(problem: Problem, name: str, amount: float) -> Relaxation:
     if name.startswith("end "):
         state = name == "end velocity"
-        # The direction in which the end would have to move is not unique, but the tolerance of the end is.
+        # The end could move in two directions, so the relaxation concerns the tolerance of the end.
         value = problem.end_tolerance[state]
         return Relaxation(f"end_tolerance ({name[4:]})", value, value + amount, UNITS[name])
     if name == "min_speed":

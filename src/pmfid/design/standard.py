@@ -100,7 +100,7 @@ class StandardInput:
     """A standard input u (n,), held over each interval, and its motion.
 
     The position x and the velocity v at the nodes, each (n+1,), are the reference for position control. `bent` is true
-    if the limits do not allow the profile itself; u is then the nearest allowed input.
+    if the limits do not allow the profile itself, and u is the nearest allowed input instead.
     """
 
     name: str

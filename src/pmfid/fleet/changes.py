@@ -16,8 +16,8 @@ from pmfid.types import Floats
 
 #: Least number of segments on each side of a step.
 SIDE = 2
-#: Number of segments after a step that mix samples from before and after the step. The size of the step leaves them out
-#: if enough segments remain.
+#: Number of segments after a step that mix samples from before and after the step. The size of the step leaves out
+#: mixed segments if enough other segments remain.
 MIXED = 1
 
 

@@ -74,8 +74,7 @@ def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
 
 
 def widen_errors(series: Series) -> Series:
-    """Return the series with wider standard errors, by the scatter that neighbouring usable segments (n, p) have
-    beyond them.
+    """Return the series with standard errors widened by the excess scatter of neighbouring usable segments (n, p).
 
     All segments share this scatter, so no segment with too small a standard error dominates. The method is random
     effects (DerSimonian and Laird, 1986), with medians, which a few steps do not move.

@@ -28,7 +28,8 @@ class Settings:
     """The settings of a history.
 
     `axis` includes the method and the pole of the filters. `estimator` has the sample period of the record that decided
-    on them. `segment` is the length of an estimate [s], and `span` its largest duration with the omitted rests [s].
+    on method and pole. `segment` is the length of an estimate [s], and `span` its largest duration with the omitted
+    rests [s].
     """
 
     axis: Axis

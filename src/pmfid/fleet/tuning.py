@@ -61,7 +61,7 @@ class FleetTuning:
     segments_whole: int = 4
     segments_rest: int = 2
     segments_least: int = 1
-    #: Length of a rest, in settling times of the filters, above which the rest is shortened to two of them.
+    #: Length of a rest, in settling times of the filters, above which the rest is shortened to two settling times.
     segments_long: int = 4
     #: Least duration of a few moves with the ends of the rests on both sides, in settling times. Of a shorter motion
     #: the filters see only begin and end. Repetitions of such a motion have the same error.
@@ -104,7 +104,7 @@ class FleetTuning:
     series_pause: float = 60.0
     #: Part of the second looks that may find a deviation, because a change lies in one of the segments.
     series_looks: float = 0.25
-    #: Difference between the estimates of one direction and of the others that is allowed, in standard deviations, and
+    #: Largest allowed difference between the estimates of one direction and of the others, in standard deviations, and
     #: as a part of their size.
     series_agrees: float = 4.0
     same_way: float = 0.02
@@ -127,7 +127,7 @@ class FleetTuning:
     most_missing: float = 0.2
     #: Time constants of the filters that are tried [samples].
     settings_tried: tuple[int, int, int] = (10, 3, 30)
-    #: Factor of the standard errors that is an acceptable price of quicker filters.
+    #: Factor by which standard errors may grow as the price of quicker filters.
     settings_cheap: float = 3.0
     #: Number of examined records, and of segments in each.
     settings_records: int = 8

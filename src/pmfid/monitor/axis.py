@@ -33,7 +33,7 @@ REASONS = ("", "the estimate has not started", "poor excitation", "standstill", 
 class Watching:
     """The configuration that all axes share.
 
-    The statistic of `detector` raises a suspicion above `threshold`. `relative` is the relative deviation that is no
+    The statistic of `detector` raises a suspicion above `threshold`. A relative deviation up to `relative` is no
     change. `noise` (p, p) belongs to the estimator. `wait` returns the number of blocks to wait for a reference (p,).
     After `silent_blocks` blocks without information the state is CANNOT_TELL. `block_time` is the length of a block
     [s].

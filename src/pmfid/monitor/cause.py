@@ -79,7 +79,7 @@ def explain(
     free = [i for i, name in enumerate(names) if name not in fixed]
     further = {INPUT_GAIN: theta} | ({} if friction is None else {FRICTION: friction})
     directions, called = np.vstack([np.eye(theta.size)[free], *further.values()]), [*(names[i] for i in free), *further]
-    weighted = np.linalg.solve(Z, W @ directions.T)  # shape (n, p, directions)
+    weighted = np.linalg.solve(Z, W @ directions.T)  # the shape is (n, p, directions)
     match = np.einsum("npd,np->nd", weighted, S)
     known = np.maximum(np.einsum("npd,npd->nd", weighted, W @ directions.T), np.finfo(float).tiny)
     gain = match**2 / known

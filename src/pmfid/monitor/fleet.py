@@ -27,7 +27,8 @@ UNEASY = (STATES.index(SUSPICIOUS), STATES.index(SETTLING))
 
 
 class Quiet:
-    """A runner for pieces of quiet axes, with the configuration of a monitor."""
+    """A runner that steps quiet axes together, a piece of their samples at a time, with the configuration of a
+    monitor."""
 
     def __init__(self, monitor: Monitor) -> None:
         self._watching = monitor.watching

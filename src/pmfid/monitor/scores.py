@@ -369,8 +369,8 @@ class Disturbed(RowArrays):
     `units` (n, look_back, width) is a ring with the last units, and `begun` (n, look_back) has their times. `gathered`
     is the information since the suspicion or the alarm. `suspected` is the number of units since the suspicion, and
     `crossed` the statistic at the suspicion. `refined` is true if the estimate is already the model. `before` (n, p) is
-    the reference until then. `settled` (n, width) is the sum of the blocks relative to this model. `gain` is the input
-    gain over the gain of the estimator. `by_gain` is true after an alarm on the input gain.
+    the reference before the change. `settled` (n, width) is the sum of the blocks relative to this model. `gain` is the
+    input gain over the gain of the estimator. `by_gain` is true after an alarm on the input gain.
     """
 
     units: Floats

@@ -24,8 +24,8 @@ from pmfid.report.tuning import TUNING
 def replace_file(path: Path, data: bytes) -> None:
     """Write `data` in place of the file at the path.
 
-    A link is replaced, not followed. A device is written to. Raises OSError if the data cannot be written; the file is
-    then unchanged.
+    A link is replaced, not followed. A device is written to. Raises OSError if the data cannot be written, and leaves
+    the file unchanged.
     """
     if path.exists() and not path.is_file():
         path.write_bytes(data)

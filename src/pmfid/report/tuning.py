@@ -38,7 +38,7 @@ class ReportTuning:
     fleet_quiet: int = 10
     #: Length of a history [days] from which its times are labelled by the date alone.
     fleet_dates: float = 2.0
-    #: Largest number of axes and problems in the tables. The files in the same folder have all of them.
+    #: Largest number of axes and problems in the tables. The files in the same folder have all axes and problems.
     fleet_most_axes: int = 60
     fleet_problems: int = 40
     fleet_others: int = 20

@@ -17,7 +17,7 @@ from pmfid.stream.outcome import Counters, EstimateRows, Notice
 CHUNK = 65_536
 
 #: A function that hands a delivery to the engine, and waits while the inbox is full. The function returns False once
-#: the service ends. The source then returns, and the delivery counts as not received.
+#: the service ends. After False the source returns, and the delivery counts as not received.
 Take = Callable[[Delivery], bool]
 #: A function that returns the present AXIS.toml of an axis by its name, or None for an unknown axis.
 FindAxis = Callable[[str], Axis | None]

@@ -1,4 +1,4 @@
-"""Ages of the edges of an encoder: what the timer of a motor controller captures."""
+"""Ages of the edges of an encoder, as the timer of a motor controller captures them."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,11 +17,12 @@ def capture_edges(
     tick: float = 0.0,
     line_errors: ArrayLike = (0.0,),
 ) -> tuple[Counts, Floats]:
-    """Return the counts of each sample and the age of the last edge in it.
+    """Return the counts of each sample, and the age of the last edge in each sample.
 
     Between the instants of the motion, the position is the cubic of both positions and velocities. A motion of 1 ms of
-    the cart of the examples is thus exact to 1e-9 s, except in an interval in which it stops or turns: simulate such a
-    motion finely, and sample it with `every`. Edges inside one interval of the motion follow from its net travel.
+    the cart of the examples is thus exact to 1e-9 s, except in an interval with a stop or a turn. Simulate a motion
+    with stops finely, and sample the motion with `every`. The edges in one interval of the motion follow from the net
+    travel in this interval.
 
     Parameters
     ----------
@@ -34,17 +35,17 @@ def capture_edges(
     every
         Intervals of the motion per sample, >= 1.
     tick
-        Period of the timer [s], >= 0. 0: a timer without ticks.
+        Period of the timer [s], >= 0; 0 means a timer without ticks.
     line_errors
-        Distances of the lines from their even places [m], (lines,), each below half of the resolution. The lines repeat
-        after that many counts.
+        Distances of the lines from their even places [m], (lines,), each below half of the resolution. The errors
+        repeat after this number of lines.
 
     Returns
     -------
     counts
         Counts at the samples, int64.
     ages
-        Time from the last edge to the sample [s], in [0, every dt]. NaN: no edge since the sample before.
+        Time from the last edge to the sample [s], in [0, every dt], or NaN without an edge since the previous sample.
 
     Raises
     ------
@@ -83,12 +84,14 @@ def capture_edges(
 
 
 def _place(lines: Counts, resolution: float, phase: float, errors: Floats) -> Floats:
-    """Return the places of lines, given in counts [m]."""
+    """Return the positions [m] of lines, from the line numbers in counts."""
     return np.asarray(lines * resolution - phase + errors[lines % errors.size])
 
 
 def _find_edges(motion: Motion, counts: Counts, resolution: float, phase: float, errors: Floats) -> Floats:
-    """Instant [s] of the last edge in the interval before each instant of the motion, (n,); NaN: none."""
+    """Return the instant [s] of the last edge in the interval before each instant of the motion (n,), or NaN
+    without an edge.
+    """
     change = np.diff(counts)
     k = np.flatnonzero(change)
     line = _place(np.where(change[k] > 0, counts[k + 1], counts[k + 1] + 1), resolution, phase, errors)
@@ -104,7 +107,7 @@ def _find_edges(motion: Motion, counts: Counts, resolution: float, phase: float,
 
 
 def _interpolate(motion: Motion, k: Counts, part: Floats) -> Floats:
-    """Position at a part in [0, 1] of the intervals k, by Hermite's cubic."""
+    """Return the position at a part in [0, 1] of the intervals k, by Hermite's cubic."""
     x, v = motion.x, motion.v
     travel, step = x[k + 1] - x[k], motion.t[k + 1] - motion.t[k]
     bend = step * (v[k] * (1.0 - part) - v[k + 1] * part) + travel * (2.0 * part - 1.0)

@@ -112,7 +112,7 @@ NO_FAULTS = Faults()
 
 
 def wrap_counts(counts: Counts, bits: int | None) -> Counts:
-    """Return the counts modulo 2**bits, as an unsigned register holds them. If `bits` is None, return them
+    """Return the counts modulo 2**bits, as an unsigned register holds them. If `bits` is None, return the counts
     unchanged."""
     if bits is None:
         return counts

@@ -148,7 +148,7 @@ def _phase_of_move(samples: int, dt: float, stroke: float, move_time: float) -> 
 
 
 def _smooth_step(tau: Floats) -> Floats:
-    """Rise from 0 at tau <= 0 to 1 at tau >= 1 with least jerk.
+    """Return a rise from 0 at tau <= 0 to 1 at tau >= 1 with least jerk.
 
     Velocity and acceleration are 0 at both ends.
     """
@@ -157,7 +157,8 @@ def _smooth_step(tau: Floats) -> Floats:
 
 
 def _trapezoid_step(tau: Floats) -> Floats:
-    """Rise from 0 at tau <= 0 to 1 at tau >= 1, with a third of the time each to accelerate, cruise and brake."""
+    """Return a rise from 0 at tau <= 0 to 1 at tau >= 1, with a third of the time each to accelerate, cruise and
+    brake."""
     tau = np.clip(tau, 0.0, 1.0)
     rise, fall = np.minimum(tau, 1.0 / 3.0), np.maximum(tau - 2.0 / 3.0, 0.0)
     return 2.25 * rise**2 + 1.5 * (tau - rise) - 2.25 * fall**2

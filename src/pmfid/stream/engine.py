@@ -25,7 +25,8 @@ from pmfid.stream.tuning import TUNING
 
 
 class Inbox:
-    """The waiting deliveries: sources put them in from their threads, and the engine's thread takes them out."""
+    """The waiting deliveries: sources put deliveries in from their threads, and the engine's thread takes deliveries
+    out."""
 
     def __init__(self) -> None:
         self._waiting: deque[Delivery] = deque()

@@ -26,8 +26,8 @@ class Positions(RowArrays):
     `number` by the sender's clock [s], NaN while unknown. `start` and `first` are time and number at which the
     measurement of the clock's rate began. `wrong_rate` is true if the last measured rate was outside its tolerance.
     `wrong_period` is true after a notice on samples of another period. `waits` is true if some blocks are early.
-    `heard` is the time of the last used samples by the clock of `Silence` [s], NaN before. `alarm` is the number of the
-    alarm on the silence of the axis, or 0.
+    `heard` is the time of the last used samples by the clock of `Silence` [s], NaN without samples. `alarm` is the
+    number of the alarm on the silence of the axis, or 0.
     """
 
     epoch: NDArray[np.int64]

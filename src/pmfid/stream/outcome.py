@@ -89,9 +89,9 @@ class AlarmRecord:
     """An alarm and its later course.
 
     `number` is the number of its notice. `wall` is a time in seconds since 1970. `what` is the object that `pmfid
-    monitor --json` prints. `note` and `acknowledged` are text and time of the acknowledgement; the time is None before.
-    `settled` has the new values once they are known. `cleared` is the time at which a silent axis, source or sink was
-    back, or None.
+    monitor --json` prints. `note` and `acknowledged` are text and time of the acknowledgement; the time is None without
+    an acknowledgement. `settled` has the new values once they are known. `cleared` is the time at which a silent axis,
+    source or sink was back, or None.
     """
 
     axis: str

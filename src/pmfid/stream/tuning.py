@@ -33,8 +33,7 @@ class StreamTuning:
     most_late: int = 5
     #: Number of consecutive samples after lines of another period until samples are used again.
     groups_probation: int = 50
-    #: Largest number of waiting lines, and number of last lines that are recognised if a source repeats them after a
-    #: restart.
+    #: Largest number of waiting lines, and number of last lines whose repetition after a restart is recognised.
     groups_most: int = 100_000
     groups_known: int = 1000
     #: Number of notices of a kind, such as bad lines and gaps, that an axis gets one by one. Each later notice comes

@@ -44,7 +44,7 @@ class FileSink:
     """A sink that writes a line of JSON for each row and each notice; the line of a notice has an `event`.
 
     If the file was renamed or removed, for example by a rotation of logs, it is made again. The same lines may come
-    twice after an error or a restart; axis and number identify them.
+    twice after an error or a restart; axis and number identify repeated lines.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -72,7 +72,8 @@ class FileSink:
                     _write_all(self._file, b"\n")
 
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-        """Write the outcomes. Raises OSError if the lines cannot be written; a regular file then has none of them."""
+        """Write the outcomes. Raises OSError if the lines cannot be written. A regular file has none of these lines
+        after the error."""
         try:
             there = os.path.samestat(os.stat(self._path), os.fstat(self._file))
         except FileNotFoundError:

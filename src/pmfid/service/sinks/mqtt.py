@@ -153,7 +153,7 @@ class MqttSink:
     The topics are `status` (retained; `offline` is the last will), `estimates/AXIS` and `alarms/AXIS` (retained, empty
     after the alarm). Alarms on silence have `alarms/AXIS/silent`, `alarms/_source/NAME/silent` and
     `alarms/_sink/NAME/silent`. Rows of many axes go to `batches/CONFIG`, events to `events`. Messages may come twice
-    after an error or a restart; their numbers identify them.
+    after an error or a restart; their numbers identify repeated messages.
     """
 
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSinkSection) -> None:
@@ -236,8 +236,7 @@ class MqttSink:
 
 
 def batches_of(rows: EstimateRows) -> Iterator[dict[str, Any]]:
-    """Yield columns of up to `mqtt_batch` rows each, for JSON: axis, number, time, theta and std as lists of lists,
-    ..."""
+    """Yield objects for JSON with columns of up to `mqtt_batch` rows each; theta and std are lists of lists."""
     named = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
     for start in range(0, rows.axis.size, TUNING.mqtt_batch):
         part = slice(start, start + TUNING.mqtt_batch)

@@ -229,7 +229,7 @@ class Queued:
         self._count_lost(lost)
 
     def unwritten(self) -> list[Notice]:
-        """Return alarms, and notices on alarms, that the sink does not have yet. A checkpoint keeps them."""
+        """Return alarms, and notices on alarms, that the sink does not have yet. A checkpoint keeps these notices."""
         with self._changed:
             return list(self._unwritten.values())
 

@@ -108,8 +108,8 @@ class Numbering:
 class _Message:
     """A message of blocks.
 
-    `acknowledged` is the time of the last acknowledgement [s], infinite before. `open` is true without an
-    acknowledgement on the present connection.
+    `acknowledged` is the time of the last acknowledgement [s], infinite before the first acknowledgement. `open` is
+    true without an acknowledgement on the present connection.
     """
 
     payload: bytes
