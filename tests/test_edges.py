@@ -170,3 +170,12 @@ def test_an_unmodelled_force_is_named_by_the_edges() -> None:
     assert found is not None
     assert found.follows
     assert not found.adequate
+
+
+def test_edges_that_are_dense_for_their_scatter_are_flagged() -> None:
+    u, counts, ages, encoder = swing(512)
+    rng = np.random.default_rng(3)
+    late = np.maximum(ages - 5e-5 * rng.exponential(size=ages.size), 0.0)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=512).fit(u, counts, late)
+    assert np.any(np.abs(fit.theta - TRUTH) > 3 * fit.theta_std)
+    assert fit.status & Status.UNMODELLED

@@ -287,10 +287,9 @@ class EdgeFit(Following):
         with suppress(NotIdentifiableError):
             if drifting:
                 return self._conclude(*drifting, status, 0)
-        fallback = like(OE, self).fit(u, counts)
-        note = "the simulated motion does not pass the edges: this is output error of the counts"
-        status |= fallback.status | int(Status.FALLBACK | Status.UNMODELLED)
-        return replace(fallback, status=status, notes=(note,)), None
+        fit = like(OE, self).fit(u, counts)
+        note = "the simulated motion does not pass the edges: the counts alone were used"
+        return replace(fit, status=fit.status | int(Status.FALLBACK | Status.UNMODELLED), notes=(note,)), None
 
     def _begin(self, theta: Floats, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats]:
         """Return the difference at the edges, not yet whitened, and q (q,) to start from."""

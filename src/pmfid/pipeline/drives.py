@@ -187,27 +187,35 @@ class Drives(Kind[Record]):
 def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
     """Return the result of the method in `axis`. The configured axis `asked` contains the prior information."""
     estimator, reason, choice = make_estimator(axis, data), "", None
+    notes: tuple[str, ...] = ()
     if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
-        choice = _choose_edges(estimator, data, axis) or first_choice(estimator, data.u, data.counts)
+        choice, notes = _choose_edges(estimator, data, axis)
+        choice = choice or first_choice(estimator, data.u, data.counts)
         estimator, reason = choice.estimator, choice.reason
     elif axis.estimator.method == AUTO:
         estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
     result = _estimate(estimator, data, asked, progress, choice)
     _check_known(result)
-    return result.with_findings(*make_notes("method", [f"auto chose {reason}"])) if reason else result
+    return result.with_findings(*make_notes("method", (f"auto chose {reason}", *notes))) if reason else result
 
 
-def _choose_edges(estimator: Estimator, data: Record, axis: Axis) -> MethodChoice | None:
-    """Return the fit of the edges, or None if the record has no ages or its motion does not pass the edges."""
+def _choose_edges(estimator: Estimator, data: Record, axis: Axis) -> tuple[MethodChoice | None, tuple[str, ...]]:
+    """Return the fit of the edges, and notes for people.
+
+    The fit is None if the record has no ages of edges, or if the edges cannot be used.
+    """
     if data.ages is None or data.ages.size != data.u.size or EdgeFit.refuses(estimator.equation):
-        return None
+        return None, ()
     method = like(EdgeFit, estimator, prefilter_zeros=None, turn=axis.encoder.lines, tick=axis.encoder.tick)
-    with suppress(NotIdentifiableError):
+    try:
         fit, adequacy = method.examine(data.u, data.counts, data.ages)
-        if adequacy is not None:
-            fit = replace(fit, status=fit.status & ~int(Status.UNMODELLED))  # the adequacy says more
-            return MethodChoice(method, "edges: the record has the ages of edges", fit, adequacy)
-    return None
+    except NotIdentifiableError as error:
+        return None, (f"the ages of edges are not used: {error}",)
+    if adequacy is None:
+        return None, fit.notes
+    if adequacy.follows:  # the adequacy then describes every doubt
+        fit = replace(fit, status=fit.status & ~int(Status.UNMODELLED))
+    return MethodChoice(method, "edges: the record has the ages of edges", fit, adequacy), ()
 
 
 def match_kind(record: Record, axis: Axis) -> Axis:
