@@ -13,7 +13,7 @@ from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.pipeline.identify import identify
 from pmfid.pipeline.monitored.stream import Stop, line_samples
-from pmfid.records.clock import PlacedRows, named_unit, place_rows
+from pmfid.records.clock import PlacedRows, named_unit, place_rows, sample_period
 from pmfid.records.record import read_experiment, read_record
 from pmfid.types import Floats
 from tests.conftest import cart_run
@@ -170,3 +170,13 @@ def place(time: Floats, output: Floats) -> PlacedRows:
     ).record
     every = np.ones(time.size, bool)
     return place_rows(time, every, ~every, config, output)
+
+
+def test_many_gaps_are_not_to_be_cut(tmp_path: Path) -> None:
+    config, steps = axis_of(tmp_path, "t").record, np.ones(200)
+    steps[80] = 10.0
+    with pytest.raises(UsageError, match=r"1 gap.*cut the record at the gap"):
+        sample_period(0.01 * np.cumsum(steps), config)
+    steps[[20, 50, 60, 90, 150]] = 10.0
+    with pytest.raises(UsageError, match=r"6 gaps.*dt in place of time"):
+        sample_period(0.01 * np.cumsum(steps), config)

@@ -219,7 +219,12 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
         k = gaps[0]
         raise UsageError(
             f"time has {len(gaps)} gap{'s' * (len(gaps) > 1)}, steps beyond 1.5 medians of {median:g} s; "
-            f"first after row {k + 1}, t = {time[k]:.9g}; cut the record at the gap"
+            f"first after row {k + 1}, t = {time[k]:.9g}; "
+            + (
+                "cut the record at the gap"
+                if len(gaps) < TUNING.long_steps
+                else "if the samples are even and only their stamps are late, give [record] dt in place of time"
+            )
         )
     worst = float(np.max(np.abs(steps - median)) / median)
     if worst > TUNING.clock_even:
