@@ -25,7 +25,7 @@ DT = 0.01
 SECTIONS: dict[str, dict[str, object]] = {
     "record": {"input": "u", "output": "y", "time": "t"},
     "encoder": {"resolution": 1e-3},
-    "model": {"input_gain": 1.0},
+    "model": {"input_gain": 2.0},
     "estimator": {"cutoff": 50.0},
 }
 
