@@ -1,6 +1,7 @@
-"""Two versions in turn on the same machine: `python -m benchmarks.compare REF` builds the commit REF next to this one.
+"""Compare two versions in turn on one machine: `python -m benchmarks.compare REF` builds the commit REF.
 
-Prints a table of the median ratio new / old over the rounds; exits with 1 where something is slower than `--allowed`.
+Prints a table of the median ratio new / old over the rounds. The exit code is 1 if a benchmark is slower than
+`--allowed`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ TIMINGS = Path(__file__).with_name("timings.py")
 
 
 def build_version(ref: str, folder: Path) -> Path:
-    """The interpreter of an environment with that commit, in a work tree that later calls use again."""
+    """Return the interpreter of an environment with that commit, in a work tree that later calls use again."""
     python = folder / ".venv" / "bin" / "python"
     if not folder.exists():
         subprocess.run(["git", "worktree", "add", "--detach", str(folder), ref], cwd=ROOT, check=True)

@@ -1,4 +1,4 @@
-"""The one record that every benchmark runs on, and what the results say of the machine."""
+"""The record of all benchmarks, and the description of the machine in the results."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ DRIVE = pmfid.Drive(input_gain=CART.input_gain)
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The cart under a random binary input of 3 V, 1024 increments per turn: u [V] and counts, (n,); dt [s].
+    """The cart under a random binary input of 3 V, 1024 increments per turn: u [V] and counts (n,), dt [s].
 
-    phi (m, 3), z (m,): its filtered regressors and target, for peers that have no filters of their own;
-    extended (m, 5), extended_z (m,): those of the model extended by the pre-filter (paper eq. 19 to 21).
+    phi (m, 3) and z (m,) are its filtered regressors and target, for peers without filters. extended (m, 5) and
+    extended_z (m,) belong to the model extended by the pre-filter (paper eq. 19 to 21).
     """
 
     u: NDArray[np.float64]
@@ -53,6 +53,6 @@ def record() -> Record:
 
 
 def pytest_benchmark_update_machine_info(config: pytest.Config, machine_info: dict[str, Any]) -> None:
-    """The versions of pmfid and its peers, next to the machine's description in the JSON file."""
+    """Add the versions of pmfid and its peers to the machine's description in the JSON file."""
     machine_info["packages"] = {name: version(name) for name in PACKAGES if find_spec(name)}
     machine_info["processors"] = os.cpu_count()

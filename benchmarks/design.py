@@ -1,6 +1,6 @@
-"""Time to the best design, with pmfid and with CasADi on the same problem: `python -m benchmarks.design PAGE.md`.
+"""Measure the time to the best design with pmfid and with CasADi: `python -m benchmarks.design PAGE.md`.
 
-Times are those of the processor, because the machine may be shared; all programs run on one thread.
+The times are processor times, because the machine may be shared. All programs run on one thread.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ BOUNDS = [
     (200, 2, "A", 0.1),
 ]
 REACHED = 0.999
-#: Starts of pmfid by intervals, and of the peer.
+#: Starts of pmfid by the number of intervals, and starts of the peer.
 STARTS, PEER_STARTS = {40: 1000, 200: 100}, 50
 
 PAGE = """\
@@ -80,15 +80,17 @@ Processor time until the bound is within the gap, after the search.
 
 
 def problem(parameters: int, intervals: int = 40) -> Problem:
-    """0.4 m in 2 s from rest to rest, |u| <= 3 V, speed
-    at least 0.01 m/s; the first parameters unknown."""
+    """Return the problem of a move of 0.4 m in 2 s from rest to rest, with |u| <= 3 V and speed at least 0.01 m/s.
+
+    The first `parameters` parameters are unknown.
+    """
     limits = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
     names = tuple(NOMINAL)[:parameters]
     return Problem(Drive(2.0), NOMINAL, names, 2.0, intervals, limits, resolution=91e-6, end=(0.4, 0.0))
 
 
 def own_starts(case: Problem, criterion: str, starts: int, seed: int, memory: bool = True) -> Tried:
-    """pmfid, start by start; memory: local optima that earlier starts have met are not left again."""
+    """Run the starts of pmfid; with `memory`, later starts do not leave the known local optima again."""
     ready = setting(case, criterion)
     oracle = Oracle(ready.inputs)
     oracle.feasible()
@@ -105,7 +107,7 @@ def own_starts(case: Problem, criterion: str, starts: int, seed: int, memory: bo
 
 
 def to_target(tried: Tried, best: float) -> tuple[float, float]:
-    """(part that reaches the best, mean seconds of a start over that part)."""
+    """Return (fraction of starts that reach the best, mean seconds of a start over that fraction)."""
     part = float(np.mean(tried.values >= REACHED * best))
     return part, float(tried.seconds.mean()) / part if part else np.inf
 
@@ -148,7 +150,6 @@ def bound_rows() -> Iterator[str]:
 
 
 def main(arguments: list[str]) -> None:
-    """Writes the page to the path given."""
     if len(arguments) != 1:
         sys.exit("one path is needed: python -m benchmarks.design PAGE.md")
     text = PAGE.format(

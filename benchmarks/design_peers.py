@@ -1,4 +1,4 @@
-"""The designs of `benchmarks.design` with CasADi and IPOPT, as its users would write them."""
+"""The designs of `benchmarks.design` with CasADi and IPOPT, as their users would write them."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Tried:
-    """Value found by each start (0 where the solver failed), (n,), and processor seconds for each, (n,)."""
+    """The value of each start (n,), 0 if the solver failed, and its processor seconds (n,)."""
 
     values: Floats
     seconds: Floats
 
 
 def casadi_starts(problem: Problem, criterion: str, starts: int, seed: int) -> Tried:
-    """Multiple shooting with exact steps, IPOPT with exact second derivatives; the program is built once, untimed.
+    """Solve by multiple shooting with exact steps and IPOPT with exact second derivatives.
 
-    Position, velocity and their sensitivities at the nodes are variables next to the input; for D and A the information
-    is too, D by its Cholesky factor. Starts: a random input within its limits, and the motion that it gives.
+    The program is built once, untimed. Its variables are position, velocity and their sensitivities at the nodes. For D
+    and
+    A the information is a variable, too, for D by its Cholesky factor. A start is a random input within its limits with
+    the motion that it causes.
     """
     import casadi
 
@@ -52,7 +54,7 @@ class _Program:
         K, p = problem.intervals, len(problem.names)
         n = 2 * (p + 1)
         unit = problem.scale / np.sqrt(problem.variance)
-        # sensitivities in units in which the information is of order one
+        # units of the sensitivities in which the information is of order one
         self.unit = unit / np.sqrt(self._typical())
         self.states = np.concatenate([np.ones(2), np.repeat(self.unit, 2)])
         A = step.A * self.states[:, None] / self.states[None, :]
@@ -83,7 +85,7 @@ class _Program:
         self.low, self.high = self._bounds()
 
     def _typical(self) -> Floats:
-        """Information of a mid-range input, so that the variables are of order one."""
+        """Return the information of a mid-range input, which scales the variables to order one."""
         high = (self.problem.limits.pair("input") or (-1.0, 1.0))[1]
         F = self.maps.information(np.linspace(0.5 * high, 0.2 * high, self.problem.intervals))
         return np.asarray(F.diagonal())
@@ -134,7 +136,7 @@ def _triangle(casadi: Any, entries: Any, p: int) -> Any:
 
 
 def _inverse(casadi: Any, lower: Any, p: int) -> Any:
-    """Inverse of a lower triangle, by forward substitution."""
+    """Return the inverse of a lower triangle, by forward substitution."""
     rows: list[list[Any]] = []
     for i in range(p):
         row = [-sum(lower[i, k] * rows[k][j] for k in range(j, i)) / lower[i, i] for j in range(i)]

@@ -1,6 +1,6 @@
-"""Instructions per step, counted by callgrind: `python -m benchmarks.instructions RESULT.json`.
+"""Count the instructions per step with callgrind: `python -m benchmarks.instructions RESULT.json`.
 
-Unlike times they do not depend on what else the machine does. Needs valgrind; without it the result is empty.
+Unlike times, these counts do not depend on other load of the machine. Without valgrind the result is empty.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PARTS = ("pmf_step", "pmf_encoder_step", "pmf_auxiliary_step", "pmf_network_step
 
 
 def workload() -> None:
-    """All estimators one after the other; each new one begins with pmf_init, at which callgrind writes a part."""
+    """Run all estimators in turn; each begins with pmf_init, at which callgrind starts a new part."""
     import pmfid
     from pmfid.simulation.scenarios import CART, make_scenario
 
@@ -37,28 +37,28 @@ def workload() -> None:
 
 
 def count(folder: Path) -> list[dict[str, float]]:
-    """Runs the workload under callgrind; instructions per step of each part of the kernel, per estimator."""
+    """Run the workload under callgrind; return the instructions per step of each kernel part for each estimator."""
     output = folder / "callgrind.out"
     command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={output}", "--dump-before=pmf_init"]
     command += ["--toggle-collect=pmf_step*", sys.executable, "-m", "benchmarks.instructions", "--workload"]
     subprocess.run(command, check=True, capture_output=True)
     dumps = sorted(folder.glob("callgrind.out.*"), key=lambda path: int(path.suffix[1:]))
-    counted = [inclusive(path) for path in [*dumps, output] if path.exists()]  # the last one has no number
+    counted = [inclusive(path) for path in [*dumps, output] if path.exists()]  # the last dump has no number
     return [one for one in counted if one]
 
 
 def inclusive(path: Path) -> dict[str, float]:
-    """Inclusive instructions per step of the kernel's functions in one part; empty where none ran."""
+    """Return the inclusive instructions per step of the kernel's functions in one part, or an empty dict."""
     command = ["callgrind_annotate", "--inclusive=yes", "--threshold=100", str(path)]
     text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     found = re.findall(r"^\s*([\d,]+)\s.*?:(pmf_\w+)", text, re.MULTILINE)
-    straight = re.compile(r"^pmf_step_(rls|bcrls|riv)$")  # all parts of it are one function
+    straight = re.compile(r"^pmf_step_(rls|bcrls|riv)$")  # all parts of a straight step are one function
     parts = [(straight.sub("pmf_step", name), int(number.replace(",", "")) / STEPS) for number, name in found]
     return {name: number for name, number in parts if name in PARTS}
 
 
 def instruction_rows(counted: Counted) -> list[str]:
-    """A line for each estimator; one that says so where nothing was counted."""
+    """Return a line for each estimator, or one line that says that nothing was counted."""
     lines = [
         f"| {name} | " + " | ".join(f"{one[part]:.0f}" if part in one else "–" for part in PARTS) + " |"
         for name, one in counted.items()

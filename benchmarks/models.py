@@ -1,4 +1,4 @@
-"""A record of each model that a drive may have, of machines drawn at random: what one `identify` of it costs."""
+"""Records of each model that a drive may have, from random machines, to measure the cost of one `identify`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pmfid.types import Counts, Floats
 from studies.term_machines import KINDS, TERMS, bench_of, record_of
 
 SAMPLES = 10_000
-#: Options of `Drive`, and the terms of the machine that they are for.
+#: Options of `Drive`, and the terms of the machine that need them.
 MODELS: Mapping[str, tuple[Mapping[str, object], tuple[str, ...]]] = {
     "plain": ({}, ()),
     "gravity": ({"gravity": True}, ("gravity",)),
@@ -36,13 +36,13 @@ MODELS: Mapping[str, tuple[Mapping[str, object], tuple[str, ...]]] = {
         ("gravity", "stribeck", "offset", "quadratic", "spring", "dead_time"),
     ),
 }
-#: The kind of machine of each seed; the odd ones move under position control.
+#: The kind of machine of each seed; machines of odd seeds move under position control.
 SEEDS = {0: "cart", 1: "gantry", 2: "rotor", 3: "slide", 4: "spindle", 5: "press"}
 
 
 @dataclass(frozen=True)
 class Case:
-    """A record, the right model of it, and the machine."""
+    """A record with its right model and its machine."""
 
     u: Floats
     counts: Counts
@@ -53,13 +53,13 @@ class Case:
 
 
 def make_case(name: str, seed: int, samples: int = SAMPLES) -> Case:
-    """The record of a model's machine."""
+    """Return the record of a machine for this model."""
     rng = np.random.default_rng([31, list(MODELS).index(name), seed])
     options, terms = MODELS[name]
     options, values = dict(options), dict[str, float]()
     bench = bench_of(KINDS[SEEDS[seed]], "multisine" if seed % 2 else "prbs", rng)
     bench = replace(bench, samples=samples)
-    if "gravity" in terms:  # of a turn and more
+    if "gravity" in terms:  # strokes of a turn and more
         ramp = float(np.sqrt(3 / (1.2 * bench.force / bench.drive.mass)))
         speed = 0.6 * bench.force / bench.drive.mass * ramp
         scale = speed / bench.speed
@@ -80,7 +80,7 @@ def make_case(name: str, seed: int, samples: int = SAMPLES) -> Case:
 
 
 def identify_case(case: Case, **settings: object) -> Result:
-    """With `auto` and full judgement."""
+    """Identify the case with `auto` and full judgement."""
     from pmfid import identify
 
     return identify(case.u, case.counts, model=case.model, dt=case.dt, encoder=Encoder(case.resolution), **settings)

@@ -1,4 +1,6 @@
-"""From a CSV of a million lines to an estimate: CPU time and memory. `python -m benchmarks.reading FIGURES.json`."""
+"""Measure CPU time and memory from a CSV of a million lines to an estimate: `python -m benchmarks.reading
+FIGURES.json`.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,9 @@ from pmfid.simulation.scenarios import CART, CART_DT
 from pmfid.simulation.signals import prbs
 
 LINES, STEP = 1_000_000, 22.75e-6
-#: Columns of eight bytes [MB].
+#: Size of the columns of eight bytes [MB].
 COLUMNS = 3 * 8 * LINES / 1e6
-#: Lines of the file that is read first, for the imports; times that each step is run, the shortest counts.
+#: Lines of the file that is read first to load the imports; runs of each step, of which the shortest counts.
 FEW, TIMES = 2000, 3
 AXIS = Axis.model_validate(
     {
@@ -58,7 +60,7 @@ def write(path: Path, lines: int) -> None:
 
 
 def cpu(work: Callable[[], object]) -> float:
-    """CPU seconds of the shortest of several runs."""
+    """Return the CPU seconds of the shortest of several runs."""
 
     def once() -> float:
         start = time.process_time()
@@ -69,9 +71,9 @@ def cpu(work: Callable[[], object]) -> float:
 
 
 def memory(path: Path, small: Path) -> float:
-    """Most memory [MB] that reading takes beyond what the process has after reading a small file; Linux only."""
+    """Return the peak memory of reading [MB] beyond the process's memory after reading a small file; Linux only."""
     read_record(small, AXIS)
-    Path("/proc/self/clear_refs").write_text("5")  # the peak from now on
+    Path("/proc/self/clear_refs").write_text("5")  # start a new measurement of the peak
     before = _status("VmRSS")
     record = read_record(path, AXIS)
     return _status("VmHWM") - before if record.u.size else 0.0
@@ -83,7 +85,7 @@ def _status(key: str) -> float:
 
 
 def measured() -> dict[str, float]:
-    """Seconds of each step, and memory [MB], in a process of its own."""
+    """Return the seconds of each step, and the memory [MB], from a separate process."""
     with tempfile.TemporaryDirectory() as folder:
         path, small = Path(folder) / "run.csv", Path(folder) / "small.csv"
         write(path, LINES)
@@ -98,13 +100,13 @@ def measured() -> dict[str, float]:
 
 
 def section(figures: Mapping[str, float]) -> str:
-    """The section on reading."""
+    """Return the page's section on reading."""
     times = (figures["reading"] + figures["run"]) / (figures["polars"] + figures["run"])
     return PAGE.format(**figures, times=times, memory=figures["peak"] / figures["columns"])
 
 
 def main(arguments: list[str]) -> None:
-    """Writes the figures to the path given."""
+    """Write the figures to the given path."""
     if len(arguments) != 1:
         sys.exit("one path is needed: python -m benchmarks.reading FIGURES.json")
     Path(arguments[0]).write_text(json.dumps(measured(), indent=1) + "\n", encoding="utf-8")

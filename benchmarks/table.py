@@ -1,7 +1,7 @@
-"""Writes the page of benchmarks: `python -m benchmarks.table RESULTS.json INSTRUCTIONS.json READING.json PAGE.md`.
+"""Write the page of benchmarks: `python -m benchmarks.table RESULTS.json INSTRUCTIONS.json READING.json PAGE.md`.
 
-The first three are those of pytest-benchmark, `benchmarks.instructions` and `benchmarks.reading`. A .json file of
-the same name keeps the figures, so that results of years can be compared.
+The first three files come from pytest-benchmark, `benchmarks.instructions` and `benchmarks.reading`. A .json file of
+the page's name keeps the figures, so that results of several years can be compared.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ Like with like, pmfid's RLS (with encoder and filters) is {like:.0f} times as fa
 
 @dataclass(frozen=True)
 class Result:
-    """One benchmark: samples, time per sample [ns], relative error of the mass or None where there is none."""
+    """One benchmark: samples, time per sample [ns], and relative error of the mass or None."""
 
     samples: int
     ns: float
@@ -152,7 +152,7 @@ Machine, Results = Mapping[str, Any], Mapping[str, Result]
 
 
 def read(path: Path) -> tuple[Machine, dict[str, Result]]:
-    """The machine's description and the results by name; exits with one sentence where the file is not usable."""
+    """Return the machine's description and the results by name; exit with one sentence if the file is not usable."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         machine, benchmarks = content["machine_info"], content["benchmarks"]
@@ -178,7 +178,7 @@ def _result(entry: Mapping[str, Any]) -> Result:
 
 
 def machine_text(machine: Machine) -> str:
-    """The processor and the versions that the figures belong to."""
+    """Return the processor and the versions to which the figures belong."""
     cpu = machine["cpu"]
     name = cpu.get("brand_raw") or cpu.get("arch_string_raw") or machine["machine"]
     versions = ", ".join(f"{package} {version}" for package, version in machine["packages"].items())
@@ -187,7 +187,7 @@ def machine_text(machine: Machine) -> str:
 
 
 def rows(results: Results) -> list[str]:
-    """The table's lines: in the order of `LABELS`, names that are not in it last."""
+    """Return the table's lines in the order of `LABELS`; other names come last."""
     reference = results[REFERENCE].ns
     names = [name for name in LABELS if name in results] + sorted(set(results) - set(LABELS) - set(MANY) - set(LINEAR))
     return [
@@ -197,7 +197,7 @@ def rows(results: Results) -> list[str]:
 
 
 def many_rows(results: Results) -> list[str]:
-    """Time per axis and sample by the number of axes, with the gain over the scalar kernel in a loop."""
+    """Return the time per axis and sample by the number of axes, with the gain over the scalar kernel in a loop."""
     lines = []
     for axes in AXES:
         found = {precision: results[FLEET.format(precision, axes)] for precision in PRECISIONS}
@@ -207,7 +207,7 @@ def many_rows(results: Results) -> list[str]:
 
 
 def many_figures(results: Results) -> dict[str, float]:
-    """The figures in the text below that table."""
+    """Return the figures in the text below the table of many axes."""
     loop, thread = ([results[form.format(precision)].ns for precision in PRECISIONS] for form in (LOOP, THREAD))
     return {
         **{"loop64": loop[0], "loop32": loop[1], "thread64": thread[0], "thread32": thread[1]},
@@ -216,7 +216,7 @@ def many_figures(results: Results) -> dict[str, float]:
 
 
 def linear_figures(results: Results) -> dict[str, Any]:
-    """What stands in the section on linear processes."""
+    """Return the figures of the section on linear processes."""
     found = [(label, results[name]) for name, label in WHOLE.items() if name in results]
     times = [f"{results[ON_LINE.format(zeros)].ns:.0f} ns" for zeros in ZEROS]
     return {
@@ -230,7 +230,7 @@ def linear_figures(results: Results) -> dict[str, Any]:
 
 
 def goals(results: Results) -> list[str]:
-    """Each goal with what was measured, and whether that meets it."""
+    """Return each goal with the measured figure, and whether the figure meets the goal."""
     run, ratio, step = results[REFERENCE].ns, results[PEER].ns / results[REFERENCE].ns, results[STEP].ns
     order_4 = {zeros: results[ON_LINE.format(zeros)].ns for zeros in (1, 3)}
     many = [results[LOOP.format(name)].ns / results[FLEET.format(name, 10_000)].ns for name in PRECISIONS]
@@ -254,7 +254,7 @@ def goals(results: Results) -> list[str]:
 
 
 def page(machine: Machine, results: Results, counted: Counted, read_in: Mapping[str, float]) -> str:
-    """The whole page; the same results give the same bytes."""
+    """Return the whole page; the same results give the same bytes."""
     return PAGE.format(
         reading=section(read_in),
         machine=machine_text(machine),
@@ -271,7 +271,7 @@ def page(machine: Machine, results: Results, counted: Counted, read_in: Mapping[
 
 
 def kept(machine: Machine, results: Results, counted: Counted, read_in: Mapping[str, float]) -> str:
-    """The figures under their permanent names, and what machine they are of; nothing that names the host."""
+    """Return the figures under their permanent names with their machine, but without the host's name."""
     figures = {
         name: {key: value for key, value in vars(one).items() if key != "output_error" or value is not None}
         for name, one in results.items()
@@ -286,7 +286,7 @@ def kept(machine: Machine, results: Results, counted: Counted, read_in: Mapping[
 
 
 def main(arguments: list[str]) -> None:
-    """Reads the first three paths, writes the fourth and its twin in JSON."""
+    """Read the first three paths; write the fourth and a JSON file of the same name."""
     if len(arguments) != 4:
         usage = "python -m benchmarks.table RESULTS.json INSTRUCTIONS.json READING.json PAGE.md"
         sys.exit(f"four paths are needed, got {len(arguments)}: {usage}")

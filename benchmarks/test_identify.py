@@ -1,4 +1,4 @@
-"""CPU seconds of one `identify` with full judgement, by model and machine. The names are permanent: figures compare."""
+"""Measure the CPU seconds of one `identify` with full judgement, by model and machine. The names are permanent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Time per axis and sample for many axes, next to the scalar kernel in a loop and NumPy vectorised over the axes.
+"""Time per axis and sample for many axes, compared to the scalar kernel in a loop and to NumPy over the axes.
 
 The names are permanent. Every axis has its own part of the record; `run` starts from new states each time.
 """
@@ -14,13 +14,13 @@ import pmfid
 from benchmarks.conftest import DRIVE, Record
 from benchmarks.test_step import make, measure, note_mass
 
-#: Axes -> samples of each: enough to wait for, and no more than the memory holds.
+#: Axes -> samples of each axis: enough for a measurable time, within the memory.
 SIZES = {1: 200_000, 10: 50_000, 100: 10_000, 1000: 2_000, 10_000: 500, 100_000: 100}
 LOOP_AXES = 200
 
 
 def tables(record: Record, axes: int, samples: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """u, counts (axes, samples), each axis from another start."""
+    """Return u, counts (axes, samples); each axis begins at another place of the record."""
     starts = np.random.default_rng(axes).integers(0, record.u.size - samples + 1, axes)
     u, counts = record.u.astype(np.float32), record.counts.astype(np.int32)
     return tuple(np.stack([row[k : k + samples] for k in starts]) for row in (u, counts))  # type: ignore[return-value]
@@ -29,7 +29,7 @@ def tables(record: Record, axes: int, samples: int) -> tuple[NDArray[np.float32]
 @pytest.mark.parametrize("axes", SIZES)
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_pmfid_bcrls_fleet(benchmark: BenchmarkFixture, record: Record, precision: str, axes: int) -> None:
-    """All processors, the widest vectors."""
+    """The fleet uses all processors and the widest vectors."""
     samples = SIZES[axes]
     u, counts = tables(record, axes, samples)
     fleet = pmfid.Fleet(make(pmfid.BCRLS, record, precision), axes)
@@ -47,7 +47,7 @@ def test_pmfid_bcrls_fleet_one_thread(benchmark: BenchmarkFixture, record: Recor
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_pmfid_bcrls_loop(benchmark: BenchmarkFixture, record: Record, precision: str) -> None:
-    """The scalar kernel, one axis after the other, on one core."""
+    """The scalar kernel runs one axis after the other on one core."""
     u, counts = tables(record, LOOP_AXES, 500)
     inputs, numbers = u.astype(float), counts.astype(np.int64)
     estimator = make(pmfid.BCRLS, record, precision)
@@ -65,7 +65,7 @@ def test_pmfid_bcrls_loop(benchmark: BenchmarkFixture, record: Record, precision
 def test_numpy_over_axes(benchmark: BenchmarkFixture, record: Record) -> None:
     """Recursive instrumental variables on filtered columns, every operation on all axes at once.
 
-    The recursion that BCRLS is; encoder and filters are not in its time, and all axes read the same columns.
+    BCRLS has the same recursion. The time excludes encoder and filters, and all axes read the same columns.
     """
     axes, samples, forgetting = 10_000, 500, 0.999
     batch = pmfid.BCLS(DRIVE, record.encoder, record.dt, 50.0)

@@ -1,6 +1,6 @@
-"""Time per axis and sample of many monitored axes, on one core, next to `Monitor.step` in a loop.
+"""Time per axis and sample of many monitored axes on one core, compared to `Monitor.step` in a loop.
 
-The names are permanent. Normal work of the cart, every axis from another place in it; 100 Hz, blocks of 17 samples.
+The names are permanent. Every axis has another place of the cart's normal work; 100 Hz, blocks of 17 samples.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pmfid.simulation.scenarios import CART
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, make_riv, normal_work
 
-#: Axes -> samples of each; they come in blocks of N.
+#: Axes -> samples of each axis, which come in blocks of BLOCK samples.
 SIZES = {1: 10_000, 12: 10_000, 1000: 1000, 10_000: 300}
 BLOCK = 50
 LOOP_SAMPLES = 5000
@@ -26,13 +26,12 @@ THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 @cache
 def monitor() -> Monitor:
-    """Whose thresholds no chance reaches: a false alarm takes its axis through `Monitor.run`."""
+    """Return a monitor with unreachable thresholds: a false alarm would lead its axis through `Monitor.run`."""
     calibration = calibrate(make_riv(INCREMENTS), THETA, *normal_work(7, INCREMENTS, 0.2), hours=4.0)
     return Monitor(make_riv(INCREMENTS, THETA), calibration, Watch(mtbf_hours=1e5))
 
 
 def tables(axes: int, samples: int) -> tuple[Floats, Counts]:
-    """u, counts (axes, samples)."""
     u, counts = normal_work(11, INCREMENTS, 0.3)
     starts = np.random.default_rng(axes).integers(0, u.size - samples, axes)
     return np.stack([u[k : k + samples] for k in starts]), np.stack([counts[k : k + samples] for k in starts])
@@ -40,7 +39,7 @@ def tables(axes: int, samples: int) -> tuple[Floats, Counts]:
 
 @pytest.mark.parametrize("axes", SIZES)
 def test_pmfid_monitor_fleet(benchmark: BenchmarkFixture, axes: int) -> None:
-    """Blocks of BLOCK samples of all axes, one after the other."""
+    """Blocks of BLOCK samples of all axes follow one another."""
     samples, fleet, index = SIZES[axes], MonitorFleet(monitor(), axes), np.arange(axes)
     u, counts = tables(axes, samples)
     start = fleet.get_state()
@@ -53,7 +52,7 @@ def test_pmfid_monitor_fleet(benchmark: BenchmarkFixture, axes: int) -> None:
 
 
 def test_pmfid_monitor_step(benchmark: BenchmarkFixture) -> None:
-    """One axis, sample by sample."""
+    """One axis runs sample by sample."""
     single, (u, counts) = MonitorFleet(monitor(), 1).monitor(0), tables(1, LOOP_SAMPLES)
     pairs, start = list(zip(u[0].tolist(), counts[0].tolist(), strict=True)), single.get_state()
 
@@ -65,6 +64,6 @@ def test_pmfid_monitor_step(benchmark: BenchmarkFixture) -> None:
 
 
 def test_pmfid_monitor_fleet_get_state(benchmark: BenchmarkFixture) -> None:
-    """All states of 10 000 axes as bytes; a sample is an axis here."""
+    """The result is all states of 10 000 axes as bytes; an axis counts as a sample here."""
     fleet = MonitorFleet(monitor(), 10_000)
     measure(benchmark, fleet.get_state, 10_000, rounds=5)

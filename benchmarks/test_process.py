@@ -1,6 +1,6 @@
-"""Recursive least squares of order 4; SRIVC and its discrete peers: time, and error of the output that each simulates.
+"""Recursive least squares of order 4, and SRIVC with its discrete peers: time and error of the simulated output.
 
-The peers, ARMAX and output error of sippy_unipi, are measured where that is installed; it is no requirement here.
+The peers, ARMAX and output error of sippy_unipi, are measured if it is installed; it is no requirement here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PEERS = {"OE": {"OE_orders": [4, 4, 1]}, "ARMAX": {"ARMAX_orders": [4, 4, 4, 1]}
 
 
 def record(benchmark: BenchmarkFixture, simulated: NDArray[np.float64]) -> float:
-    """Error of the simulated output, as a part of the output without noise."""
+    """Record and return the error of the simulated output, relative to the output without noise."""
     error = float(np.linalg.norm(simulated - CLEAN) / np.linalg.norm(CLEAN))
     benchmark.extra_info["samples"] = PLANT.samples
     benchmark.extra_info["output_error"] = error
@@ -42,7 +42,7 @@ def test_pmfid_srivc_order_4(benchmark: BenchmarkFixture) -> None:
 
 @pytest.mark.parametrize("zeros", range(4))
 def test_pmfid_rls_order_4(benchmark: BenchmarkFixture, zeros: int) -> None:
-    """`run` of five to eight parameters."""
+    """The models have five to eight parameters."""
     encoder, counts = fine_counts(Y)
     estimator = RLS(TransferFunction(4, zeros), encoder, PLANT.dt, PLANT.cutoff, forgetting=0.9995)
     track: Any = benchmark.pedantic(lambda: estimator.run(U, counts), setup=estimator.reset, rounds=50)

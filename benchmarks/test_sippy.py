@@ -1,4 +1,4 @@
-"""Time of sippy_unipi's recursive ARX; skipped where it is not installed, for it brings CasADi with it."""
+"""Time of sippy_unipi's recursive ARX; skipped if it is not installed, because it requires CasADi."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ SAMPLES = 10_000
 
 @pytest.mark.filterwarnings("ignore")
 def test_sippy_rls(benchmark: BenchmarkFixture, record: Record) -> None:
-    """ARX of the measured velocity on input and direction, by recursive least squares.
+    """Estimate an ARX model of the measured velocity from input and direction, by recursive least squares.
 
-    Its parameters are those of a difference equation with the encoder's noise in the regressors; no mass is compared.
+    Its parameters belong to a difference equation with the encoder's noise in the regressors, so that no mass is
+    compared.
     """
     sippy = pytest.importorskip("sippy_unipi")
     counts = record.counts[: SAMPLES + 1]

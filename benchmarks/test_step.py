@@ -1,7 +1,7 @@
 """Time per sample of pmfid and of its peers on the same record, each with the mass that it found.
 
-The names are permanent: results of years can be compared. The peers are given the filtered regressors, so
-they have less to do than pmfid, which starts from the counts.
+The names are permanent: results of several years can be compared. The peers receive the filtered regressors, so that
+they have less work than pmfid, which starts from the counts.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ def measure(
     rounds: int,
     setup: Callable[[], None] | None = None,
 ) -> Any:
-    """Times `run`, which takes `samples` samples, after one untimed round; returns its last result."""
+    """Measure the time of `run`, which takes `samples` samples, after one untimed round; return its last result."""
     pedantic: Callable[..., Any] = benchmark.pedantic
     result = pedantic(run, setup=setup, rounds=rounds, iterations=1, warmup_rounds=1)
     benchmark.extra_info["samples"] = samples
-    if benchmark.stats is not None:  # None where timing is switched off
-        # the best round: on a shared machine all others tell of the neighbours too
+    if benchmark.stats is not None:  # None if timing is switched off
+        # the best round, because on a shared machine all other rounds show the load of others
         benchmark.extra_info["ns_per_sample"] = benchmark.stats.stats.min / samples * 1e9
     return result
 
 
 def note_mass(benchmark: BenchmarkFixture, mass: float, tolerance: float = 0.01) -> None:
-    """Accuracy next to speed; fails where the benchmark computes something else than the mass."""
+    """Record the error of the mass besides the time; fail if the benchmark does not compute the mass."""
     error = float(mass) / CART.mass - 1
     benchmark.extra_info["mass_error"] = error
     assert abs(error) < tolerance
@@ -79,7 +79,7 @@ def test_pmfid_rls_run(benchmark: BenchmarkFixture, record: Record, precision: s
 
 
 def test_pmfid_bcrls_step(benchmark: BenchmarkFixture, record: Record) -> None:
-    """One call per sample from Python, its `theta` read each time."""
+    """Python calls the estimator for each sample and reads `theta` each time."""
     estimator = make(pmfid.BCRLS, record)
     u, counts = record.u[:LOOP_SAMPLES].tolist(), record.counts[:LOOP_SAMPLES].tolist()
 
@@ -94,7 +94,7 @@ def test_pmfid_bcrls_step(benchmark: BenchmarkFixture, record: Record) -> None:
 
 
 def test_padasip_rls(benchmark: BenchmarkFixture, record: Record) -> None:
-    """`FilterRLS.adapt` on the filtered regressors: least squares only, no filters, no compensation."""
+    """`FilterRLS.adapt` runs on the filtered regressors: only least squares, without filters and compensation."""
     rows, targets = list(record.phi[:LOOP_SAMPLES]), record.z[:LOOP_SAMPLES].tolist()
 
     def loop() -> float:
@@ -108,14 +108,14 @@ def test_padasip_rls(benchmark: BenchmarkFixture, record: Record) -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_statsmodels_rls(benchmark: BenchmarkFixture, record: Record) -> None:
-    """`RecursiveLS.fit` on the filtered regressors: it has no forgetting, and keeps the history of all samples."""
+    """`RecursiveLS.fit` runs on the filtered regressors: it has no forgetting, and keeps the history of all samples."""
     phi, z = record.phi[:LOOP_SAMPLES], record.z[:LOOP_SAMPLES]
     fit = measure(benchmark, lambda: RecursiveLS(z, phi).fit(), LOOP_SAMPLES, rounds=10)
     note_mass(benchmark, fit.params[0])
 
 
 def test_numpy_rls(benchmark: BenchmarkFixture, record: Record) -> None:
-    """Paper eq. 33, first four lines, on the filtered regressors."""
+    """Paper eq. 33, first four lines, runs on the filtered regressors."""
     rows, targets = list(record.phi[:LOOP_SAMPLES]), record.z[:LOOP_SAMPLES].tolist()
 
     def loop() -> float:
@@ -132,7 +132,7 @@ def test_numpy_rls(benchmark: BenchmarkFixture, record: Record) -> None:
 
 
 def test_numpy_bcrls(benchmark: BenchmarkFixture, record: Record) -> None:
-    """Paper eq. 33 to 36 on the extended regressors; the code of the tests, written to be read next to the paper."""
+    """Paper eq. 33 to 36 run on the extended regressors, with the code of the tests that is read next to the paper."""
     phi, z = record.extended[: LOOP_SAMPLES + BATCH_START], record.extended_z[: LOOP_SAMPLES + BATCH_START]
     H, h = facts_of_paper(record.zeros, record.dt, 5, 3)
     G = np.eye(5)[:, :2]
@@ -144,7 +144,7 @@ def test_numpy_bcrls(benchmark: BenchmarkFixture, record: Record) -> None:
 
 
 def bcrls_network(record: Record) -> tuple[list[tuple[int, float, float, float]], Taps]:
-    """All stages of pmfid's BCRLS, and the taps of the column of the mass."""
+    """Return all stages of pmfid's BCRLS, and the taps of the mass's column."""
     spec = FilterSpec(CUTOFF, 2, record.dt, "matched", record.zeros)
     builder = ColumnBuilder(DRIVE.equation, spec)
     mass = builder.regressors()[0]
@@ -154,7 +154,7 @@ def bcrls_network(record: Record) -> tuple[list[tuple[int, float, float, float]]
 
 
 def test_pmfid_filters(benchmark: BenchmarkFixture, record: Record) -> None:
-    """Encoder and filters of BCRLS alone, without the recursion."""
+    """The benchmark has the encoder and the filters of BCRLS without the recursion."""
     kernel = make(pmfid.BCRLS, record).make_kernel()
     columns, _ = measure(
         benchmark, lambda: kernel.filter(record.u, record.counts), SAMPLES, rounds=20, setup=kernel.reset
@@ -163,7 +163,7 @@ def test_pmfid_filters(benchmark: BenchmarkFixture, record: Record) -> None:
 
 
 def test_scipy_lfilter(benchmark: BenchmarkFixture, record: Record) -> None:
-    """The same stages, each by one call over the whole record; no encoder, the direction by a plain sign."""
+    """Each stage is one call over the whole record, without an encoder; the direction is a plain sign."""
     stages, mass = bcrls_network(record)
     velocity = np.diff(record.counts, prepend=record.counts[0]) * (record.encoder.resolution / record.dt)
     signals = [record.u, velocity, np.sign(velocity), np.ones(SAMPLES)]

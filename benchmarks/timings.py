@@ -1,6 +1,6 @@
-"""Nanoseconds for each sample of what every version of pmfid can do; `python timings.py` prints them as JSON.
+"""Measure ns for each sample of methods that every version of pmfid has; `python timings.py` prints them as JSON.
 
-The script needs nothing of the repository, so that the same lines measure an older version.
+The script needs no file of the repository, so that the same lines measure an older version.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ METHODS = {"rls": pmfid.RLS, "bcrls": pmfid.BCRLS, "riv": pmfid.RIV}
 
 
 def simulate_cart(samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Input [V] and counts (samples,) of a cart of 1.07 kg, ten short steps of Euler's rule in each interval."""
+    """Return input [V] and counts (samples,) of a cart of 1.07 kg, with ten short Euler steps in each interval."""
     u = 3 * np.sign(np.random.default_rng(7).standard_normal(samples // 10 + 1)).repeat(10)[:samples]
     position, velocity, counts = 0.0, 0.0, np.empty(samples, np.int64)
     for k, voltage in enumerate(u):
@@ -32,7 +32,7 @@ def simulate_cart(samples: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def measure_best(run: Callable[[], Any], samples: int, reset: Callable[[], Any]) -> float:
-    """CPU time of the fastest round [ns per sample]: all others show the neighbours, too."""
+    """Return the CPU time of the fastest round [ns per sample], because all other rounds show the load of others."""
     times = []
     for _ in range(ROUNDS):
         reset()

@@ -1,5 +1,5 @@
-"""The twelve carts of examples/plant.toml: simulated, sent through an MQTT broker in real time; the load of one of them
-steps from 1.07 to 1.44 kg.
+"""Simulate the twelve carts of examples/plant.toml and send their samples to an MQTT broker in real time. The mass of
+one cart steps from 1.07 to 1.44 kg.
 
     python examples/plant_machines.py --step 60
 """
@@ -22,7 +22,7 @@ LOADED = 7
 
 
 def cart(number: int, seconds: float, step: float) -> Scenario:
-    """A cart that moves between random places; the one with number LOADED gets its load after `step` s."""
+    """Simulate a cart that moves between random places; the cart with number LOADED gets its load after `step` s."""
     loaded = change_parameters(CART, step, mass=CART_LOADED.mass)
     return make_scenario(
         "moves", seed=number + 1, duration=seconds, schedule=loaded if number == LOADED else Schedule(((0.0, CART),))
@@ -30,7 +30,7 @@ def cart(number: int, seconds: float, step: float) -> Scenario:
 
 
 def message(carts: list[Scenario], epoch: int, first: int) -> bytes:
-    """SAMPLES samples of every cart from number `first` on."""
+    """Return SAMPLES samples of every cart, from number `first` on."""
     part = slice(first, first + SAMPLES)
     return b"".join(
         encode(

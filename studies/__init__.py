@@ -1,1 +1,1 @@
-"""Programs that compare the estimators where the truth is known."""
+"""Programs that compare the estimators with the known truth."""

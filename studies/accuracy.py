@@ -1,4 +1,4 @@
-"""The study of all methods by Monte Carlo: `python -m studies.accuracy --out results/accuracy.md`."""
+"""Study all methods by Monte Carlo: `python -m studies.accuracy --out results/accuracy.md`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ PAGE = Page("accuracy", "Accuracy", INTRODUCTION, STUDIES, SEEDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 
 def run(seeds: int = SEEDS, jobs: int = 2, only: Sequence[str] = tuple(STUDIES)) -> str:
-    """The page. seeds: of the open-loop table, >= 1; the other tables have their own part or multiple of it. Raises
-    UsageError."""
+    """Return the page; raise UsageError for invalid arguments.
+
+    `seeds` >= 1 applies to the open-loop table; the other tables use their own fraction or multiple.
+    """
     return PAGE.run(seeds, jobs, only)
 
 

@@ -1,4 +1,4 @@
-"""What an alarm says, on machines drawn at random and on benches: `python -m studies.alarms --out PAGE.md`."""
+"""Compare alarms to the truth, on random machines and on benches: `python -m studies.alarms --out PAGE.md`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from studies.monitoring.axis import random_stop_and_go
 from studies.paper.truth import table
 from studies.sections import write_page
 
-#: Parameter and factor of each change; a run with number k has change k, over and over.
+#: Parameter and factor of each change; runs use the changes in turn.
 CHANGES = (
     ("mass", 1.2),
     ("mass", 0.8),
@@ -33,18 +33,22 @@ CHANGES = (
     ("input_gain", 0.85),
     ("mass", 1.4),
 )
-#: Part of the force that Coulomb friction takes on the machines that are drawn.
+#: Limits of Coulomb friction on random machines, as a fraction of the force.
 LEAST, MOST = 0.05, 0.6
-#: Times in moves: of the record that calibrates, of the earliest change and by how much it varies, after it.
+#: Times in moves: length of the calibration record, earliest change and its variation, and time after the change.
 REFERENCE, BEFORE, VARIED, AFTER = 400, 40, 3, 25
-#: Of the estimator, in moves; simulated hours of the calibration; increments per turn on the benches.
+#: Memory of the estimator in moves; simulated hours of the calibration; increments per turn on the benches.
 MEMORY, HOURS, INCREMENTS = 1.5, 1.0, 1024
 
 
 @dataclass(frozen=True)
 class Watched:
-    """A machine under the monitor: moves of stroke [m or rad] in `move` [s] with dwells of `dwell` [s] by position
-    control kp, kd, u_max, or, where volt is above 0, a binary input of that size, held for `clock` samples."""
+    """A machine under the monitor.
+
+    With `volt` = 0, position control (`kp`, `kd`, `u_max`) makes moves of `stroke` [m or rad] in `move` [s], with
+    dwells of
+    `dwell` [s]. With `volt` > 0, the input is binary with this amplitude, held for `clock` samples.
+    """
 
     drive: DriveParameters
     dt: float
@@ -57,7 +61,7 @@ class Watched:
     clock: int = 1
 
     def record(self, schedule: Schedule, moves: float, rng: np.random.Generator) -> tuple[Floats, Counts]:
-        """Input and counts (n,), from a random place on the lattice."""
+        """Return input and counts (n,), from a random encoder phase."""
         n, phase = round(moves * self.move / self.dt), self.resolution * rng.random()
         if self.volt > 0:
             u = prbs(n, clock=self.clock, amplitude=self.volt, rng=rng)
@@ -85,7 +89,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class Said:
-    """The first alarm after a change; None without one. delay: in moves; size: the true relative one."""
+    """The first alarm after a change, or None; `delay` is in moves, and `size` is the true relative change."""
 
     change: str
     size: float
@@ -95,19 +99,19 @@ class Said:
 
     @property
     def right(self) -> bool:
-        """The right cause and no other one."""
+        """Return whether the alarm names the right cause and no other."""
         return self.alarm is not None and self.alarm.parameter == self.change and not self.alarm.others
 
     @property
     def bars(self) -> float:
-        """Error of the size in its bars."""
+        """Return the error of the size, divided by its bar."""
         alarm = self.alarm
         assert alarm is not None
         return abs(alarm.relative - self.size) / (alarm.std * abs(alarm.relative / alarm.change))
 
 
 def drawn(seed: int) -> tuple[Watched, float]:
-    """A machine, and the part of its force that Coulomb friction takes."""
+    """Return a random machine, and the fraction of its force that Coulomb friction takes."""
     rng = np.random.default_rng([seed, 77])
     mass, settling, move, stroke = 10 ** rng.uniform(-0.3, 2.7), 10 ** rng.uniform(-1.1, 0), *rng.uniform(0.4, 0.6, 2)
     move, stroke, part, gain = 2.5 * move, stroke - 0.3, rng.uniform(LEAST, MOST), 10 ** rng.uniform(-0.5, 1.5)
@@ -129,7 +133,7 @@ def drawn(seed: int) -> tuple[Watched, float]:
 
 
 def bench(name: str) -> Watched:
-    """An axis of the study of wrong models."""
+    """Return an axis of the study of wrong models."""
     axis = AXES[name]
     return Watched(
         axis.drive, axis.dt, axis.resolution * 4096 / INCREMENTS, axis.stroke, axis.move, axis.dwell, axis.control
@@ -137,7 +141,7 @@ def bench(name: str) -> Watched:
 
 
 def said(machine: Watched, calibration: Calibration, change: tuple[str, float], seed: int) -> Said:
-    """What the monitor says of one change."""
+    """Return the monitor's alarm for one change."""
     (name, factor), rng = change, np.random.default_rng([seed, 3])
     moves = BEFORE + VARIED * rng.random()
     after = replace(machine.drive, **{name: factor * getattr(machine.drive, name)})
@@ -151,7 +155,9 @@ def said(machine: Watched, calibration: Calibration, change: tuple[str, float], 
 
 
 def sizes(runs: int, first: int) -> tuple[list[tuple[float, Said]], int]:
-    """Coulomb friction's part and what is said on machines that are drawn, and how many could not be calibrated."""
+    """Return alarms on random machines, each with its fraction of Coulomb friction, and the number of failed
+    calibrations.
+    """
     found, refused = list[tuple[float, Said]](), 0
     for seed in range(first, first + runs):
         machine, part = drawn(seed)
@@ -163,14 +169,14 @@ def sizes(runs: int, first: int) -> tuple[list[tuple[float, Said]], int]:
 
 
 def sizes_rows(found: list[tuple[float, Said]]) -> Iterator[list[str]]:
-    """By the part of Coulomb friction."""
+    """Yield a row for each range of Coulomb friction."""
     limits = (LEAST, 0.15, 0.3, 0.45, MOST)
     for low, high in (*pairwise(limits), (LEAST, MOST)):
         yield [f"{100 * low:.0f} to {100 * high:.0f} %", *_cells([one for part, one in found if low <= part < high])]
 
 
 def causes_rows(runs: int) -> Iterator[list[str]]:
-    """By bench."""
+    """Yield a row for each bench."""
     for name in AXES:
         machine = bench(name)
         calibration = machine.calibration()
@@ -219,7 +225,6 @@ delay is more than ten moves, the monitor learns from the record (units of work,
 
 
 def page(runs: int = 100, first: int = 0) -> str:
-    """The whole page."""
     found, refused = sizes(runs, first)
     changes = ", ".join(f"{name.replace('_', ' ')} {100 * factor - 100:+.0f} %" for name, factor in CHANGES)
     text = TEXT.format(changes=changes, memory=MEMORY, reference=REFERENCE, refused=refused)

@@ -1,4 +1,4 @@
-"""The study of transfer functions by Monte Carlo: `python -m studies.black_box --out results/black_box.md`."""
+"""Study transfer functions by Monte Carlo: `python -m studies.black_box --out results/black_box.md`."""
 
 from __future__ import annotations
 
@@ -38,12 +38,15 @@ PAGE = Page("black_box", "Transfer functions as a black box", INTRODUCTION, STUD
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 
 def run(seeds: int = SEEDS, jobs: int = 2, only: Sequence[str] = tuple(STUDIES)) -> str:
-    """The page. seeds: of each table, >= 1, but for those that need only a part or more. Raises UsageError."""
+    """Return the page; raise UsageError for invalid arguments.
+
+    `seeds` >= 1 applies to each table; some tables use a fraction or a multiple.
+    """
     return PAGE.run(seeds, jobs, only)
 
 

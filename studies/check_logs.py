@@ -1,4 +1,4 @@
-"""Logs for the study of checks: clean ones of many machines, and each fault in such a log."""
+"""Logs for the study of checks: clean logs of many machines, and each fault in such a log."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ALL: Mapping[str, Axis] = MappingProxyType({**REAL, **BENCHES})
 MOTIONS = ("prbs", "stop-and-go", "multisine", "ramps")
 #: Motions whose input takes many values.
 VARIED = MOTIONS[1:]
-#: Increments of the encoder over those of the axis; of a log with a fault that the encoder must show, the first two.
+#: Factors that make the axis's encoder coarser; a fault that only a fine encoder shows has the first two.
 COARSER = (1, 4, 16)
 #: Most samples of a log.
 MOST = 12_000
@@ -33,7 +33,7 @@ Columns = dict[str, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a machine did: input u and counts (n,), travel per count, sample period [s], and which it was."""
+    """A machine's motion: input u and counts (n,), travel per count, sample period [s], and the machine."""
 
     u: np.ndarray
     counts: np.ndarray
@@ -45,19 +45,19 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Logged:
-    """Columns u and y as a file has them, and the configuration that they are read with."""
+    """Columns u and y as in a file, and the configuration for reading them."""
 
     columns: Columns
     configuration: Configuration
     run: Run
 
     def record(self) -> Record:
-        """Raises UsageError where the columns are no record."""
+        """Return the record; raise UsageError if the columns are no record."""
         return record_of(self.columns, self.configuration)
 
 
 def machine_of(axis: Axis, rng: Rng) -> tuple[str, Machine]:
-    """A machine on the bench of an axis, with some friction."""
+    """Return a machine on the bench of an axis, with a random kind of friction."""
     forms: dict[str, Callable[[Axis], Machine]] = {
         **FRICTIONS,
         "uneven 20 %": lambda own: Machine(
@@ -73,7 +73,7 @@ def machine_of(axis: Axis, rng: Rng) -> tuple[str, Machine]:
 
 
 def run_of(seed: int, axes: Mapping[str, Axis], motions: tuple[str, ...] = MOTIONS, coarsest: int = 16) -> Run:
-    """A run drawn by a seed."""
+    """Return a random run by its seed."""
     rng = np.random.default_rng([seed, 11])
     name, motion = str(rng.choice(list(axes))), str(rng.choice(motions))
     axis = axes[name]
@@ -85,7 +85,9 @@ def run_of(seed: int, axes: Mapping[str, Axis], motions: tuple[str, ...] = MOTIO
 def moved(
     axis: Axis, machine: Machine, motion: str, coarser: int, seed: int, label: str = "", limit: float | None = None
 ) -> Run:
-    """A run of a machine; limit: of the drive, else one that most controllers do not come to."""
+    """Simulate a run of a machine; `limit` bounds the drive, and None takes a limit that most controllers never
+    reach.
+    """
     largest = 4 * axis.control["u_max"] if limit is None else limit
     axis = replace(axis, samples=min(axis.samples, MOST), control=MappingProxyType({**axis.control, "u_max": largest}))
     if motion != "ramps":
@@ -96,7 +98,7 @@ def moved(
 
 
 def _ramps(axis: Axis, machine: Machine, coarser: int, seed: int) -> CartRecord:
-    """Slow moves at constant speed, one after the other."""
+    """Simulate slow moves at constant speed, one after the other."""
     rng = np.random.default_rng([seed, 13])
     resolution = axis.resolution * coarser
     reference = stop_and_go(axis.samples, axis.dt, axis.stroke, 2 * axis.move, 0.2 * axis.dwell, "trapezoid")
@@ -107,7 +109,9 @@ def _ramps(axis: Axis, machine: Machine, coarser: int, seed: int) -> CartRecord:
 
 
 def logged(run: Run, u: np.ndarray, y: np.ndarray, kind: str = "counts", **changes: object) -> Logged:
-    """The log of a run as columns u and y; changes: of the sections, dotted keys with an underscore."""
+    """Return the log of a run as columns u and y; `changes` are keys of the sections, with an underscore for the
+    dot.
+    """
     sections: dict[str, dict[str, object]] = {
         "record": {"input": "u", "output": "y", "output_kind": kind, "dt": run.dt},
         "encoder": {"resolution": run.resolution},
@@ -121,7 +125,7 @@ def logged(run: Run, u: np.ndarray, y: np.ndarray, kind: str = "counts", **chang
 
 
 def clean(seed: int, axes: Mapping[str, Axis] = ALL) -> Logged:
-    """A log with nothing wrong in it, as counts or as a position."""
+    """Return a log without a fault, as counts or as a position."""
     run = run_of(seed, axes)
     if seed % 2:
         return logged(run, run.u, run.counts * run.resolution, "position")
@@ -129,8 +133,10 @@ def clean(seed: int, axes: Mapping[str, Axis] = ALL) -> Logged:
 
 
 def limited(seed: int, axes: Mapping[str, Axis] = ALL) -> Logged:
-    """A log with nothing wrong in it, of a drive that is at its limit for as much of it as one of `_saturated`, whose
-    log cuts off what the drive gave."""
+    """Return a log without a fault from a drive that is at its limit.
+
+    The time at the limit equals that of `_saturated`, whose log cuts off the drive's output.
+    """
     drawn, part = np.random.default_rng([seed, 11]), np.random.default_rng([seed, 17]).uniform(0.8, 0.95)
     name, motion = str(drawn.choice(list(axes))), str(drawn.choice(("stop-and-go", "multisine")))
     axis, coarser = axes[name], int(drawn.choice(COARSER[:2]))
@@ -159,7 +165,7 @@ def _bits(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
 def _velocity(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
     run = run_of(seed, axes, coarsest=1)
     speed = np.gradient(run.counts * run.resolution, run.dt)
-    window = np.hanning(9) / np.hanning(9).sum()  # as a drive filters it
+    window = np.hanning(9) / np.hanning(9).sum()  # the filter of a drive
     speed = np.convolve(speed, window, mode="same")
     return logged(run, run.u, speed, "position", encoder_resolution=float(np.ptp(speed)) / 5000)
 
@@ -189,7 +195,7 @@ def _stuck(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
     for _ in range(3):
         start = int(rng.choice(np.flatnonzero(speed > np.quantile(speed, 0.8))))
         length = int(rng.integers(20, 100))
-        if seed % 2:  # what it did not count is lost
+        if seed % 2:  # uncounted travel is lost
             change[start : start + length] = 0
         else:
             length = min(length, change.size - 1 - start)
@@ -245,7 +251,7 @@ def _little(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
 
 
 def _rate_low(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
-    """Every k-th row of a random input's, or a few rows of each move's."""
+    """Keep every k-th row under a random input, or a few rows of each move."""
     run = run_of(seed, axes, ("prbs", "multisine"), coarsest=4)
     period = 2.5 * run.axis.clock if "prbs" in run.label else 0.12 * (run.axis.move + run.axis.dwell) / run.dt
     keep = max(2, round(period))
@@ -254,7 +260,7 @@ def _rate_low(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
 
 
 def _rate_high(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
-    """The same motion, far more often than counts come."""
+    """Sample the same motion far more often than the count changes."""
     run = run_of(seed, axes, coarsest=1)
     moving = run.counts[: run.counts.size // 4]
     travelled = max(1.0, float(np.mean(np.abs(np.diff(moving)))))
@@ -273,7 +279,7 @@ def _dead_time(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
     return logged(run, run.u, run.counts)
 
 
-#: Fault -> how a log with it is made, and the codes that name it.
+#: Fault -> function that makes a log with it, and the codes that name it.
 FAULTS: Mapping[str, tuple[Callable[[int, Rng, Mapping[str, Axis]], Logged], frozenset[str]]] = MappingProxyType(
     {
         "reversed sign": (_reversed, frozenset({"reversed"})),
@@ -298,5 +304,5 @@ FAULTS: Mapping[str, tuple[Callable[[int, Rng, Mapping[str, Axis]], Logged], fro
 
 
 def faulty(fault: str, seed: int, axes: Mapping[str, Axis] = ALL) -> Logged:
-    """A log with a fault."""
+    """Return a log with a fault."""
     return FAULTS[fault][0](seed, np.random.default_rng([seed, 17]), axes)

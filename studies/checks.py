@@ -1,4 +1,4 @@
-"""Study: does `pmfid check` name the faults of logs, and none in clean ones?
+"""Study whether `pmfid check` names the faults of logs, and none in clean logs.
 
 `python -m studies.checks --out results/checks.md`
 """
@@ -18,9 +18,9 @@ from studies.friction_axes import BENCHES
 from studies.paper.truth import Study, Task, table
 from studies.sections import Page, by_name
 
-#: Logs of each fault, and clean ones for each of these.
+#: Logs of each fault, and clean logs for each of these.
 SEEDS, CLEAN = 20, 5
-#: Other seeds than those on which the limits were chosen, which were all below.
+#: The limits were chosen on smaller seeds only.
 FIRST_SEED = 20_000
 NOTHING, LIMITED = "nothing", "nothing, drive at its limit"
 
@@ -32,13 +32,13 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(fault: str, seed: int) -> dict[str, Any]:
-    """What is named in a log with a fault, and of which machine it is."""
+    """Return the findings in a log with a fault, and its machine."""
     log = clean(seed) if fault == NOTHING else limited(seed) if fault == LIMITED else faulty(fault, seed)
     return {**named(log), "log": log.run.label}
 
 
 def named(log: Any) -> dict[str, list[str]]:
-    """Codes of the findings that are faults, and of the notes."""
+    """Return the codes of the findings that are faults, and the codes of the notes."""
     try:
         found = check(log.record(), log.configuration)
     except UsageError:
@@ -80,7 +80,7 @@ def _hit(fault: str, found: Mapping[str, Any]) -> bool:
 
 
 def _counted(fault: str, results: Mapping[Task, Any]) -> list[str]:
-    """Logs of a fault in which it is named, is said in a note, another is, and nothing is."""
+    """Return the counts of a fault's logs: named, in a note, another fault named, and no finding."""
     logs = [found for (name, _), found in results.items() if name == fault]
     other = [found for found in logs if not _hit(fault, found)]
     in_note = [found for found in other if FAULTS[fault][1] & set(found["notes"])]
@@ -106,7 +106,7 @@ PAGE = Page("checks", "Faults of logs", INTRODUCTION, by_name(Study("faults", ta
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 

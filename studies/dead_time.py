@@ -1,5 +1,6 @@
-"""A dead time, or a lag, of the input, estimated and left out, as a page:
-`python -m studies.dead_time --out results/dead_time.md`."""
+"""Study a dead time, or a lag, of the input that is estimated or left out:
+`python -m studies.dead_time --out results/dead_time.md`.
+"""
 
 from __future__ import annotations
 
@@ -29,27 +30,27 @@ from studies.machines import AXES, OTHERWISE, Axis, truth
 from studies.paper.truth import CartRecord, table
 
 MOTIONS = ("prbs", "stop-and-go")
-#: The pole of the filters times the sample period, and the time [samples] at which `riv` is looked at on the way.
+#: The pole of the filters times the sample period, and the time [samples] of the early look at `riv`.
 CUTOFF, ON_THE_WAY = 0.2, 1000
-#: Of the simulation in each sample: of a lag it takes the mean over each.
+#: Steps of the simulation in each sample; for a lag, each step has the mean input.
 STEPS = 40
 METHODS: Mapping[str, type[Estimator]] = MappingProxyType(
     {"iv": IV, "output-error": OE, "interval": IntervalML, "riv": RIV}
 )
 OFFLINE, SHORT, RECURSIVE = ("iv", "output-error", "interval"), ("iv", "interval"), ("riv",)
-#: Seeds of which the bars are compared with those of a known dead time, and of which it is asked what is said.
+#: Number of seeds whose bars are compared to those for a known dead time, and number of seeds for the reports.
 COMPARED, ASKED = 2, 5
-#: Status bits under which an estimate is said not to be one.
+#: Status bits that mark an estimate as invalid.
 SAID = Status.FALLBACK | Status.DEAD_TIME | Status.STARTING
-#: Dead time [samples] at which the bound is taken.
+#: Dead time [samples] of the bound.
 BOUND_AT = 0.5
-#: Step of the difference quotients for the bound, as a part of a parameter, and of the dead time [samples].
+#: Step of the difference quotients for the bound: a fraction of a parameter, and for the dead time in samples.
 STEP = 1e-3
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Runs of one axis; kind: how the input is late, an option of the model; times: how much [samples]."""
+    """Runs of one axis; the delay is `kind`, an option of the model, and `times` are its sizes [samples]."""
 
     axis: str
     kind: str
@@ -86,9 +87,14 @@ PIECES = (
 
 @dataclass(frozen=True)
 class Estimated:
-    """late: dead time found less the true one [samples]; errors (3,): of mass, viscous and Coulomb friction, relative;
-    bars (3,): standard deviations over those of the method that knows the dead time; inside: the share of the four
-    numbers within 3 of their standard deviations."""
+    """The outcome of an estimate.
+
+    `late` is the estimated dead time minus the true one [samples]. `errors` (3,) are the relative errors of mass,
+    viscous
+    and Coulomb friction. `bars` (3,) are the standard deviations, divided by those of the method that knows the dead
+    time.
+    `inside` is the fraction of the four numbers within 3 of their standard deviations.
+    """
 
     late: float
     errors: Floats
@@ -99,7 +105,7 @@ class Estimated:
 def late_record(
     axis: Axis, samples: float, motion: str, increments: int, seed: int, kind: str = "dead_time"
 ) -> CartRecord:
-    """One run of an axis with a dead time, or a lag, of N samples."""
+    """Simulate one run of an axis with a dead time, or a lag, of `samples` samples."""
     rng = np.random.default_rng([seed, 15])
     resolution = axis.resolution * 4096 / increments
     phase, machine = resolution * rng.random(), Machine(axis.drive, **{kind: samples * axis.dt})
@@ -124,7 +130,7 @@ def estimator_of(
 
 
 def estimate(estimator: Estimator, record: CartRecord, end: int | None = None) -> tuple[Floats, Floats]:
-    """theta and standard deviations (p,) at the end of a record."""
+    """Return theta and standard deviations (p,) at the end of a record."""
     if isinstance(estimator, BatchEstimator):
         fit = estimator.fit(record.u, record.counts)
         return fit.theta, fit.theta_std
@@ -137,7 +143,10 @@ def estimate(estimator: Estimator, record: CartRecord, end: int | None = None) -
 
 
 def judged(axis: Axis, kind: str, samples: float, record: CartRecord, method: str, compared: bool) -> Estimated | None:
-    """compared: with the bars of the method that knows it. None: refused, or by its status no estimate."""
+    """Return the outcome, or None if the method refuses the record or its status marks the estimate as invalid.
+
+    With `compared`, the bars are divided by the bars of the method that knows the dead time.
+    """
     estimator, true = estimator_of(axis, record, method, kind=kind), truth(axis)
     known = estimator_of(axis, record, method, samples * axis.dt, kind)
     end = ON_THE_WAY if method == "riv" else None
@@ -185,9 +194,12 @@ def _cells(found: list[Estimated], runs: int) -> list[str]:
 
 
 def bound(axis: Axis, samples: float, motion: str) -> Floats:
-    """(3,): by how much the least standard deviations of mass, viscous and Coulomb friction grow where the dead time is
-    unknown: Cramer-Rao for a white error of the whole simulated position, its start unknown. At the true parameters,
-    from central differences; the encoder's step cancels but in the input that it makes."""
+    """Return the growth (3,) of the least standard deviations of mass, viscous and Coulomb friction by an unknown dead
+    time.
+
+    This is the Cramer-Rao bound for a white error of the whole simulated position with an unknown start. It is taken at
+    the true parameters, from central differences. The encoder's step cancels, except in the input that it makes.
+    """
     record = late_record(axis, samples, motion, 1024, 1)
     true, late = truth(axis), samples * axis.dt
 
@@ -207,14 +219,14 @@ def bound(axis: Axis, samples: float, motion: str) -> Floats:
 
 
 def bounds() -> Iterator[list[str]]:
-    """What a dead time that is unknown costs at least, for each axis."""
+    """Yield the least cost of an unknown dead time for each axis."""
     for name, axis in AXES.items():
         for motion in MOTIONS:
             yield [name, motion, *(f"{ratio:.1f}" for ratio in bound(axis, BOUND_AT, motion))]
 
 
 def reported(piece: Piece) -> Iterator[list[str]]:
-    """How often a model without one reports it, for each time."""
+    """Yield how often a model without a dead time reports it, for each size."""
     axis = AXES[piece.axis]
     for motion in piece.motions:
         for fine in piece.increments:

@@ -1,4 +1,4 @@
-"""What designed inputs gain, and whether their predictions are true."""
+"""The gain of designed inputs, and the truth of their predictions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from studies.sections import write_page
 
 
 def measured(runs: int) -> Iterator[str]:
-    """Lines of what was measured."""
+    """Yield the lines of the measured results."""
     yield from _paragraphs(GAINS)
     header = ["unknown", "criterion", "value", *(name.replace("_", " ") for name in design_case.GAINS), "survives"]
     yield from table(header, list(design_case.gains()))
@@ -96,7 +96,6 @@ the difference on the constant velocity of a trapezoid. `interval` takes the cou
 
 
 def page(runs: int = 500) -> str:
-    """The whole page."""
     lines = [
         *measured(runs),
         f"Written by `python -m studies.design --out results/design.md --runs {runs}`.",

@@ -1,4 +1,4 @@
-"""The case of the design study: a cart to be moved 0.4 m in 2 s from rest to rest (paper, section IV-A)."""
+"""The case of the design study: a cart moves 0.4 m in 2 s from rest to rest (paper, section IV-A)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def case(
     resolution: float = RESOLUTION,
     samples_per_interval: int = 1,
 ) -> Problem:
-    """The case for a key of UNKNOWN; min_speed [m/s], resolution [m per count]."""
+    """Return the case for a key of UNKNOWN; min_speed [m/s], resolution [m per count]."""
     return Problem(
         Drive(2.0),
         NOMINAL,
@@ -43,12 +43,12 @@ def case(
 
 
 def known(problem: Problem) -> Problem:
-    """The same on a machine that is known to a part of KNOWN: none that it may be comes to rest."""
+    """Return the problem for a machine known to a fraction KNOWN, so that no possible machine comes to rest."""
     return replace(problem, prior=np.diag([(KNOWN * problem.nominal[name]) ** -2.0 for name in problem.names]))
 
 
 def gains() -> Iterator[list[str]]:
-    """Rows: unknown, criterion, value, gain over the standard inputs of GAINS, part that survives stiction."""
+    """Yield rows: unknown, criterion, value, gain over the standard inputs of GAINS, fraction left with stiction."""
     for unknown in UNKNOWN:
         for criterion in ("trace", "D", "A") if len(UNKNOWN[unknown]) > 1 else ("trace",):
             problem = case(unknown)
@@ -62,7 +62,7 @@ GAINS = ("trapezoid", "s_curve", "minimum_energy", "minimum_time", "pulses", "pr
 
 
 def trap() -> Iterator[list[str]]:
-    """Rows: unknown, criterion, value over that with the least speed, part that survives stiction, without one."""
+    """Yield rows: unknown, criterion, value over that of a design with a least speed, fraction left with stiction."""
     for unknown, criterion in (("m", "trace"), ("m, d", "D"), ("m, d, F_c", "D"), ("m, d, F_c", "A")):
         careful = solve(case(unknown), criterion, starts=STARTS)
         problem = case(unknown, min_speed=0.0)
@@ -72,7 +72,9 @@ def trap() -> Iterator[list[str]]:
 
 
 def pattern() -> Iterator[list[str]]:
-    """Rows: least speed, counts per sample at it, value, deviations of m, d, F_c through the encoder over predicted."""
+    """Yield rows: least speed, counts per sample at it, value, deviations of m, d, F_c with the encoder over
+    predicted.
+    """
     for min_speed in (0.0095, 0.01, 0.0102, 0.0103, 0.0105, 0.011):
         problem = known(case("m, d, F_c", min_speed=min_speed))
         worth = worth_of(setting(problem, "D"), solve(problem, "D", starts=STARTS).u)

@@ -1,4 +1,4 @@
-"""Is what `pmfid design SPEC RECORD` claims true? Machines from 1 kg to 500 kg, their designs, many runs of each."""
+"""Compare the claims of `pmfid design SPEC RECORD` to many runs, on machines from 1 kg to 500 kg."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from studies.sections import write_page
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 STARTS = 10
-#: By which part the data sheet may be wrong.
+#: Largest relative error of the data sheet.
 WRONG = 0.1
 #: Position samples per interval of the input.
 SAMPLES = 5
@@ -40,7 +40,10 @@ def machine(
     intervals: int = 40,
     min_speed: float = 0.01,
 ) -> Problem:
-    """A rest-to-rest motion forward; motion: (way [m], time [s]), highest: input, resolution [m per count]."""
+    """Return a motion forward from rest to rest; `motion` is (way [m], time [s]), `highest` bounds the input.
+
+    `resolution` is in m per count.
+    """
     way, duration = motion
     return Problem(
         Drive(gain),
@@ -66,14 +69,17 @@ MACHINES = {
     "8 kg, 2 mm": machine((8.0, 30.0, 4.0), 5.0, (0.5, 3.0), 10.0, 2e-3, intervals=60, min_speed=0.02),
     "150 kg, slow": machine((150.0, 900.0, 200.0), 60.0, (0.3, 5.0), 12.0, 10e-6, intervals=50, min_speed=0.005),
 }
-#: Machines that no setting was looked for with.
+#: Machines that no setting was tuned on.
 HELD_BACK = ("10 kg", "spindle", "8 kg, 2 mm")
 
 
 @dataclass(frozen=True, eq=False)
 class Claims:
-    """Runs of one input: errors, claimed deviations (runs, p), over the true values; inside: whether the interval holds
-    the truth (runs, p); unexplained (runs,) [counts]."""
+    """The claims on runs of one input, relative to the true values.
+
+    `errors` and claimed deviations `stds` are (runs, p). `inside` is whether the interval holds the truth (runs, p).
+    `unexplained` is (runs,) [counts].
+    """
 
     errors: Floats
     stds: Floats
@@ -82,17 +88,17 @@ class Claims:
 
     @property
     def scatter(self) -> Floats:
-        """Root mean square of the errors, (p,)."""
+        """The root mean square of the errors (p,)."""
         return np.asarray(np.sqrt(np.mean(self.errors**2, axis=0)))
 
 
 def truth_of(problem: Problem, rng: np.random.Generator) -> dict[str, float]:
-    """A machine within WRONG of its data sheet."""
+    """Return a machine within WRONG of its data sheet."""
     return {name: value * (1.0 + WRONG * rng.uniform(-1.0, 1.0)) for name, value in problem.nominal.items()}
 
 
 def commissioned(problem: Problem, u: Floats, seed: int) -> tuple[RunsEstimate, dict[str, float]]:
-    """What one run says on a machine that is not quite its data sheet, from a random phase of the encoder."""
+    """Return the estimate from one run of a machine that differs from its data sheet, from a random encoder phase."""
     rng = np.random.default_rng(seed)
     truth = truth_of(problem, rng)
     motion = simulate(problem, u, truth)
@@ -103,7 +109,7 @@ def commissioned(problem: Problem, u: Floats, seed: int) -> tuple[RunsEstimate, 
 
 
 def claims(problem: Problem, u: Floats, runs: int) -> Claims:
-    """`runs` machines, run k with seed k."""
+    """Return the claims on `runs` machines; run k has seed k."""
     errors, stds, inside, missing = [], [], [], []
     for seed in range(runs):
         known, truth = commissioned(problem, u, seed)
@@ -116,13 +122,17 @@ def claims(problem: Problem, u: Floats, runs: int) -> Claims:
 
 
 def chosen(problem: Problem) -> Choice:
-    """What `pmfid design SPEC RECORD` runs first."""
+    """Return the first choice of `pmfid design SPEC RECORD`."""
     return choose(solve(problem, "D", starts=STARTS), starts=STARTS)
 
 
 def honesty(runs: int) -> Iterator[list[str]]:
-    """Rows: machine, input, truth in the claimed interval, within 1.96 deviations, error over claimed deviation,
-    deviation [%], observed gain over the trapezoid; each for m, d, F_c."""
+    """Yield rows on each machine and input; each figure is for m, d, F_c.
+
+    The figures are: truth in the claimed interval, within 1.96 deviations, error over claimed deviation, deviation [%],
+    and
+    observed gain over the trapezoid.
+    """
     for name, problem in MACHINES.items():
         choice = chosen(problem)
         usual = standard_inputs(problem, names=(USUAL,))[USUAL].u
@@ -142,14 +152,16 @@ def _cells(found: Claims) -> list[str]:
 
 
 def proofs() -> Iterator[list[str]]:
-    """Rows: machine, criterion D, proved gap [%] after SECONDS of processor time, seconds that the whole took."""
+    """Yield rows: machine, criterion D, proved gap [%] after SECONDS of processor time, total seconds."""
     for name, problem in MACHINES.items():
         design = solve(problem, "D", starts=STARTS, certify=SECONDS)
         yield [name, f"{design.value:.4g}", f"{100 * (design.gap or 0.0):.1f} %", f"{design.solve_seconds:.1f}"]
 
 
 def wrong_models(runs: int) -> Iterator[list[str]]:
-    """Rows: machine, step [um], what the model lacks, unexplained counts, errors over claimed deviations; medians."""
+    """Yield rows: machine, step [um], unmodelled effect, unexplained counts, errors over claimed deviations;
+    medians.
+    """
     for name in ("1 kg", "40 kg"):
         for coarser in (1.0, 30.0):
             problem = replace(MACHINES[name], resolution=coarser * float(MACHINES[name].resolution or 1.0))
@@ -159,7 +171,9 @@ def wrong_models(runs: int) -> Iterator[list[str]]:
 
 
 def _lacking(problem: Problem, u: Floats, lack: dict[str, float], runs: int) -> list[str]:
-    """lack: stribeck over Coulomb, quadratic over viscous friction at 0.3 m/s, dead time in samples."""
+    """Return a row; `lack` has Stribeck over Coulomb, quadratic over viscous friction at 0.3 m/s, dead time in
+    samples.
+    """
     dt, resolution = problem.dt / problem.samples_per_interval, float(problem.resolution or 1.0)
     sizes = {"stribeck": problem.nominal["coulomb_friction"], "quadratic": problem.nominal["viscous_friction"] / 0.3}
     axis = Machine(drive_of(problem, {}), **{key: value * sizes.get(key, dt) for key, value in lack.items()})
@@ -206,7 +220,7 @@ HEADER = ("machine", "input", "inside [%]", "1.96 [%]", "error / claimed", "erro
 
 
 def page(runs: int = 100, few: int = 5) -> str:
-    """The whole page; few: runs of each wrong model."""
+    """Return the whole page; `few` is the number of runs of each wrong model."""
     held = "; ".join(HELD_BACK)
     lines = INTRODUCTION.format(runs=runs, wrong=WRONG, samples=SAMPLES, held=held).strip().splitlines()
     lines += ["", *table(HEADER, list(honesty(runs))), *PROOFS.format(seconds=SECONDS).splitlines(), ""]

@@ -1,1 +1,1 @@
-"""`pmfid demo`: estimators side by side on the simulated cart."""
+"""`pmfid demo`: several estimators on the same simulated cart."""

@@ -14,7 +14,7 @@ from pmfid.report.figures import save_png
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Watch a cart's mass step with four encoders, by four methods on-line, against the truth."""
+    """Watch four methods follow a step of a cart's mass on-line with four encoders, and compare them to the truth."""
     parser = argparse.ArgumentParser(prog="python -m examples.demo", description=main.__doc__)
     parser.add_argument("--out", type=Path, default=Path("demo-report"), metavar="DIR", help="folder of the report")
     parser.add_argument("--seed", type=int, default=0, help="of the input and of the start phase, >= 0")

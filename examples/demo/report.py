@@ -1,4 +1,4 @@
-"""The demo in the terminal and as a report: its table, what the numbers say, and the figures."""
+"""The demo in the terminal and as a report: its table, its findings in words, and the figures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def findings(result: DemoResult) -> list[str]:
-    """What the numbers say, in sentences made from them."""
+    """Return sentences that describe the numbers."""
     best, compensated, plain, extended = (result.rows_of(method) for method in METHODS)
     worst, coarse = _worst(plain, "mass"), INCREMENTS[-1]
     travel = float(np.abs(np.diff(result.scenarios[coarse].counts)).mean())
@@ -60,7 +60,7 @@ def findings(result: DemoResult) -> list[str]:
 
 
 def what_happened(result: DemoResult) -> str:
-    """In one sentence."""
+    """Return one sentence on the result."""
     mass, best, plain = result.truth["mass"], result.rows_of("RIV"), result.rows_of("RLS")
     return (
         f"At {result.step_time:g} s the load of the cart rises from {mass[0]:g} to {mass[-1]:g} kg: RIV finds both "
@@ -71,7 +71,7 @@ def what_happened(result: DemoResult) -> str:
 
 
 def overview(result: DemoResult) -> Table:
-    """A row for each method, with the worst of all encoders."""
+    """Return a row for each method, with the worst error over all encoders."""
     header = ["method", *(f"{name}, largest error [%]" for name in ("mass", "viscous", "Coulomb"))]
     header += ["follows the step after [s]", "samples out of range"]
     rows = []
@@ -96,7 +96,7 @@ def _span(rows: Sequence[DemoRow]) -> str:
 
 
 def demo_table(result: DemoResult) -> rich.table.Table:
-    """The rows as a table for a terminal of 80 columns or more, with what they say below."""
+    """Return the rows as a table for a terminal of 80 columns or more, with the findings below."""
     from rich import box
     from rich.table import Table
 
@@ -127,7 +127,7 @@ def _summary(result: DemoResult) -> str:
 
 
 def comparison(result: DemoResult, methods: Sequence[str] = tuple(METHODS)) -> Figure:
-    """The mass by each of the methods with each encoder."""
+    """Return the figure of the mass by each of the methods with each encoder."""
     from pmfid.report.figures import comparison_figure
 
     panels = {method: {f"{n} increments": track for n, track in result.tracks[method].items()} for method in methods}
@@ -135,10 +135,9 @@ def comparison(result: DemoResult, methods: Sequence[str] = tuple(METHODS)) -> F
 
 
 def write_demo(out: Path, result: DemoResult) -> None:
-    """Write report.html, cart.csv (one record) and cart.toml, the AXIS.toml that reads it, into the folder `out`, which
-    is made if missing.
+    """Write report.html, cart.csv (one record) and its AXIS.toml, cart.toml, into the folder `out`.
 
-    Raises OSError where they cannot be written.
+    A missing folder is made. Raises OSError if the files cannot be written.
     """
     from pmfid.report.html import write_report
 

@@ -1,4 +1,4 @@
-"""The demo: a cart whose mass changes under way, seen through four encoders by three estimators."""
+"""The demo: a cart whose mass changes during the run, with four encoders and three estimators."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from pmfid.simulation import CART, Scenario, make_scenario
 from pmfid.types import Flags, Floats
 
 INCREMENTS = (4096, 1024, 512, 256)
-RECORD = 4096  # the one that is written; examples/cart.toml reads it
-CUTOFF = 50.0  # rad/s: a filter time constant of two samples
+RECORD = 4096  # the written record, which examples/cart.toml reads
+CUTOFF = 50.0  # [rad/s]: a filter time constant of two samples
 ORDER = 2
 FORGETTING = 0.99
-WINDOW = 5.0  # s, over which errors are averaged
-BAND = 0.05  # of the new mass; the estimate has followed the step once it stays within
-PLAUSIBLE_MASS = (0.8, 1.7)  # kg
-START_UP = 1.0  # s
-SHORTEST, LONGEST = 4 * WINDOW, 3600.0  # s
+WINDOW = 5.0  # [s], over which errors are averaged
+BAND = 0.05  # of the new mass; an estimate follows the step when it stays within this band
+PLAUSIBLE_MASS = (0.8, 1.7)  # [kg]
+START_UP = 1.0  # [s]
+SHORTEST, LONGEST = 4 * WINDOW, 3600.0  # [s]
 
 #: Name -> estimator and its pre-filter zeros; "extended RLS" is the biased estimate that BCRLS compensates.
 METHODS: Mapping[str, tuple[type[RecursiveEstimator], tuple[float, ...] | None]] = {
@@ -36,7 +36,7 @@ METHODS: Mapping[str, tuple[type[RecursiveEstimator], tuple[float, ...] | None]]
     "RLS": (RLS, None),
     "extended RLS": (RLS, default_zeros(CUTOFF)),
 }
-#: Of the report, and of the terminal, where the whole table has 80 columns.
+#: Columns of the report, and of the terminal, where the whole table has 80 columns.
 COLUMNS = (
     ("increments per turn", "inc."),
     ("method", "method"),
@@ -55,12 +55,14 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class DemoRow:
-    """What one method made of one encoder.
+    """The result of one method with one encoder.
 
-    errors_old, errors_new: error of the mean estimate by parameter name [%], over the last 5 s before the mass
-    changes and over the last 5 s of the run; std_old, std_new: standard deviation of the mass over the same [kg];
-    settling_time: from the step until the mass stays within 5 % of the new one [s], inf: never;
-    outside: samples with the mass outside 0.8 to 1.7 kg after the first second.
+    `errors_old` and `errors_new` are the errors of the mean estimate by parameter name [%]: over the last 5 s before
+    the
+    mass changes, and over the last 5 s of the run. `std_old` and `std_new` are the standard deviations of the mass over
+    the
+    same windows [kg]. `settling_time` lasts from the step until the mass stays within 5 % of the new one [s]; inf means
+    never. `outside` counts the samples with a mass outside 0.8 to 1.7 kg after the first second.
     """
 
     increments: int
@@ -73,11 +75,11 @@ class DemoRow:
     outside: int
 
     def worst(self, name: str) -> float:
-        """The larger error of a parameter of both windows, without sign [%]."""
+        """Return the larger absolute error of a parameter over both windows [%]."""
         return max(abs(self.errors_old[name]), abs(self.errors_new[name]))
 
     def cells(self) -> tuple[str, ...]:
-        """The row as text, in the order of COLUMNS."""
+        """Return the row as text, in the order of COLUMNS."""
         digits = {"mass": 2, "viscous_friction": 1, "coulomb_friction": 1}
         both = (self.errors_old, self.errors_new)
         errors = [f"{errors[name]:+.{n}f}" for name, n in digits.items() for errors in both]
@@ -90,8 +92,9 @@ class DemoRow:
 class DemoResult:
     """Records by increments per turn, tracks by method and increments, and a row for each combination.
 
-    t: time of the samples (n,) [s]; truth: the true parameters by name, each (n,); step_time: when the mass
-    changes [s].
+    `t` holds the times of the samples (n,) [s]. `truth` holds the true parameters by name, each (n,). The mass changes
+    at
+    `step_time` [s].
     """
 
     seed: int
@@ -103,15 +106,15 @@ class DemoResult:
     rows: tuple[DemoRow, ...]
 
     def rows_of(self, method: str) -> list[DemoRow]:
-        """The rows of one method, from the finest encoder to the coarsest."""
+        """Return the rows of one method, from the finest encoder to the coarsest."""
         return [row for row in self.rows if row.method == method]
 
 
 def run_demo(seed: int = 0, duration: float = 30.0) -> DemoResult:
     """Simulate the cart for `duration` [s] (20 to 3600) and run each method on each encoder.
 
-    Random binary voltage of 3 V, mass 1.07 to 1.44 kg half-way, sampled every 10 ms; the seed (>= 0) draws the
-    input and the place of the start on the encoder's lattice. Raises UsageError for values out of range.
+    The input is a random binary voltage of 3 V, sampled every 10 ms; the mass steps from 1.07 to 1.44 kg half-way. The
+    seed (>= 0) draws the input and the encoder's start phase. Raises UsageError for values out of range.
     """
     if not SHORTEST <= duration <= LONGEST:
         raise UsageError(
@@ -172,7 +175,9 @@ def _within(values: Floats, low: float, high: float) -> Flags:
 
 
 def settling_time(values: Floats, target: float, dt: float, band: float = BAND) -> float:
-    """Time from the first of `values` (n,) until they stay within the band about the target [s]; inf: never."""
+    """Return the time [s] from the first of `values` (n,) until they stay within the band about the target; inf
+    means never.
+    """
     outside = np.flatnonzero(~_within(values / target, 1 - band, 1 + band))
     if outside.size == 0:
         return 0.0
@@ -181,5 +186,5 @@ def settling_time(values: Floats, target: float, dt: float, band: float = BAND) 
 
 
 def seconds(time: float) -> str:
-    """A time [s] as text; inf: never."""
+    """Return a time [s] as text; inf means never."""
     return f"{time:.2f}" if math.isfinite(time) else "never"
