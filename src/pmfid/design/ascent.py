@@ -64,7 +64,8 @@ class Climber:
         value = float(self._blend(np.array([self.criterion.log_value(F) for F in self._informations(s)])))
         ahead, drift, change = 0.0, 0, s
         for _ in range(steps):
-            # Pulses drift towards their best place interval by interval. A gradient from further on saves steps.
+            # Pulses drift towards their best place interval by interval. The gradient at a point ahead of the present
+            # input therefore saves steps.
             slope = self._slope([here + ahead * there for here, there in zip(s, change, strict=True)] if ahead else s)
             vertex = self.oracle.maximise(slope)
             gain = float(slope @ (vertex - u))

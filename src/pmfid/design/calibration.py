@@ -2,7 +2,7 @@
 
 The general estimators find all parameters from one long record. A designed run is short, starts as designed, and some
 parameters are known. The others follow from a small nonlinear problem around a good guess. If the position has normal
-noise, the solution is least squares. For counts it is the set of parameters that fit all counts (`counted`).
+noise, the solution is least squares. For counts, the solution is the set of parameters that fit all counts (`counted`).
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def check_folder(folder: Path) -> None:
 
 
 def whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file in one step. Raises UsageError if this is impossible."""
+    """Write a file in one step. Raises UsageError if the file cannot be written."""
     from polars.exceptions import PolarsError  # the error that polars raises for a full disk
 
     part = path.with_name(f"{path.name}.{os.getpid()}.part")

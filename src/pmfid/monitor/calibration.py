@@ -231,7 +231,7 @@ class Calibration:
     scale
         Scale of normal work.
     chi_square
-        Inverse covariance for the detector "chi-square".
+        Inverse covariance of normal work for the detector "chi-square".
     tails
         Distribution of large statistics, by detector.
     noise

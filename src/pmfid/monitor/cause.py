@@ -188,7 +188,7 @@ def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]
     match, known = blocks.score @ weight, blocks.cross @ direction @ weight
     total = max(float(known.sum()), np.finfo(float).tiny)
     size = float(match.sum()) / total
-    # noise of the parameters that the direction moves
+    # the noise concerns only parameters that the direction moves
     noise = float(np.mean((scale.sigma**2 / scale.energy)[direction != 0]))
     rest = match - size * known
     n = len(rest)

@@ -54,12 +54,12 @@ def longest(rate: float) -> int:
 
 
 def guess(last: Inputs, rate: float, missing: int, u: float, counts: int) -> GuessedSamples | None:
-    """Return values for the `missing` samples between `last` and the sample u, counts, or None if they are unknown.
+    """Return values for the `missing` samples after `last` and before the sample u, counts. Unknown values give None.
 
     The counts continue the counts of `last`. The guessed inputs lie on a straight line. The guessed counts lie on a
     parabola that starts with the last known speed. In a long gap, this speed is the mean over as many samples as are
     missing. `rate` is the sample period over the time constant of the filters. The values are unknown if an input is
-    lost, or if an input leaps that is not held.
+    lost, or if the input leaps although it is not held.
     """
     if last.lost or not (last.known and math.isfinite(u)):
         return None

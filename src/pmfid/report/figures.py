@@ -47,7 +47,7 @@ _STYLE: dict[Any, Any] = {  # the type of the keys is a list of hundreds of lite
     "grid.color": "#E4E4E4",
     "legend.frameon": False,
     "lines.linewidth": 1.3,
-    "svg.fonttype": "none",  # text stays text, which is small and searchable
+    "svg.fonttype": "none",  # text in a figure stays searchable text
     "svg.hashsalt": "pmfid",  # the same figure gives the same bytes
 }
 

@@ -19,10 +19,10 @@ def capture_edges(
 ) -> tuple[Counts, Floats]:
     """Return the counts of each sample, and the age of the last edge in each sample.
 
-    Between the instants of the motion, the position is the cubic of both positions and velocities. A motion of 1 ms of
-    the cart of the examples is thus exact to 1e-9 s, except in an interval with a stop or a turn. Simulate a motion
-    with stops finely, and sample the motion with `every`. The edges in one interval of the motion follow from the net
-    travel in this interval.
+    Between the instants of the motion, the position is the cubic of both positions and velocities. For the example cart
+    at 1 ms, the ages are exact to 1e-9 s, except in an interval with a stop or a turn. Simulate a motion with stops
+    finely, and sample the motion with `every`. The edges in one interval of the motion follow from the net travel in
+    this interval.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Notices:
 
     @staticmethod
     def replay_alarms(alarms: Sequence[AlarmRecord]) -> list[Notice]:
-        """Return the notices that lead to these alarms, for readers that need the alarms without new notices."""
+        """Return the notices that restore these alarms in a reader. No new notices arise."""
         notices = list[Notice]()
         for alarm in alarms:
             notices.append(Notice(alarm.axis, alarm.number, alarm.wall, alarm.what))

@@ -86,7 +86,7 @@ def is_own(master: str | None) -> bool:
 def memory() -> int:
     """Return the memory of this machine, or of the container of this process [bytes]."""
     found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    with suppress(OSError, ValueError):  # without a container, or without a limit
+    with suppress(OSError, ValueError):  # the process has no container, or no limit
         found = min(found, int(CONTAINER.read_text()))
     return found
 

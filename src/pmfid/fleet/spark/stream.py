@@ -53,7 +53,7 @@ class SparkLog:
         kept = os.dup(2)
         try:
             log = open(self.path, "ab")  # noqa: SIM115
-        except OSError:  # a checkpoint that can only be read
+        except OSError:  # the checkpoint can only be read
             log = open(os.devnull, "ab")  # noqa: SIM115
         with log:
             os.dup2(log.fileno(), 2)

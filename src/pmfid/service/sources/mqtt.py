@@ -146,7 +146,7 @@ class MqttSource:
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.SessionExpiryInterval = self.section.session
         properties.ReceiveMaximum = self.section.receive_maximum
-        properties.MaximumPacketSize = self.section.largest + 65_536 + 64  # a topic and a few properties
+        properties.MaximumPacketSize = self.section.largest + 65_536 + 64  # adds a topic and a few properties
         return properties
 
     def _on_connect(

@@ -197,7 +197,7 @@ class Guard:
         try:
             headers = Headers(scope=scope)
             self._check_origin(headers)
-            length = headers.get("content-length", "0")  # before a byte of the body is read
+            length = headers.get("content-length", "0")  # this check comes before the body is read
             if not length.isdecimal() or int(length[:20]) > TUNING.largest_body:
                 raise Refusal("size", 413, f"a request may have {TUNING.largest_body} bytes")
             if scope["path"].startswith(self.closed):

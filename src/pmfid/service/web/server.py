@@ -38,7 +38,7 @@ from pmfid.stream.outcome import Counters
 
 def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
     """Return the application inside the guard: files of the page, and the API."""
-    mimetypes.add_type("text/javascript", ".js")  # independent of the system's types
+    mimetypes.add_type("text/javascript", ".js")  # the type must not depend on the system
     files = StaticFiles(directory=Path(__file__).parent / "static", html=True)
 
     @contextlib.asynccontextmanager
