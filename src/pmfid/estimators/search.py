@@ -41,8 +41,8 @@ def choose_start(difference: Difference, theta: Floats, cutoff: float, speeds: S
     """
     shown = [first_speed(difference.y, difference.intervals, cutoff / part, difference.resolution) for part in WITHIN]
     places = [np.array([difference.y[0], speed]) / difference.scale[-2:] for speed in dict.fromkeys((*shown, *speeds))]
-    starts: list[Floats] = [np.concatenate([theta, place]) for place in places]
-    return min(starts, key=lambda q: rms(difference(q)))
+    starts = np.array([np.concatenate([theta, place]) for place in places])
+    return np.asarray(starts[np.argmin([rms(error) for error in difference.differences(starts)])])
 
 
 def fit_start(difference: Difference, q: Floats) -> Floats:
@@ -345,8 +345,9 @@ class _Slope:
     moves: Floats
 
 
-def _slope(part: Difference, q: Floats) -> _Slope:
-    error, jacobian = part(q), part.jacobian(q)
+def _slope(part: Difference, q: Floats, error: Floats) -> _Slope:
+    """The same; error (n,): the difference at q."""
+    jacobian = part.jacobian(q)
     effects, nuisance = np.column_stack([error, jacobian[:, :-2]]), jacobian[:, -2:]
     prior = np.array([[0.0, 1 / part.start_velocity_std]])
     targets = np.r_[WHITE * effects, np.zeros((1, effects.shape[1]))]
@@ -362,17 +363,18 @@ def descend(
     that a step would take below its bound stays there. enough: a sum of squares; a descent that is too slow to come
     down to it is given up."""
     low, p, damping = windows.lower, windows.parameters, 1e-3
-    costs, slopes = [_cost(windows(q))], [_slope(part, own) for part, own in windows.split_windows(q)]
+    errors = [part(own) for part, own in windows.split_windows(q)]
+    costs, slopes = [sum(map(_cost, errors))], _slopes(windows, q, errors)
     while len(costs) <= TUNING.max_steps and not (enough and _is_too_slow(costs, enough)):
         theta = np.maximum(q[:p] + _step(slopes, damping, q[:p] <= low[:p]), low[:p])
-        trial = _move_starts(windows, q, theta, slopes)
-        cost, found = costs[-1], _cost(windows(trial))
+        trial, errors = _move_starts(windows, q, theta, slopes)
+        cost, found = costs[-1], sum(map(_cost, errors))
         costs.append(min(cost, found))
         if found < cost:
             q, damping = trial, damping / 10
             if 1 - found / cost < settled:
                 break
-            slopes = [_slope(part, own) for part, own in windows.split_windows(q)]
+            slopes = _slopes(windows, q, errors)
         elif damping > TUNING.max_damping:
             break
         else:
@@ -390,15 +392,25 @@ def _is_too_slow(costs: Sequence[float], enough: float) -> bool:
     return pace * (TUNING.max_steps + 1 - len(costs)) < math.log(costs[-1] / enough)
 
 
-def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> Floats:
+def _slopes(windows: Windows, q: Floats, errors: Sequence[Floats]) -> list[_Slope]:
+    rows = zip(windows.split_windows(q), errors, strict=True)
+    return [_slope(part, own, error) for (part, own), error in rows]
+
+
+def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> tuple[Floats, list[Floats]]:
     """Other parameters (p,), and each start where it follows from them, or where it was: a start within stiction moves
-    nothing until it moves much, and one such window must not hold up all others."""
-    places, change = [], theta - q[: theta.size]
+    nothing until it moves much, and one such window must not hold up all others. And the difference of each window
+    there."""
+    places, errors, change = [], list[Floats](), theta - q[: theta.size]
     for (part, own), slope in zip(windows.split_windows(q), slopes, strict=True):
         along = slope.moves @ change
-        starts = [own[-2:] - step for step in (slope.start + along, along, 0.0 * along)]
-        places.append(min(starts, key=lambda start: _cost(part(np.r_[theta, start]))))
-    return np.concatenate([theta, *places])
+        trials = np.tile(np.r_[theta, own[-2:]], (3, 1))
+        trials[:, -2:] -= np.array([slope.start + along, along, 0.0 * along])
+        found = part.differences(trials)
+        best = int(np.argmin([_cost(error) for error in found]))
+        places.append(trials[best, -2:])
+        errors.append(found[best])
+    return np.concatenate([theta, *places]), errors
 
 
 def _step(slopes: Sequence[_Slope], damping: float, bound: NDArray[np.bool_]) -> Floats:
