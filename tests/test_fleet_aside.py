@@ -39,7 +39,7 @@ def plain(log: pl.DataFrame, config: Path) -> History:
 @pytest.fixture
 def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Write two files, of a minute each, with rows of all axes in turns; each shard has one axis."""
-    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 2000)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 2000, plan_rows=SAMPLES + 2000)
     set_tuning(monkeypatch, "pmfid.fleet.rows", aside_batch=5000)
     (tmp_path / "data").mkdir()
     turns = log.sort("t", "machine")

@@ -159,7 +159,7 @@ def test_partitions_order_and_threads_leave_the_bytes(
 def test_shards_leave_the_bytes(
     log: pl.DataFrame, config: Path, plain: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=70_000)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=70_000, plan_rows=70_000)
     set_tuning(monkeypatch, "pmfid.fleet.segments", segments_batch=20_000)
     found = fleet.estimate(log, axis=config, by="machine", period="1min")
     assert found.shards >= AXES > plain.shards

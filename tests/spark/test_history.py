@@ -56,7 +56,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the budget small, so that several shards result."""
-    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=40_000)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=40_000, plan_rows=40_000)
 
 
 def estimated(data: object, config: Path, out: Path | None = None, engine: fleet.Engine | None = None) -> History:

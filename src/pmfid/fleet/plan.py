@@ -220,12 +220,12 @@ def _blocks(first: float, last: float, length: float) -> Iterator[tuple[int, flo
 
 
 def _pack_axes(block: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, ...]]:
-    """Yield the axes of a block in groups of at most `plan_budget` rows, or of one axis."""
+    """Yield the axes of a block in groups of at most `plan_rows` rows, or of one axis."""
     group: list[str] = []
     total = 0.0
     for axis in sorted(block):
         size = sum(block[axis].values())
-        if group and total + size > TUNING.plan_budget:
+        if group and total + size > TUNING.plan_rows:
             yield tuple(group)
             group, total = [], 0.0
         group.append(axis)
@@ -239,7 +239,7 @@ def _cut(
 ) -> list[RowShard]:
     """Return the slices of a group of axes, halved until their rows fit. `share` is the part of the block's rows."""
     total = share * sum(sum(block[axis].values()) for axis in axes)
-    if total > TUNING.plan_budget and last - first > 1:
+    if total > TUNING.plan_rows and last - first > 1:
         middle = (first + last) // 2
         return _cut(axes, block, first, middle, share / 2) + _cut(axes, block, middle, last, share / 2)
     parts = sorted({part for axis in axes for part in block[axis]})

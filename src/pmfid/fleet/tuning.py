@@ -47,7 +47,10 @@ class FleetTuning:
     most_samples: int = 2**19
     #: Number of consecutive slices whose rows are divided into shards together.
     plan_block: int = 24
-    #: Number of rows in a shard. A row takes 40 bytes, and as much again while rows are sorted and estimates computed.
+    #: Number of rows in a shard, if a slice of one axis has fewer. Arrays of larger ones are fresh pages each time, and
+    #: clearing these takes a fifth of a history.
+    plan_rows: int = 2**20
+    #: Most rows in a shard. A row takes 40 bytes, and as much again while rows are sorted and estimates computed.
     plan_budget: int = 2**22
 
     # rows
