@@ -1,4 +1,4 @@
-"""Are the predicted standard deviations those of experiments? The design and a trapezoid, estimated many times."""
+"""Compare predicted standard deviations to those of experiments, for the design and a trapezoid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from studies.design_case import STARTS, case, known
 Method = Callable[[Floats, Floats, Problem, np.random.Generator], Floats]
 
 INCREMENTS = 1024
-#: Start phases on the lattice of the encoder, evenly spread.
+#: Number of start phases of the encoder, evenly spread.
 PHASES = 128
 
 
@@ -33,9 +33,10 @@ PHASES = 128
 class Trial:
     """Experiments with one input.
 
-    predicted, unknown_start: standard deviations (p,) [%] for white noise, with the start position known and unknown;
-    encoder: those of `squares_covariance`, for commission of `encoder_covariance`; errors (runs, p) [%]; failures: runs
-    without an estimate.
+    `predicted` and `unknown_start` are standard deviations (p,) [%] for white noise, with a known and an unknown start
+    position. `encoder` are those of `squares_covariance`, or for `commission` those of `encoder_covariance`. `errors`
+    are
+    (runs, p) [%], and `failures` counts the runs without an estimate.
     """
 
     predicted: Floats
@@ -50,40 +51,42 @@ class Trial:
 
     @property
     def size(self) -> float:
-        """D size of the observed scatter: (determinant of the covariance)^(1/p)."""
+        """The D size of the observed scatter: (determinant of the covariance)^(1/p)."""
         return float(np.linalg.det(np.cov(self.errors.T)) ** (1 / self.errors.shape[1]))
 
 
 def counted(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> DesignedRun:
-    """A run through the encoder from a random phase of its lattice."""
+    """Return a run through the encoder from a random start phase."""
     resolution = problem.resolution or 1.0
     counts = quantize(x + rng.uniform(0, resolution), resolution)
     return DesignedRun(u, np.asarray(counts * resolution, float), problem.dt / problem.samples_per_interval)
 
 
 def commission(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
-    """The estimate of `pmfid design SPEC RECORD`: what the counts leave open."""
+    """Return the estimate of `pmfid design SPEC RECORD`, by the parameters that the counts allow."""
     return _theta(problem, counted(u, x, problem, rng))
 
 
 def least_squares(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
-    """Least squares on the counts, as if their error were white noise."""
+    """Return the least-squares estimate from the counts, as if their error were white noise."""
     return _theta(as_noise(problem), counted(u, x, problem, rng))
 
 
 def as_noise(problem: Problem) -> Problem:
-    """The problem with white noise of the encoder's variance."""
+    """Return the problem with white noise of the encoder's variance."""
     return replace(problem, noise_variance=problem.variance)
 
 
 def white(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
-    """The same where the position has normal white noise of the encoder's variance in place of the encoder."""
+    """Return the least-squares estimate from a position with white noise of the encoder's variance in place of the
+    encoder.
+    """
     y = x + rng.normal(0.0, np.sqrt(problem.variance), x.size)
     return _theta(as_noise(problem), DesignedRun(u, y, problem.dt / problem.samples_per_interval))
 
 
 def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -> Floats:
-    """The interval likelihood, which takes no parameter and no start as known."""
+    """Return the estimate of the interval likelihood, which takes no parameter and no start as known."""
     run = counted(u, x, problem, rng)
     resolution = problem.resolution or 1.0
     method = IntervalML(problem.drive, Encoder(resolution), run.dt, 1 / (3 * run.dt))
@@ -91,10 +94,11 @@ def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -
 
 
 def squares_covariance(problem: Problem, u: Floats) -> Floats:
-    """Mean square error (p, p) of least squares on the counts, linearised at the nominal values.
+    """Return the mean square error (p, p) of least squares on the counts, linearised at the nominal values.
 
-    The error of the counts along the simulated motion (paper eq. 3), from all start phases alike, sent through the
-    estimate.
+    The error of the counts along the simulated motion (paper eq. 3) passes through the estimate. All start phases have
+    the
+    same weight.
     """
     maps = affine(problem)
     s = centred_sensitivities(maps.weigh_sensitivities(u))
@@ -121,7 +125,7 @@ def _theta(problem: Problem, run: DesignedRun) -> Floats:
 
 
 def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
-    """`runs` experiments on the nominal drive with stiction; run k has seed k. u: (intervals,)."""
+    """Run experiments on the nominal drive with stiction under the input u (intervals,); run k has seed k."""
     nominal = np.array([problem.nominal[name] for name in problem.names])
     s = affine(problem).weigh_sensitivities(u)
     predicted, unknown_start = (100 * np.sqrt(np.linalg.inv(F).diagonal()) for F in (s @ s.T, start_free(s)))
@@ -140,7 +144,9 @@ def trial(problem: Problem, u: Floats, method: str, runs: int) -> Trial:
 
 
 def experiments(runs: int) -> Iterator[list[str]]:
-    """Rows for the D-optimal input and the trapezoid, by sampling and method; the gain, observed and predicted."""
+    """Yield rows for the D-optimal input and the trapezoid, by sampling and method, with observed and predicted
+    gain.
+    """
     for samples in (1, 5):
         problem = case("m, d, F_c", resolution=resolution_of(INCREMENTS), samples_per_interval=samples)
         inputs = {
@@ -149,7 +155,7 @@ def experiments(runs: int) -> Iterator[list[str]]:
         }
         for method in METHODS:
             if samples == 1 and method == "interval":
-                continue  # its start needs filters, and these more samples
+                continue  # its start needs filters, and the filters need more samples
             found = {name: trial(problem, u, method, runs) for name, u in inputs.items()}
             gain = found["trapezoid"].size / found["design"].size
             for name, each in found.items():
@@ -160,7 +166,7 @@ def experiments(runs: int) -> Iterator[list[str]]:
 
 
 def predicted_gain(problem: Problem, inputs: dict[str, Floats]) -> float:
-    """D of the design over D of the trapezoid."""
+    """Return D of the design over D of the trapezoid."""
     maps = affine(problem)
     sizes = [np.linalg.det(maps.information(u)) ** (1 / len(problem.names)) for u in inputs.values()]
     return float(sizes[0] / sizes[1])

@@ -1,4 +1,4 @@
-"""A design for the wrong mass (paper, figure 2): what it loses, what a robust one costs, what a second round mends."""
+"""A design for the wrong mass (paper, figure 2): its loss, the cost of a robust design, the gain of a second round."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pmfid.types import Floats
 from studies.design_case import NOMINAL, STARTS, case
 
 WRONG = (0.8, 0.9, 1.0, 1.1, 1.2)
-#: By how much the end may be missed in a scenario: position [m], velocity [m/s].
+#: Allowed error of the end in a scenario: position [m], velocity [m/s].
 END_TOLERANCE = (0.01, 0.01)
 #: Violation of a limit [m, m/s] that rounding explains.
 ROUNDING = 1e-9
@@ -26,8 +26,12 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Outcome:
-    """A run on an axis: information on the mass over that of the optimum, end and highest position [m], least velocity
-    between the ends and velocity at the end [m/s]."""
+    """A run on an axis.
+
+    `information` is the information on the mass over the optimum. `end` and `highest` are positions [m]. `slowest` is
+    the
+    least velocity between the ends, and `end_velocity` the velocity at the end [m/s].
+    """
 
     information: float
     end: float
@@ -36,7 +40,7 @@ class Outcome:
     end_velocity: float
 
     def row(self) -> list[str]:
-        """Cells: information, end, error of the end in percent of 0.4 m, highest, slowest, end velocity."""
+        """Return the cells: information, end, error of the end in percent of 0.4 m, highest, slowest, end velocity."""
         error = 100 * (self.end / 0.4 - 1)
         numbers = [f"{self.information:.3f}", f"{self.end:.4f}", f"{error:+.2f} %"]
         return [*numbers, f"{self.highest:.4f}", f"{self.slowest:.4f}", f"{self.end_velocity:.4f}"]
@@ -46,7 +50,7 @@ HEADER = ("information / optimum", "end [m]", "error", "highest [m]", "slowest [
 
 
 def outcome(problem: Problem, u: Floats, optimum: float) -> Outcome:
-    """The run of u (n,) on the axis with the problem's nominal values, with stiction."""
+    """Simulate the input u (n,) on the axis with the problem's nominal values, with stiction."""
     motion = simulate(problem, u)
     information = float(simulated_information(problem, u)[0, 0]) / optimum
     return Outcome(
@@ -59,17 +63,17 @@ def outcome(problem: Problem, u: Floats, optimum: float) -> Outcome:
 
 
 def for_mass(problem: Problem, mass: float) -> Problem:
-    """The same problem with another nominal mass [kg]."""
+    """Return the same problem with another nominal mass [kg]."""
     return replace(problem, nominal={**problem.nominal, "mass": mass})
 
 
 def optimum(problem: Problem) -> Design:
-    """The best input for the trace on the mass."""
+    """Return the best input for the trace on the mass."""
     return solve(problem, "trace", starts=STARTS)
 
 
 def wrong_masses() -> Iterator[list[str]]:
-    """Rows: mass that the design believed in over the true one, then the cells of an outcome."""
+    """Yield rows: the design's mass over the true one, then the cells of an outcome."""
     problem = case("m")
     best = float(optimum(problem).fisher[0, 0])
     for factor in WRONG:
@@ -78,13 +82,13 @@ def wrong_masses() -> Iterator[list[str]]:
 
 
 def robust_problem() -> Problem:
-    """The case with limits that hold for a mass that is wrong by 20 % either way."""
+    """Return the case with limits that hold for a mass that is wrong by 20 % in either direction."""
     scenarios: tuple[Mapping[str, float], ...] = tuple({"mass": factor * NOMINAL["mass"]} for factor in (0.8, 1.2))
     return replace(case("m"), scenarios=scenarios, end_tolerance=END_TOLERANCE)
 
 
 def robust() -> Iterator[list[str]]:
-    """Rows: true mass over the believed one, cells of the outcome of the robust design, whether a limit is broken."""
+    """Yield rows: true mass over the design's, cells of the outcome of the robust design, violation of a limit."""
     problem = case("m")
     design = optimum(robust_problem())
     for factor in WRONG:
@@ -94,7 +98,7 @@ def robust() -> Iterator[list[str]]:
 
 
 def breaks(problem: Problem, found: Outcome) -> bool:
-    """Whether an outcome is outside the limits of the case, the end within END_TOLERANCE."""
+    """Return whether an outcome violates the limits of the case, with END_TOLERANCE at the end."""
     low, high = problem.limits.pair("position") or (-np.inf, np.inf)
     missed = (
         abs(found.end - high) > END_TOLERANCE[0] + ROUNDING or abs(found.end_velocity) > END_TOLERANCE[1] + ROUNDING
@@ -104,7 +108,7 @@ def breaks(problem: Problem, found: Outcome) -> bool:
 
 
 def rounds(seeds: int, number: int = 2) -> Iterator[list[str]]:
-    """Rows: believed mass over the true one, round, mass known after it, cells of the outcome; worst of the seeds."""
+    """Yield rows: believed mass over the true one, round, mass after it, cells of the outcome; worst of the seeds."""
     problem = case("m")
     best = float(optimum(problem).fisher[0, 0])
     for factor in (0.8, 1.2):
@@ -119,7 +123,7 @@ def rounds(seeds: int, number: int = 2) -> Iterator[list[str]]:
 
 
 def _history(problem: Problem, start: Problem, seed: int, number: int) -> tuple[list[Design], list[float]]:
-    """Designs of the rounds, and the mass after each."""
+    """Return the designs of the rounds, and the mass after each round."""
     truth = dict(problem.nominal)
     experiment = simulated_experiment(start, truth, np.random.default_rng(seed))
     state = sequential(start, experiment, {"mass": 1e-12}, criterion="trace", rounds=number, seed=seed)
@@ -128,7 +132,7 @@ def _history(problem: Problem, start: Problem, seed: int, number: int) -> tuple[
 
 
 def wrong_mass_figure(factor: float = 1.2) -> Figure:
-    """Paper figure 2: input, velocity and position on the axis, designed for the true mass and for a wrong one."""
+    """Draw paper figure 2: input, velocity and position on the axis, designed for the true mass and for a wrong one."""
     problem = case("m")
     designs = {
         "nominal mass": optimum(problem),

@@ -1,4 +1,4 @@
-"""Study of the discretisation without noise: paper, matched, and exact from pass to pass."""
+"""Study of the discretisation without noise: paper, matched, and exact with repeated passes."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ GOAL = 1e-6
 
 
 def plant_at_random(n: int, relative_degree: int, fastest: float, seed: int) -> SimulatedProcess:
-    """A stable plant whose fastest pole times the period is `fastest`; half of the pole pairs are complex, zeros may
-    lie in the right half-plane."""
+    """Return a random stable plant whose fastest pole times the period is `fastest`.
+
+    Half of the pole pairs are complex, and zeros may lie in the right half-plane.
+    """
     rng = np.random.default_rng(seed)
     poles: list[complex] = []
     while len(poles) < n:
@@ -51,7 +53,7 @@ def plant_at_random(n: int, relative_degree: int, fastest: float, seed: int) -> 
 
 
 def record_of(plant: SimulatedProcess, seed: int) -> tuple[Floats, Floats]:
-    """Random binary input and the output without noise, each (SAMPLES,)."""
+    """Return a random binary input and the output without noise, each (SAMPLES,)."""
     u = prbs(plant.samples, clock=plant.clock, amplitude=1.0, rng=np.random.default_rng(seed))
     return u, simulate_process(plant.b, plant.a, u, plant.dt)
 
@@ -67,7 +69,9 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(n: int, relative_degree: int, fastest: float, seed: int) -> Floats:
-    """Largest relative error of a parameter: paper, matched, exact after 1 to PASSES passes; inf without an answer."""
+    """Return the largest relative error of a parameter: paper, matched, exact after 1 to PASSES passes; inf means a
+    failure.
+    """
     plant = plant_at_random(n, relative_degree, fastest, seed)
     u, y = record_of(plant, seed)
     estimator = LS(TransferFunction(n, n - relative_degree), Encoder(1.0), plant.dt, plant.cutoff)

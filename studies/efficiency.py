@@ -1,4 +1,4 @@
-"""Study of the efficiency of `srivc` with white noise, over N runs that chance does not decide."""
+"""Study of the efficiency of `srivc` with white noise, over enough runs to exclude chance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from studies.processes import cramer_rao, efficiencies, last_estimate, model_of,
 
 METHOD = "srivc"
 GOAL = 0.9
-#: Seeds of this section start here: other runs than those of the tables before.
+#: First seed of this section: its runs differ from those of the other tables.
 FIRST = 10_000
 
 
@@ -23,7 +23,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, seed: int) -> dict[str, Floats]:
-    """theta of `srivc`, and the bound, as `processes.work` has them."""
+    """Return theta of `srivc` and the bound, in the form of `processes.work`."""
     plant = PLANTS[name]
     record = noisy_record(plant, "white", seed)
     return {METHOD: last_estimate(METHOD, model_of(plant), plant, record), "bound": cramer_rao(plant, record)}

@@ -1,4 +1,4 @@
-"""How exact is the simulated drive? Against an ODE solver that locates every stop and reversal."""
+"""Compare the simulated drive to an ODE solver that locates every stop and reversal."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from pmfid.types import Floats
 
 RTOL, ATOL = 1e-10, 1e-13
 DT, SAMPLES, HELD = 0.02, 500, 4
-#: V; the small ones hold the cart by stiction, with the offset below.
+#: Input levels [V]; with the offset below, stiction holds the cart at the small ones.
 LEVELS = (-3.0, -0.35, 0.0, 0.35, 3.0)
-OFFSET = 0.1  # N
+OFFSET = 0.1  # [N]
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Largest difference of position [m] and velocity [m/s] over `duration` [s]; the reversals, the samples at rest
-    and those with a stop or a reversal inside."""
+    """Largest difference of position [m] and velocity [m/s] over `duration` [s], with counts of special samples.
+
+    The counts are reversals, samples at rest, and samples with a stop or a reversal inside.
+    """
 
     position: float
     velocity: float
@@ -30,7 +32,7 @@ class Agreement:
 
 
 def agreement(seed: int = 5) -> Agreement:
-    """The drive under a random input of five levels against `ode_interval`."""
+    """Compare the drive under a random input of five levels to `ode_interval`."""
     drive = replace(CART, offset=OFFSET)
     u = np.repeat(np.random.default_rng(seed).choice(LEVELS, SAMPLES // HELD), HELD)
     motion = simulate_drive(drive, u, DT)
@@ -46,7 +48,7 @@ def agreement(seed: int = 5) -> Agreement:
 
 
 def ode_interval(p: DriveParameters, force: float, dt: float, x: float, v: float) -> tuple[float, float]:
-    """Position and velocity after one interval of constant force [N]: DOP853 of SciPy from event to event."""
+    """Return position and velocity after one interval of constant force [N], by SciPy's DOP853 from event to event."""
     from scipy.integrate import solve_ivp
 
     t = 0.0

@@ -1,5 +1,6 @@
-"""A fleet of simulated axes as Parquet, some of which change at a known time:
-`python -m studies.fleet_data FOLDER --axes 1000 --hours 1 --changed 30`."""
+"""Simulate a fleet of axes, some of which change at a known time, and write it as Parquet:
+`python -m studies.fleet_data FOLDER --axes 1000 --hours 1 --changed 30`.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +19,9 @@ from pmfid.simulation import DriveParameters, Schedule, prbs, quantize, simulate
 from pmfid.types import Floats
 
 DT, RESOLUTION = 0.01, 22.75e-6
-#: Of which every machine differs a little: standard deviation of the logarithm.
+#: Nominal machine, and the scatter of all machines around it (standard deviation of the logarithm).
 NOMINAL, SPREAD = DriveParameters(1.07, 10.0, 2.5, 2.0), 0.05
-#: Of the input: over its largest, and for how many samples.
+#: Amplitudes of the input over the largest one, and samples for which each is held.
 SIZES, HELD = (0.8, 1.0), 300
 #: Axes in a file.
 IN_A_FILE = 25
@@ -41,7 +42,7 @@ input_gain = {NOMINAL.input_gain}
 
 @dataclass(frozen=True)
 class Change:
-    """What changes, by which factor, and when [s]."""
+    """A change of a parameter by a factor at a time [s]."""
 
     cause: str
     factor: float
@@ -59,7 +60,7 @@ class Machine:
 
 
 def machines(axes: int, changed: int, seconds: float, seed: int) -> list[Machine]:
-    """N axes, of which every N changes; the causes take turns."""
+    """Return the axes of a fleet; `changed` of them change, and the causes alternate."""
     rng = np.random.default_rng([seed, 1])
     which = {int(k): i for i, k in enumerate(rng.choice(axes, changed, replace=False))}
     found = []
@@ -79,7 +80,7 @@ def machines(axes: int, changed: int, seconds: float, seed: int) -> list[Machine
 
 
 def changed_drive(drive: DriveParameters, change: Change) -> DriveParameters:
-    """The same axis afterwards."""
+    """Return the drive after the change."""
     if change.cause == "friction":
         viscous, coulomb = (change.factor * part for part in (drive.viscous_friction, drive.coulomb_friction))
         return replace(drive, viscous_friction=viscous, coulomb_friction=coulomb)
@@ -87,7 +88,9 @@ def changed_drive(drive: DriveParameters, change: Change) -> DriveParameters:
 
 
 def rows(machine: Machine, samples: int, seed: int) -> pl.DataFrame:
-    """The log of an axis under a random binary input of its own pace, whose size changes every few seconds."""
+    """Return the log of an axis under a random binary input with its own clock, whose amplitude changes every few
+    seconds.
+    """
     rng = np.random.default_rng([seed, 2, machine.number])
     binary: Floats = prbs(samples, clock=int(rng.integers(15, 41)), amplitude=rng.uniform(5, 9), rng=rng)
     u = np.round(binary * np.repeat(rng.uniform(*SIZES, samples // HELD + 1), HELD)[:samples], 3)
@@ -107,13 +110,13 @@ def _write(folder: Path, samples: int, seed: int, group: tuple[int, tuple[Machin
 
 
 def groups(fleet: list[Machine]) -> Iterator[tuple[int, tuple[Machine, ...]]]:
-    """The axes of each file."""
+    """Yield the number and the axes of each file."""
     for number, start in enumerate(range(0, len(fleet), IN_A_FILE)):
         yield number, tuple(fleet[start : start + IN_A_FILE])
 
 
 def write_fleet(folder: Path, axes: int, changed: int, hours: float, seed: int = 0, workers: int = 1) -> list[Machine]:
-    """Writes the data set into folder/data, folder/axis.toml, and the truth into folder/truth.json."""
+    """Write the data set into folder/data, folder/axis.toml, and the truth into folder/truth.json."""
     seconds = 3600 * hours
     fleet = machines(axes, changed, seconds, seed)
     (folder / "data").mkdir(parents=True, exist_ok=True)

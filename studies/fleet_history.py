@@ -1,5 +1,6 @@
-"""A fleet of a thousand axes and its history, as a page: who is found, how long it takes, and what it costs in memory:
-`python -m studies.fleet_history --out results/fleet_history.md`."""
+"""Study the history of a fleet of a thousand axes (found changes, time, memory), as a page:
+`python -m studies.fleet_history --out results/fleet_history.md`.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +26,11 @@ from studies.paper.truth import table
 
 #: Bytes of a row as arrays: name of the axis, time, input, counts.
 ROW = 32
-#: Parts of the data set whose time and memory are compared; beyond 1 its axes come again, by names that end so.
+#: Fractions of the data set whose time and memory are compared; beyond 1, its axes repeat under names with this ending.
 PARTS, COPY = (0.25, 0.5, 1.0, 2.0, 4.0), " copy "
-#: To which size it is extrapolated [GB], and by which factor at most.
+#: Size of the extrapolation [GB], and its largest factor.
 FARTHER, FAR = 100.0, 20.0
-#: Of the peers: axes side by side, samples of each; and samples of the one by one.
+#: Sizes for the peers: simultaneous axes, samples of each, and samples of a single axis.
 SIDE_BY_SIDE, SAMPLES, SINGLE = 1000, 2000, 20_000
 #: Processes of the pool.
 POOL = 2
@@ -86,7 +87,7 @@ of its own.
 
 @dataclass(frozen=True)
 class Cost:
-    """samples, wall and processor time [s], largest memory [MiB]."""
+    """Samples, wall and processor time [s], and peak memory [MiB]."""
 
     samples: int
     wall: float
@@ -96,9 +97,13 @@ class Cost:
 
 @dataclass(frozen=True)
 class Found:
-    """right: named of those that changed; others: named next to them; causes, times: right ones among the right; error,
-    apart: root mean square of the size's error, relative and in its standard deviations; next: largest score of those
-    that are not named, 1 would be."""
+    """The comparison of a history to the truth.
+
+    `right` counts the changed axes that are named, and `others` are further named axes. `causes` and `times` count
+    correct
+    ones among the right axes. `error` and `apart` are the root mean square error of the size, relative and in standard
+    deviations. `next` is the largest score of an unnamed axis; an axis with 1 would be named.
+    """
 
     changed: int
     right: int
@@ -111,7 +116,7 @@ class Found:
 
 
 def found_of(history: History, truth: Mapping[str, Mapping[str, float | str]]) -> Found:
-    """What a history found of the truth."""
+    """Compare a history to the truth."""
     named = {row["axis"]: row for row in history.named.iter_rows(named=True)}
     right = [axis for axis in truth if axis in named]
     errors = np.array([named[axis]["size"] - (float(truth[axis]["factor"]) - 1) for axis in right])
@@ -131,7 +136,7 @@ def found_of(history: History, truth: Mapping[str, Mapping[str, float | str]]) -
 
 
 def measured(data: Path, config: Path, out: Path) -> tuple[History, Cost]:
-    """One call on a data set, in this process."""
+    """Run one call on a data set in this process, and measure its cost."""
     wall, cpu = time.perf_counter(), time.process_time()
     history = fleet.estimate(data, axis=config, by="machine", period="10min", out=out)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
@@ -140,14 +145,14 @@ def measured(data: Path, config: Path, out: Path) -> tuple[History, Cost]:
 
 
 def in_a_process(folder: Path, part: float) -> tuple[Cost, Found]:
-    """On a part of the files of a fleet, in a process of its own: its memory is its own."""
+    """Run the call on a part of the files in a separate process, which has its own memory."""
     command = [sys.executable, "-m", "studies.fleet_history", "--measure", str(folder), "--part", str(part)]
     reported = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     return Cost(**reported["cost"]), Found(**reported["found"])
 
 
 def measure(folder: Path, part: float) -> dict[str, object]:
-    """The call, on a part of the files."""
+    """Run the call on a part of the files."""
     files = sorted((folder / "data").iterdir())
     taken = files[: max(1, round(min(part, 1.0) * len(files)))]
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
@@ -167,7 +172,7 @@ def measure(folder: Path, part: float) -> dict[str, object]:
 
 
 def renamed(path: Path, copy: Path, ending: str) -> None:
-    """The same rows of axes of other names, in a process of its own: the memory that is measured is of the history."""
+    """Copy the rows under other names of axes, in a separate process, so that only the history counts as memory."""
     code = (
         "import sys, polars as pl; a, b, ending = sys.argv[1:]; "
         "pl.scan_parquet(a).with_columns(pl.col('machine') + ending).sink_parquet(b)"
@@ -176,8 +181,10 @@ def renamed(path: Path, copy: Path, ending: str) -> None:
 
 
 def numpy_rate() -> float:
-    """Samples per second of recursive least squares alone, three parameters, NumPy over axes: no filters, no
-    instruments, no error bars."""
+    """Return samples per second of recursive least squares with three parameters, in NumPy over axes.
+
+    The peer has no filters, no instruments and no error bars.
+    """
     rng = np.random.default_rng(0)
     phi = rng.standard_normal((SAMPLES, SIDE_BY_SIDE, 3))
     z = phi @ np.array([1.0, 2.0, 3.0]) + rng.standard_normal((SAMPLES, SIDE_BY_SIDE))
@@ -192,7 +199,7 @@ def numpy_rate() -> float:
 
 
 def padasip_rate(seed: int = 0) -> float:
-    """The same of padasip, one axis; NaN where it is not installed."""
+    """Return samples per second of padasip on one axis, or NaN if it is not installed."""
     try:
         import padasip  # type: ignore[import-untyped]
     except ImportError:
@@ -208,13 +215,13 @@ def padasip_rate(seed: int = 0) -> float:
 
 
 def pool_rate() -> float:
-    """Median of that of axes in a pool of processes, one axis after the other in each."""
+    """Return the median rate of padasip in a pool of processes, with one axis after the other in each process."""
     with ProcessPoolExecutor(POOL) as pool:
         return float(np.median(list(pool.map(padasip_rate, range(2 * POOL)))))
 
 
 def farther(costs: Sequence[Cost]) -> list[str]:
-    """What a data set of FARTHER would take, by the straight lines through what was measured."""
+    """Return the cost of a data set of FARTHER, extrapolated by straight lines through the measured costs."""
     sizes = ROW * np.array([cost.samples for cost in costs]) / 1e9
     if len(costs) < 3 or not sizes[-1] > FARTHER / FAR:
         return []
@@ -229,7 +236,7 @@ def farther(costs: Sequence[Cost]) -> list[str]:
 
 
 def page(axes: int, runs: Sequence[tuple[Cost, Found]], whole: int) -> str:
-    """The page; runs: on parts of the files, that of number `whole` on each once."""
+    """Return the page; `runs` are on parts of the files, and the run of number `whole` reads each file once."""
     cost, found = runs[whole]
     sizes, cpu = (np.log([getattr(cost, name) for cost, _ in runs]) for name in ("samples", "cpu"))
     exponent = float(np.polyfit(sizes, cpu, 1)[0]) if len(runs) > 1 else math.nan

@@ -1,5 +1,7 @@
-"""Histories of motion of every kind, by an integrator of their own: is any period "good" that is wrong, are steps of
-10 % found, and is it said where they cannot be? `python -m studies.fleet_kinds --axes 40`."""
+"""Study histories of all kinds of motion from an independent integrator: `python -m studies.fleet_kinds --axes 40`.
+
+The study counts wrong periods that are called good, found steps of 10 %, and reports of steps that cannot be found.
+"""
 
 from __future__ import annotations
 
@@ -38,15 +40,21 @@ damping resolution change_mass change_friction change_gain change_time""".split(
 
 
 class Machine(ctypes.Structure):
-    """As in fleet_machine.c."""
+    """The structure of fleet_machine.c."""
 
     _fields_ = [(name, ctypes.c_double) for name in FIELDS]
 
 
 @dataclass(frozen=True)
 class Kind:
-    """motion, effect: see below; dt: of the log [s]; seconds: of the history; dwell: [s] from, to; period: of it;
-    tick: of the controller [s]; scale: by which factor the machine is slower than NOMINAL."""
+    """A kind of motion.
+
+    `motion` and `effect` are named below, and `dt` is the period of the log [s]. `seconds` is the length of the
+    history,
+    and `dwell` the range of rests [s]. `period` is the length of an estimate, and `tick` the period of the controller
+    [s].
+    The machine is slower than NOMINAL by the factor `scale`.
+    """
 
     motion: str
     effect: str = "none"
@@ -59,7 +67,7 @@ class Kind:
 
     @property
     def controlled(self) -> bool:
-        """By position, else in open loop."""
+        """Whether a position controller makes the motion; otherwise it is in open loop."""
         return self.motion in ("moves", "shuttle")
 
     @property
@@ -74,7 +82,7 @@ EFFECTS = ("none", "stribeck", "saturation", "dead time", "quadratic", "uneven",
 
 @cache
 def library() -> Callable[..., int]:
-    """The integrator, compiled."""
+    """Compile the integrator and return its function."""
     folder = Path(tempfile.mkdtemp())
     source = Path(__file__).with_name("fleet_machine.c")
     subprocess.run(["cc", "-O2", "-shared", "-fPIC", "-o", folder / "machine.so", source, "-lm"], check=True)
@@ -85,7 +93,7 @@ def library() -> Callable[..., int]:
 
 @dataclass(frozen=True)
 class Change:
-    """which: "mass", "friction" or "gain" goes by a factor at a time [s]; empty: nothing does."""
+    """A change of "mass", "friction" or "gain" by a factor at a time [s]; an empty name means no change."""
 
     which: str = ""
     factor: float = 1.0
@@ -93,7 +101,7 @@ class Change:
 
 
 def machine(kind: Kind, k: int, rng: np.random.Generator) -> tuple[Machine, Change]:
-    """An axis of a kind, and its change; every other one changes."""
+    """Return an axis of a kind, and its change; every other axis changes."""
     mass, viscous, coulomb = np.exp(0.1 * rng.standard_normal(3)) * [MASS * kind.slow, VISCOUS, COULOMB]
     one = Machine(mass, viscous, coulomb, 0.0, GAIN, 0.0, 1.0, 0.0, 0.0, 1.0, 1e9, 1.0)
     size = rng.uniform(0.5, 1.5)
@@ -126,7 +134,7 @@ def machine(kind: Kind, k: int, rng: np.random.Generator) -> tuple[Machine, Chan
 
 
 def trapezoids(kind: Kind, tick: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Position and speed of moves with limits of speed and acceleration, with rests between."""
+    """Return position and speed of moves with limited speed and acceleration, with rests between them."""
     n = round(kind.seconds / tick)
     target, speed, at, place = np.zeros(n), np.zeros(n), 0, 0.0
     travel = rng.uniform(0.1, 0.3)
@@ -151,7 +159,7 @@ def trapezoids(kind: Kind, tick: float, rng: np.random.Generator) -> tuple[Float
 
 
 def inputs(kind: Kind, tick: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Targets of the controller, or inputs in open loop."""
+    """Return the targets of the controller, or the inputs in open loop."""
     n = round(kind.seconds / tick)
     nothing = np.zeros(n)
     top = rng.uniform(5, 9)
@@ -168,7 +176,7 @@ def inputs(kind: Kind, tick: float, rng: np.random.Generator) -> tuple[Floats, F
 
 
 def log_of(kind: Kind, k: int, seed: int) -> tuple[pl.DataFrame, Machine, Change]:
-    """Rows of an axis, the machine and its change."""
+    """Return the rows of an axis, the machine and its change."""
     rng = np.random.default_rng([seed, k, *kind.name.encode()])
     one, change = machine(kind, k, rng)
     tick = kind.tick or kind.dt
@@ -189,9 +197,16 @@ def log_of(kind: Kind, k: int, seed: int) -> tuple[pl.DataFrame, Machine, Change
 
 @dataclass
 class Score:
-    """What became of the axes of a kind. good, periods: how many; wrong: good ones that are wrong, in words; axes_good,
-    axes_wrong: the same of axes; steps: that there were; named, said: found, and said to be beyond the record; false:
-    axes without a step that are named; codes: findings with their periods; rate: million samples per second."""
+    """The results for the axes of a kind.
+
+    `good` counts good ones of `periods`, and `wrong` describes the good ones that are wrong. `axes_good` and
+    `axes_wrong`
+    are the same for axes. `steps` counts the steps: `named` of them were found, `said` were reported as beyond the
+    record.
+    `false` counts named axes without a step. `codes` lists findings with their periods, and `rate` is in million
+    samples
+    per second.
+    """
 
     kind: str
     good: int = 0
@@ -215,7 +230,7 @@ class Truth:
     change: Change
 
     def between(self, name: str, first: float, last: float) -> tuple[float, float]:
-        """Of a time from first to last [s]."""
+        """Return the lowest and highest value between the times `first` and `last` [s]."""
         sides = [1.0] * (first <= self.change.time) + [self._factor(name)] * (last >= self.change.time)
         own = {"mass": self.machine.mass, "viscous_friction": self.machine.viscous}
         values = [own[name]] if name in own else [self.machine.coulomb, self.machine.coulomb * self.machine.backward]
@@ -227,7 +242,7 @@ class Truth:
         return self.change.factor if (name == "mass") == (self.change.which == "mass") else 1.0
 
     def wrong(self, row: Mapping[str, Any], first: float, last: float) -> list[str]:
-        """Parameters of an estimate that are wrong beyond bars and tolerance."""
+        """Return the parameters of an estimate that are wrong beyond bars and tolerance."""
         found = []
         for name in NAMES:
             low, high = self.between(name, first, last)
@@ -238,7 +253,7 @@ class Truth:
 
 
 def run(kind: Kind, axes: int, seed: int) -> Score:
-    """The history of a fleet of one kind; a refusal of all of it counts as one code."""
+    """Estimate the history of a fleet of one kind; a refusal of the whole fleet counts as one code."""
     made = [log_of(kind, k, seed) for k in range(axes)]
     log, score = pl.concat([frame for frame, _, _ in made]), Score(kind.name)
     truth = {f"axis-{k:02d}": Truth(one, change) for k, (_, one, change) in enumerate(made)}
@@ -282,7 +297,7 @@ def _axes(score: Score, found: History, truth: Mapping[str, Truth]) -> None:
 
 
 SHORT, LONG = (0.3, 2.0), (10.0, 90.0)
-#: Kinds that were looked at while the method was made, and those that were held back.
+#: Kinds that were used during development, and kinds that were held back.
 KINDS = [
     *[Kind(motion) for motion in ("binary", "sine")],
     *[Kind(motion, effect) for motion in ("levels", "shuttle", "moves") for effect in EFFECTS],
@@ -304,7 +319,7 @@ HELD_BACK = [
 
 
 def row_of(score: Score) -> list[str]:
-    """Of the table."""
+    """Return a row of the table."""
     found = f"{score.named}, {score.said}" if score.steps else ""
     return [score.kind, f"{score.good} of {score.periods}", str(len(score.wrong)), str(score.axes_good),
             str(len(score.axes_wrong)), f"{found} of {score.steps}", str(score.false), score.codes]  # fmt: skip

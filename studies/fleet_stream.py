@@ -1,9 +1,9 @@
-"""How many axes `pmfid fleet stream` keeps up with on this machine.
+"""Measure how many axes `pmfid fleet stream` can process on this machine without falling behind.
 
 python -m studies.fleet_stream --out results/fleet_stream.md
 
-A gateway writes a Parquet file with a block of each axis every N seconds; the stream runs as a process of its
-own. It holds a rate if it is not further behind at the end than two of its batches were long.
+A gateway writes a Parquet file with a block of each axis at fixed intervals; the stream runs as a separate process. It
+holds a rate if its lag at the end is at most two batches.
 """
 
 from __future__ import annotations
@@ -32,19 +32,24 @@ from studies.monitoring.pipe import write_axis
 
 #: Samples of a block: one second.
 BLOCK = 100
-#: Motions that the axes have, and where in them they begin at the latest [samples]: no two have the same state.
+#: Number of different motions, and the latest start within them [samples]: no two axes have the same state.
 MOTIONS, LATEST = 8, 6000
-#: From one rate that does not hold to the next.
+#: Factor from a failed rate to the next one.
 LESS = 0.7
-#: A start of Java and of the first batch, and the end of the last ones, take no longer [s].
+#: Longest time for the start of Java with the first batch, and for the last batches [s].
 STARTED, ENDED = 180.0, 600.0
 
 
 @dataclass(frozen=True)
 class Run:
-    """axes, seconds: of data; done: samples; lag: at the end [s]; batch: median time between two batches [s];
-    caught_up: time after the last sample until all was done [s]; cpu: of all processes, of one processor; memory: of
-    all processes at most [bytes]; state: of all axes, in a batch [bytes]."""
+    """The figures of a run.
+
+    `axes` and `seconds` give the data, and `done` counts the processed samples. `lag` is the delay at the end [s], and
+    `batch` the median time between two batches [s]. `caught_up` lasts from the last sample until all are processed [s].
+    `cpu` is the time of all processes in units of one processor. `memory` is the peak of all processes [byte], and
+    `state`
+    the size of all axes' states in a batch [byte].
+    """
 
     axes: int
     seconds: float
@@ -57,12 +62,12 @@ class Run:
     state: int
 
     def holds(self) -> bool:
-        """Whether it keeps up, and lost nothing."""
+        """Return whether the stream holds the rate and loses no sample."""
         return self.lag <= 2 * self.batch + 1 and self.done == round(self.axes * self.seconds / CART_DT)
 
 
 class Gateway:
-    """Files of blocks of N axes."""
+    """A writer of files with blocks of all axes."""
 
     def __init__(self, folder: Path, axes: int, seconds: float) -> None:
         self._folder, self._form = folder, block_type(0, BLOCK, 10)
@@ -74,7 +79,7 @@ class Gateway:
         self._begin = (np.arange(axes) // len(motions) * 7) % LATEST
 
     def write(self, second: int) -> None:
-        """The file of a second: whole, or not there."""
+        """Write the file of a second; readers see the whole file or none."""
         rows = np.zeros(len(self._names), self._form)
         part = self._which[:, None], self._begin[:, None] + np.arange(second * BLOCK, (second + 1) * BLOCK)
         rows["magic"], rows["version"], rows["samples"], rows["letters"] = MAGIC, VERSION, BLOCK, 10
@@ -91,7 +96,7 @@ class Gateway:
 
 @contextmanager
 def stream(folder: Path, shards: int, interval: float) -> Iterator[subprocess.Popen[bytes]]:
-    """`pmfid fleet stream` of the folder, ended with all of its processes."""
+    """Run `pmfid fleet stream` on the folder; end it with all of its processes."""
     places = [str(folder / "in"), "--config", str(folder / "axis.toml"), "--out", str(folder / "out")]
     pace = ["--checkpoint", str(folder / "checkpoint"), "--shards", str(shards), "--interval", str(interval)]
     command = [str(Path(sys.executable).with_name("pmfid")), "fleet", "stream", *places, *pace]
@@ -108,7 +113,7 @@ def stream(folder: Path, shards: int, interval: float) -> Iterator[subprocess.Po
 
 
 def measured(axes: int, seconds: int, shards: int, interval: float) -> Run:
-    """The stream next to the gateway, for so long."""
+    """Run the stream with the gateway for the given time."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "in").mkdir()
@@ -134,14 +139,14 @@ def measured(axes: int, seconds: int, shards: int, interval: float) -> Run:
 
 
 def _done(folder: Path) -> int:
-    """Samples that are done."""
+    """Return the number of processed samples."""
     place = folder / "out" / "batches"
     files = list(place.glob("*.json")) if place.is_dir() else []
     return sum(int(json.loads(path.read_text()).get("samples", 0)) for path in files)
 
 
 def _wait(folder: Path, axes: int, seconds: int, longest: float, process: subprocess.Popen[bytes]) -> bool:
-    """Whether so much was done before the time was over, or the process."""
+    """Wait for the samples; return whether they came before the time limit and the end of the process."""
     end = time.monotonic() + longest
     while _done(folder) < axes * seconds * BLOCK and time.monotonic() < end and process.poll() is None:
         time.sleep(0.2)
@@ -153,7 +158,7 @@ def _end_of(path: Path) -> str:
 
 
 def _family(number: int) -> list[Path]:
-    """The process with all that it started, in /proc."""
+    """Return the process and all its descendants in /proc."""
     known, found = {number}, list[Path]()
     for place in sorted(Path("/proc").glob("[0-9]*"), key=lambda path: int(path.name)):
         with suppress(OSError, IndexError):
@@ -173,7 +178,7 @@ def _memory(number: int) -> int:
 
 
 def _cpu(number: int) -> float:
-    """Time of a processor so far [s]."""
+    """Return the processor time so far [s]."""
     total = 0.0
     for place in _family(number):
         with suppress(OSError, IndexError):
@@ -183,7 +188,7 @@ def _cpu(number: int) -> float:
 
 
 def _state(folder: Path) -> int:
-    """Bytes that the last batch wrote for the states, compressed as Spark does it."""
+    """Return the bytes that the last batch wrote for the states, in Spark's compression."""
     sizes: dict[int, int] = {}
     for path in (folder / "checkpoint" / "spark" / "state").rglob("*.changelog"):
         batch = int(path.name.partition("_")[0].partition(".")[0])
@@ -192,7 +197,7 @@ def _state(folder: Path) -> int:
 
 
 def searched(axes: int, seconds: int, shards: int, interval: float) -> list[Run]:
-    """From N axes on down, until it holds."""
+    """Reduce the number of axes until the stream holds the rate."""
     found = list[Run]()
     while not found or not (found[-1].holds() or axes < MOTIONS):
         found.append(measured(axes, seconds, shards, interval))
@@ -216,7 +221,7 @@ def _row(run: Run) -> str:
 
 
 def page(runs: Sequence[Run], shards: int, interval: float, others: float) -> str:
-    """results/fleet_stream.md; others: processes that wanted a processor before the first run, on average."""
+    """Return the page; `others` is the mean number of waiting processes before the first run."""
     lines = [
         "# What a stream on Spark keeps up with",
         "",

@@ -24,7 +24,7 @@ FURTHER: Mapping[str, Axis] = MappingProxyType(
 )  # fmt: skip
 BENCHES: Mapping[str, Axis] = MappingProxyType({**AXES, **FURTHER})
 HELD_BACK = ("rotary", "gantry", "heavy", "motor", "slide")
-#: What the machine has besides the model's friction; the first has nothing.
+#: Friction of the machine beyond the model's friction; the first machine has none.
 FRICTIONS: Mapping[str, Callable[[Axis], Machine]] = MappingProxyType(
     {
         "nothing": lambda axis: Machine(axis.drive),
@@ -37,5 +37,5 @@ FRICTIONS: Mapping[str, Callable[[Axis], Machine]] = MappingProxyType(
 
 
 def stribeck(axis: Axis, part: float) -> Machine:
-    """The axis with friction at rest that is larger by a part of Coulomb friction."""
+    """Return the axis with friction at rest that exceeds Coulomb friction by a fraction."""
     return Machine(axis.drive, stribeck=part * axis.drive.coulomb_friction, stribeck_speed=axis.stribeck_speed)

@@ -1,5 +1,7 @@
-"""What is left of the information of a drive's record with samples missing: the Cramer-Rao bound with inputs that
-nobody knows, by a Kalman filter that whitens counts and sensitivities alike (Schweppe 1965)."""
+"""The information of a drive's record with missing samples: the Cramer-Rao bound for unknown inputs.
+
+A Kalman filter whitens counts and sensitivities alike (Schweppe 1965).
+"""
 
 from __future__ import annotations
 
@@ -11,14 +13,14 @@ from pmfid.estimators.bridges import Body
 from pmfid.estimators.iv import IV
 from pmfid.types import Flags, Floats
 
-#: Variance of a count [counts^2]; that of an unknown start, position [counts^2] and velocity [counts^2/s^2].
+#: Variance of a count [counts^2], and of an unknown start: position [counts^2] and velocity [counts^2/s^2].
 COUNT, UNKNOWN = 1 / 12, (1e8, 1e12)
-#: Step of the difference quotients, as a part of a parameter.
+#: Step of the difference quotients, as a fraction of a parameter.
 STEP = 1e-4
 
 
 def sensitivities(method: IV, theta: Floats, u: Floats) -> Floats:
-    """(p, n) by how many counts the position under u (n,) moves with each parameter, by as much again."""
+    """Return the change (p, n) of the position [counts] under u (n,) for a relative change of each parameter."""
     body, rows = _body(method, theta), []
     for i, value in enumerate(theta):
         step = STEP * value * np.eye(theta.size)[i]
@@ -28,8 +30,12 @@ def sensitivities(method: IV, theta: Floats, u: Floats) -> Floats:
 
 
 def bound(method: IV, theta: Floats, effects: Floats, there: Flags, unknown: Floats) -> Floats:
-    """(p,) least relative standard deviations. effects (p, n): `sensitivities`; there (n,): samples whose count is
-    known; unknown (n,): standard deviation of the input in each."""
+    """Return the least relative standard deviations (p,).
+
+    `effects` (p, n) are `sensitivities`. `there` (n,) marks the samples with a known count. `unknown` (n,) is the
+    standard
+    deviation of each input.
+    """
     body, dt = _body(method, theta), method.dt
     push = method.equation.input_gain * dt / theta[method.equation.leading] / body.step
     kept = np.exp(-body.decay * dt)

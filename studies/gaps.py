@@ -1,5 +1,6 @@
-"""What missing samples do to a drive's estimates, and several records in one, as a page:
-`python -m studies.gaps --out results/gaps.md`."""
+"""Study the effect of missing samples on a drive's estimates, and estimates from several records, as a page:
+`python -m studies.gaps --out results/gaps.md`.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +31,13 @@ from studies.paper.truth import CartRecord, table
 from studies.sections import write_page
 from studies.several_records import compared_page
 
-#: What is missing -> its part of the samples, and of how many in a row.
+#: Kind of loss -> fraction of missing samples, and length of each gap [samples].
 LOSSES: Mapping[str, tuple[float, int]] = MappingProxyType(
     {"1 %": (0.01, 1), "10 %": (0.1, 1), "30 %": (0.3, 1), "10 % in bursts of 50": (0.1, 50)}
 )
-#: Error allowed, over that of the clean record and the root of the part of the samples that is left.
+#: Allowed error, relative to the clean record's error over the root of the remaining fraction of samples.
 GOAL = 1.5
-#: Interval in which every sample of `riv` is to be after a second, over the truth.
+#: Allowed interval of every sample of `riv` after a second, relative to the truth.
 TRACK = (0.7, 1.5)
 
 
@@ -61,15 +62,15 @@ BENCHES = (
     Bench("spindle", "stop-and-go", AXES["spindle"].dt, AXES["spindle"].samples, 60.0),
     Bench("gantry", "multisine", AXES["gantry"].dt, AXES["gantry"].samples, 40.0),
 )
-#: Those with what the filling was made with; the others were looked at when it was done.
+#: Benches on which the filling was developed; the other benches were held back.
 SEEN = tuple(bench for bench in BENCHES if bench.axis in ("cart", "rotary", "heavy"))
-#: Seeds of which the bounds are taken; an input of which nothing is known, in root mean squares.
+#: Number of seeds for the bounds, and the deviation of an unknown input in root mean squares.
 BOUNDED, ANY = 2, 10.0
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """theta (n, 3) of `riv` over the truth after 1 s, and where it starts or falls back (n,), and says so."""
+    """theta (n, 3) of `riv` over the truth after 1 s, and the flags (n,) of starts and fallbacks."""
 
     theta: Floats
     flagged: Flags
@@ -77,7 +78,7 @@ class Tracked:
 
 @dataclass(frozen=True)
 class Found:
-    """Error and error bar (3,), relative to the truth; `riv` on the filled record, and as the monitor runs it."""
+    """Error and error bar (3,), relative to the truth, and `riv` on the filled record and as in the monitor."""
 
     error: Floats
     bar: Floats
@@ -86,7 +87,7 @@ class Found:
 
 
 def record_of(bench: Bench, seed: int) -> CartRecord:
-    """One run; a pseudo-random input is held for 0.1 s."""
+    """Simulate one run; a pseudo-random input is held for 0.1 s."""
     axis = AXES[bench.axis]
     if bench.motion != "prbs":
         return machine_record(axis, "nothing", bench.motion, 4096, seed)
@@ -97,7 +98,7 @@ def record_of(bench: Bench, seed: int) -> CartRecord:
 
 
 def left(samples: int, part: float, burst: int, seed: int) -> Flags:
-    """(n,) samples that are left."""
+    """Return the remaining samples (n,)."""
     rng, there = np.random.default_rng([seed, 8]), np.ones(samples, bool)
     if burst == 1:
         there = rng.random(samples) >= part
@@ -109,14 +110,14 @@ def left(samples: int, part: float, burst: int, seed: int) -> Flags:
 
 
 def lost(bench: Bench, seed: int, loss: str) -> tuple[IV, CartRecord, Flags]:
-    """The method, a run, and which of its samples are left."""
+    """Return the method, a run, and the remaining samples."""
     run = record_of(bench, seed)
     method = IV(Drive(AXES[bench.axis].drive.input_gain), Encoder(run.resolution), bench.dt, bench.cutoff)
     return method, run, left(run.u.size, *LOSSES[loss], seed) if loss else np.ones(run.u.size, bool)
 
 
 def estimated(bench: Bench, seed: int, loss: str) -> Found:
-    """`iv` and `riv` on one run, with a part of its samples lost; loss: "" for none."""
+    """Estimate by `iv` and `riv` from one run with missing samples; `loss` "" means none."""
     (method, run, there), more, true = lost(bench, seed, loss), np.zeros(3), truth(AXES[bench.axis])
     u, counts = run.u, run.counts
     if loss:
@@ -133,7 +134,7 @@ def estimated(bench: Bench, seed: int, loss: str) -> Found:
 
 
 def _filled(method: IV, u: Floats, counts: Counts) -> tuple[Floats, NDArray[np.uint32]]:
-    """(n, 3) and status (n,) of `riv` on a filled record, whose motion restarts after what is not filled."""
+    """Return theta (n, 3) and status (n,) of `riv` on a filled record; the motion restarts after an unfilled gap."""
     riv = RIV(method.model, method.encoder, method.dt, method.cutoff)
     edges, tracks = [0, *(edge for gap in gaps_in(u) for edge in gap), u.size], []
     for k in range(0, len(edges) - 1, 2):
@@ -145,7 +146,7 @@ def _filled(method: IV, u: Floats, counts: Counts) -> tuple[Floats, NDArray[np.u
 
 
 def _online(method: IV, run: CartRecord, there: Flags) -> tuple[Floats, NDArray[np.uint32]]:
-    """(n, 3) and status (n,) of `riv`, sample by sample, as the monitor runs it."""
+    """Return theta (n, 3) and status (n,) of `riv`, sample by sample, as in the monitor."""
     riv = RIV(method.model, method.encoder, method.dt, method.cutoff)
     last_one, rate = Inputs(), riv.cutoff * riv.dt
     theta, status = np.empty((run.u.size, 3)), np.empty(run.u.size, np.uint32)
@@ -165,8 +166,11 @@ def _online(method: IV, run: CartRecord, there: Flags) -> tuple[Floats, NDArray[
 
 
 def information_left(bench: Bench, seed: int, loss: str) -> Floats:
-    """(3,) by how much the Cramer-Rao bounds grow. A held input is known in a gap that is filled, for its instants can
-    be reported; another to what the samples near by leave of it; in a gap that is left out, or long, not at all."""
+    """Return the growth (3,) of the Cramer-Rao bounds.
+
+    A held input is known in a filled gap, because its instants can be reported. Another input is known as far as nearby
+    samples determine it. In a long gap, or in one that is left out, the input is unknown.
+    """
     method, run, there = lost(bench, seed, loss)
     line, _, there = fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there))
     held, gap, unknown = is_held(run.u, there), gaps_of(there), np.zeros(there.size)
@@ -185,7 +189,7 @@ def losses_page(benches: tuple[Bench, ...], seeds: int) -> Iterator[str]:
     rows, worst, over, runs_of = [], 0.0, [], {loss: list[Found]() for loss in ("", *LOSSES)}
     for bench in benches:
         clean = [estimated(bench, seed, "") for seed in range(seeds)]
-        # of few seeds the error of the clean record may be small by chance: never less than its error bar
+        # with few seeds the clean record's error may be small by chance, so that it counts at least as its error bar
         base = np.maximum(_rms([found.error for found in clean]), _rms([found.bar for found in clean]))
         runs_of[""] += clean
         rows.append(_row(bench, "", clean, "", ""))
@@ -243,7 +247,7 @@ def _pulls(runs: list[Found]) -> Floats:
 
 
 def _tracks(runs: list[Found]) -> list[str]:
-    """Least and largest; where some are outside, how many, and how many of those that the estimate vouches for."""
+    """Return the least and the largest estimate, and the numbers of samples outside: all, and those without a flag."""
     cells = []
     for tracks in ([found.filled for found in runs], [found.online for found in runs]):
         theta = np.concatenate([one.theta for one in tracks])

@@ -1,4 +1,4 @@
-"""Wrong counts of every size, and those that an adversary chooses: what they do to the mass. For `studies.glitches`."""
+"""The effect of wrong counts on the mass, for all sizes and for an adversary's choice; part of `studies.glitches`."""
 
 from __future__ import annotations
 
@@ -28,23 +28,25 @@ LARGEST = (3, 5, 10, 30, 100, 300, 1000, 5000, 100_000, 1_000_000)
 METHODS: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"rls": RLS, "bcrls": BCRLS, "riv": RIV})
 PRECISIONS = ("float64", "float32")
 INCREMENTS = (16384, 4096, 1024, 256)
-#: A cluster has N wrong counts in as many samples.
+#: Number of wrong counts in a cluster, and the samples that it spans.
 CLUSTER, WITHIN = 5, 20
-#: Of the estimators [samples], and the pole of their filters times the sample period.
+#: Memory of the estimators [samples], and the pole of their filters times the sample period.
 MEMORY, CUTOFF = 200, 0.5
-#: The guard was chosen on the others.
+#: Axes held back; the guard was tuned on the others.
 HELD_BACK = ("spindle", "stage", "gantry")
-#: A method whose mass is further off without a wrong count is not judged on that record.
+#: A method with a larger error of the mass without wrong counts is not judged on that record.
 CLEAN = 0.02
 FAR, FORGOTTEN = 0.05, 0.01
-#: These bits say nothing of the mass, or not that it is wrong.
+#: Status bits that count as a flag; the others do not say that the mass is wrong.
 FLAGS = ~(Status.STANDSTILL | Status.FEEDBACK | Status.FALLBACK)
 
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator on the record of an axis, its track without wrong counts, the first and last place of one, and the
-    first sample that is judged."""
+    """An estimator on the record of an axis, with its track without wrong counts.
+
+    The first and last place of a wrong count and the first judged sample are included.
+    """
 
     axis: str
     method: str
@@ -58,8 +60,12 @@ class Case:
 
 @dataclass(frozen=True)
 class Harm:
-    """Deviation of the mass from the track without wrong counts, in parts of the mass: largest where nothing is
-    flagged, largest at all, and two memories after the last wrong count. flagged: part of the samples."""
+    """Deviation of the mass from the track without wrong counts, relative to the mass.
+
+    `silent` is the largest deviation without a flag, `largest` the largest at all, and `after` the one two memories
+    after
+    the last wrong count. `flagged` is the fraction of flagged samples.
+    """
 
     silent: float
     largest: float
@@ -68,8 +74,11 @@ class Harm:
 
 
 def case_of(axis: str, method: str, seed: int, precision: str = "float64", start: bool = False) -> Case | None:
-    """The seed chooses motion and encoder; None where the method is not within `CLEAN` without wrong counts. start:
-    counts are wrong from the start, not from a third on."""
+    """Return a case; the seed chooses motion and encoder.
+
+    None means that the method is not within `CLEAN` without wrong counts. With `start`, counts are wrong from the start
+    instead of from a third on.
+    """
     machine = AXES[axis]
     motion, increments = MOTIONS[seed % 3], INCREMENTS[seed // 3 % len(INCREMENTS)]
     record = machine_record(machine, "nothing", motion, increments, 700 + seed)
@@ -88,7 +97,7 @@ def case_of(axis: str, method: str, seed: int, precision: str = "float64", start
 
 
 def wrong_sizes(kind: str, largest: int, faults: int, rng: np.random.Generator) -> Counts:
-    """Signed sizes (faults,) [counts]."""
+    """Return signed sizes (faults,) [counts]."""
     signs = rng.choice([-1, 1], faults)
     if kind == "constant":
         return largest * signs
@@ -100,7 +109,7 @@ def wrong_sizes(kind: str, largest: int, faults: int, rng: np.random.Generator) 
 
 
 def wrong_places(kind: str, rate: float, case: Case, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Places (k,), at least one."""
+    """Return places (k,), at least one."""
     samples = case.last - case.first
     faults = max(1, round(rate * samples))
     if kind != "clustered":
@@ -110,7 +119,7 @@ def wrong_places(kind: str, rate: float, case: Case, rng: np.random.Generator) -
 
 
 def harm(case: Case, places: NDArray[np.intp], sizes: Counts) -> Harm:
-    """What wrong counts of sizes (k,) at places (k,) do."""
+    """Return the effect of wrong counts of sizes (k,) at places (k,)."""
     counts = case.record.counts.copy()
     counts[places] += sizes
     case.estimator.reset()
@@ -122,14 +131,14 @@ def harm(case: Case, places: NDArray[np.intp], sizes: Counts) -> Harm:
 
 
 def harm_of(case: Case, kind: str, rate: float, largest: int, seed: int) -> Harm:
-    """Of wrong counts at this rate, of this kind, up to a largest size."""
+    """Return the effect of wrong counts at this rate, of this kind, up to a largest size."""
     rng = np.random.default_rng([seed, largest, round(1e4 * rate), KINDS.index(kind)])
     places = wrong_places(kind, rate, case, rng)
     return harm(case, places, wrong_sizes(kind, largest, places.size, rng))
 
 
 def harms(axis: str, method: str, seeds: int, start: bool) -> Iterator[Harm]:
-    """The harm of every kind, rate and size, in both precisions."""
+    """Yield the effect of every kind, rate and size, in both precisions."""
     for seed in range(seeds):
         for precision in PRECISIONS:
             case = case_of(axis, method, seed, precision, start)
@@ -141,7 +150,7 @@ def harms(axis: str, method: str, seeds: int, start: bool) -> Iterator[Harm]:
 def mutated(
     case: Case, places: NDArray[np.intp], sizes: Counts, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Some sizes by another factor or sign, some places elsewhere, often next to another one."""
+    """Return some sizes with another factor or sign, and some places moved, often next to another place."""
     places, sizes = places.copy(), sizes.astype(np.float64)
     some = rng.random(places.size) < rng.choice([1.5 / places.size, 0.2])
     sizes[some] *= np.exp(rng.normal(0.0, rng.choice([0.1, 1.0]), some.sum())) * rng.choice([1, 1, 1, -1], some.sum())
@@ -154,8 +163,10 @@ def mutated(
 
 
 def climb(case: Case, rate: float, seconds: float, rng: np.random.Generator) -> tuple[float, Harm, int]:
-    """Sizes and places that make the largest deviation without a flag, by hill climbing: where it began, the worst, and
-    how many were tried."""
+    """Find sizes and places with the largest unflagged deviation, by hill climbing.
+
+    Returns the first deviation, the worst one, and the number of trials.
+    """
     places = wrong_places("uniform", rate, case, rng)
     sizes = wrong_sizes("log-uniform", 1000, places.size, rng)
     worst = harm(case, places, sizes)
@@ -169,7 +180,7 @@ def climb(case: Case, rate: float, seconds: float, rng: np.random.Generator) -> 
 
 
 def size_rows(seeds: int, start: bool = False) -> list[list[str]]:
-    """A row for each axis and method; start: as in `case_of`."""
+    """Return a row for each axis and method; `start` is that of `case_of`."""
     rows = []
     for axis in AXES:
         for method in METHODS:
@@ -188,7 +199,7 @@ def size_rows(seeds: int, start: bool = False) -> list[list[str]]:
 
 
 def adversary_rows(seconds: float, rate: float = 0.01) -> list[list[str]]:
-    """A row for each axis and method, of equal parts of the time."""
+    """Return a row for each axis and method, with equal shares of the time."""
     rows, rng = [], np.random.default_rng(29)
     for axis in AXES:
         for method in METHODS:

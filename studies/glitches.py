@@ -1,5 +1,6 @@
-"""What jumps of the counter, wrong readings and spikes do to the estimators, as a page:
-`python -m studies.glitches --out results/glitches.md`."""
+"""Study the effect of counter jumps, wrong readings and spikes on the estimators, as a page:
+`python -m studies.glitches --out results/glitches.md`.
+"""
 
 from __future__ import annotations
 
@@ -28,18 +29,18 @@ SIZES: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"jump": (2.0, 9.0), "glitch": (2.0, 9.0), "1 % glitches": (2.0, 9.0), "spike": (1.5, 30.0)}
 )
 REST_JUMP = 10
-#: Samples without a count that are rest.
+#: Samples without a count that mean rest.
 REST = 20
 MOTIONS = ("prbs", "stop-and-go")
 INCREMENTS = (4096, 1024, 256)
 METHODS: Mapping[str, type[RecursiveEstimator]] = MappingProxyType(
     {"riv": RIV, "bcrls": BCRLS, "rls": RLS, "rls, directional": RLS}
 )
-#: Of the estimators [samples], and the pole of their filters times the sample period.
+#: Memory of the estimators [samples], and the pole of their filters times the sample period.
 MEMORY, CUTOFF = 500, 0.5
-#: The guard was chosen on the others.
+#: Axes held back; the guard was tuned on the others.
 HELD_BACK = ("spindle", "gantry")
-#: A deviation is relative to the parameter, or to N of its standard deviations where they are more.
+#: A deviation is relative to the parameter, or to this number of standard deviations if they are larger.
 STDS = 50.0
 SUSPICIOUS = Status.COUNT_JUMP | Status.INVALID_INPUT
 
@@ -55,9 +56,14 @@ class Spoiled:
 
 @dataclass(frozen=True)
 class Effect:
-    """missed: faults without a flag at their sample; largest, after: largest deviation of a parameter from the track
-    without the faults, from the first fault on and two memories after it: 0.02 is 2 % of the parameter, or one
-    standard deviation, of either track, where that is more."""
+    """The effect of faults.
+
+    `missed` counts the faults without a flag at their sample. `largest` and `after` are the largest deviation of a
+    parameter
+    from the track without the faults: from the first fault on, and two memories after it. A deviation of 0.02 is 2 % of
+    the
+    parameter, or one standard deviation of either track if that is larger.
+    """
 
     missed: int
     faults: int
@@ -66,7 +72,7 @@ class Effect:
 
 
 def spoil(kind: str, u: Floats, counts: Counts, rng: np.random.Generator) -> Spoiled | None:
-    """A record of (n,) samples with a fault of this kind at a random place; None where it never rests."""
+    """Return a record of (n,) samples with a fault of this kind at a random place; None if the axis never rests."""
     n = u.size
     places = np.array([rng.integers(n // 3, n - 2 * MEMORY - 50)])
     if kind == "1 % glitches":
@@ -81,13 +87,13 @@ def spoil(kind: str, u: Floats, counts: Counts, rng: np.random.Generator) -> Spo
 
 
 def sizes_of(kind: str, faults: int, rng: np.random.Generator) -> Floats:
-    """Signed sizes (faults,) of faults of this kind [counts, or times the largest input]."""
+    """Return signed sizes (faults,) of faults of this kind [counts, or times the largest input]."""
     signs = rng.choice([-1.0, 1.0], faults)
     return np.asarray(signs * 10 ** rng.uniform(*SIZES.get(kind, (1.0, 1.0)), faults))
 
 
 def spoil_at(kind: str, u: Floats, counts: Counts, places: NDArray[np.intp], size: Floats) -> Spoiled:
-    """A record of (n,) samples with faults of sizes (k,) at places (k,)."""
+    """Return a record of (n,) samples with faults of sizes (k,) at places (k,)."""
     u, counts = u.copy(), counts.copy()
     if kind == "spike":
         u[places] = size * np.max(np.abs(u))
@@ -99,7 +105,7 @@ def spoil_at(kind: str, u: Floats, counts: Counts, places: NDArray[np.intp], siz
 
 
 def effect(estimator: RecursiveEstimator, clean: Track, record: Spoiled) -> Effect:
-    """What the faults do to an estimator whose track without them is known."""
+    """Return the effect of the faults on an estimator with a known track without them."""
     estimator.reset()
     track = estimator.run(record.u, record.counts)
     first = int(record.places[0])
@@ -111,7 +117,7 @@ def effect(estimator: RecursiveEstimator, clean: Track, record: Spoiled) -> Effe
 
 
 def make(method: str, axis: Axis, resolution: float, *, precision: str = "float64") -> RecursiveEstimator:
-    """A recursive estimator of an axis."""
+    """Return a recursive estimator of an axis."""
     scheme = "directional" if method.endswith("directional") else "exponential"
     return METHODS[method](
         Drive(axis.drive.input_gain),
@@ -125,7 +131,7 @@ def make(method: str, axis: Axis, resolution: float, *, precision: str = "float6
 
 
 def effects(name: str, kind: str, places: int, seed: int = 0) -> Iterator[tuple[str, Effect]]:
-    """Method and effect of `places` faults in each motion of an axis, through each encoder."""
+    """Yield method and effect of `places` faults in each motion of an axis, through each encoder."""
     for motion in MOTIONS:
         for increments in INCREMENTS:
             record: CartRecord = machine_record(AXES[name], "nothing", motion, increments, 50 + seed)
@@ -139,7 +145,7 @@ def effects(name: str, kind: str, places: int, seed: int = 0) -> Iterator[tuple[
 
 
 def healthy(name: str) -> tuple[int, int]:
-    """Samples of an axis without faults that are flagged, of N."""
+    """Return the number of flagged samples of an axis without faults, and the number of samples."""
     flagged, samples = 0, 0
     for motion in (*MOTIONS, "multisine"):
         for wrong in ("nothing", "Stribeck 30 %"):
@@ -151,7 +157,9 @@ def healthy(name: str) -> tuple[int, int]:
 
 
 def sizes_part(seeds: int, seconds: float) -> list[str]:
-    """Wrong counts of every size, on N records of an axis, and an adversary of N seconds."""
+    """Return the tables of wrong counts of every size and of an adversary, for `seeds` records and `seconds` of
+    search.
+    """
     study = glitch_sizes
     columns = [
         "axis",
@@ -196,7 +204,9 @@ def sizes_part(seeds: int, seconds: float) -> list[str]:
 
 
 def page(places: int = 50, seeds: int = 20, adversary: float = 3600.0) -> str:
-    """The page, with N places of each kind on every record; seeds, adversary [s]: of `sizes_part`."""
+    """Return the page with `places` places of each kind on every record; `seeds` and `adversary` [s] go to
+    `sizes_part`.
+    """
     rows = []
     for name in AXES:
         for kind in KINDS:

@@ -1,5 +1,6 @@
-"""What jumps of the counter, wrong readings and spikes do to the monitor, as a page:
-`python -m studies.glitches_watched --out results/glitches_watched.md`."""
+"""Study the effect of counter jumps, wrong readings and spikes on the monitor, as a page:
+`python -m studies.glitches_watched --out results/glitches_watched.md`.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +25,16 @@ from studies.paper.truth import table
 from studies.sections import write_page
 
 WATCHED = ("cart", "rotary", "gantry")
-INCREMENTS, MEMORY = 1024, 100  # samples
-#: Earliest and latest fault, how much later the mass changes, and the time to find that [s].
+INCREMENTS, MEMORY = 1024, 100  # [samples]
+#: Earliest and latest fault, delay of the mass step after it, and the time to find the step [s].
 FAULT, LATER, FOUND_WITHIN = (10.0, 15.0), 10.0, 5.0
 MASS_STEP = 1.2
-REFERENCE, HOURS = 600.0, 2.0  # of the record that calibrates [s], of its replays
+REFERENCE, HOURS = 600.0, 2.0  # length of the calibration record [s], hours of its replays
 
 
 @dataclass(frozen=True)
 class Heard:
-    """alarms: false ones; found: was the mass step reported, with its size; reported: samples reported as outliers."""
+    """False alarms, whether the mass step was reported with its size, and the samples reported as outliers."""
 
     alarms: int
     found: bool
@@ -42,7 +43,7 @@ class Heard:
 
 @dataclass(frozen=True)
 class Watched:
-    """The same run with N faults and without: what the monitor mistakes then, no fault has done."""
+    """The same run with faults and without them: a mistake without faults is not their effect."""
 
     faulty: Heard
     clean: Heard
@@ -79,7 +80,10 @@ def _calibration(name: str) -> Calibration:
 
 
 def _spoiled(kind: str, u: Floats, counts: Counts, first: int, dt: float, rng: np.random.Generator) -> Spoiled | None:
-    """The fault at the sample `first`, or the next at which the axis rests; 1 % glitches from there to the end."""
+    """Return the record with the fault at the sample `first`, or at the next sample at rest.
+
+    The kind of 1 % glitches goes from there to the end.
+    """
     places = np.array([first])
     if kind == "1 % glitches":
         places = first + np.flatnonzero(rng.random(u.size - first) < 0.01)
@@ -92,7 +96,7 @@ def _spoiled(kind: str, u: Floats, counts: Counts, first: int, dt: float, rng: n
 
 
 def watched(name: str, kind: str, runs: int) -> Iterator[Watched]:
-    """A fault, and LATER a step of the mass, in N runs."""
+    """Yield runs with a fault, and after LATER a step of the mass."""
     axis, calibration = AXES[name], _calibration(name)
     for seed in range(runs):
         rng = np.random.default_rng([seed, KINDS.index(kind)])
@@ -108,7 +112,7 @@ def watched(name: str, kind: str, runs: int) -> Iterator[Watched]:
 
 
 def _heard(axis: Axis, calibration: Calibration, u: Floats, counts: Counts, step: float) -> Heard:
-    """What a monitor says of u, counts (n,) in which the mass steps at the time `step` [s]."""
+    """Return the monitor's events for u, counts (n,), in which the mass steps at the time `step` [s]."""
     monitor = Monitor(_riv(axis, initial=True), calibration, Watch())
     events = [event for a, b in zip(u.tolist(), counts.tolist(), strict=True) for event in monitor.step(a, b)[1]]
     alarms = [event for event in events if isinstance(event, Alarm)]
@@ -117,7 +121,7 @@ def _heard(axis: Axis, calibration: Calibration, u: Floats, counts: Counts, step
 
 
 def rows(runs: int) -> Iterator[list[str]]:
-    """Axis, fault, runs, outliers reported; false alarms and steps found, with the fault and without."""
+    """Yield rows: axis, fault, runs, reported outliers; false alarms and found steps, with the fault and without."""
     for name in WATCHED:
         for kind in KINDS:
             found = list(watched(name, kind, runs))
@@ -130,7 +134,7 @@ def rows(runs: int) -> Iterator[list[str]]:
 
 
 def page(runs: int = 50) -> str:
-    """The page, with N runs of each fault."""
+    """Return the page with `runs` runs of each fault."""
     return "\n".join(
         [
             "# Samples that no motion explains, under the monitor",

@@ -1,4 +1,4 @@
-"""Study: a gain of the input that nobody knows, with a mass that somebody does.
+"""Study of an unknown input gain with a known mass.
 
 `python -m studies.known_mass --out results/known_mass.md`
 """
@@ -32,13 +32,13 @@ OFF_LINE = tuple(
 )
 METHODS = ("iv", "auto")
 SEEDS, PART_OF_AUTO = 40, 4
-#: Part of the force that arrives after the slip; parts of the run before it, of the drift, of the memory.
+#: Fraction of the force after the slip; fractions of the run before the slip, of the drift, and of the memory.
 SLIPPED, BEFORE, DRIFT, MEMORY = 0.7, 1 / 3, 1 / 3, 0.06
 LENGTH = 3
 
 
 def estimated(axis: Axis, record: CartRecord, **settings: Any) -> Result:
-    """With the mass given; the gain is to be found."""
+    """Identify the gain with a given mass."""
     return pmfid.identify(
         record.u,
         record.counts,
@@ -61,7 +61,7 @@ def off_line_tasks(seeds: int) -> list[Task]:
 
 
 def off_line(bench: str, motion: str, increments: int, method: str, seed: int) -> tuple[float, float, float, str]:
-    """Relative error of the gain, its standard deviation and its half interval, and what the status says."""
+    """Return the relative error of the gain, its standard deviation, its half interval, and the status."""
     axis = BENCHES[bench]
     record = machine_record(axis, "nothing", motion, increments, 500 + seed)
     result, gain = estimated(axis, record, method=method), axis.drive.input_gain
@@ -104,7 +104,9 @@ def write_off_line(seeds: int, results: Mapping[Task, Any]) -> list[str]:
 
 
 def slipped(axis: Axis, drift: bool, seed: int) -> CartRecord:
-    """Random binary input, 1024 increments: the belt slips after a third of the run, at once or over a third."""
+    """Simulate a random binary input with 1024 increments; the belt slips after a third of the run, at once or
+    slowly.
+    """
     rng, n = np.random.default_rng([seed, 11]), LENGTH * axis.samples
     duration, resolution = n * axis.dt, 4 * axis.resolution
     steps = change_parameters(axis.drive, BEFORE * duration, input_gain=SLIPPED * axis.drive.input_gain).changes
@@ -118,7 +120,7 @@ def on_line_tasks(seeds: int) -> list[Task]:
 
 
 def on_line(bench: str, drift: bool, seed: int) -> tuple[float, ...]:
-    """Relative error of the gain and its standard deviation, before the slip and at the end."""
+    """Return the relative error of the gain and its standard deviation, before the slip and at the end."""
     axis = BENCHES[bench]
     record, forgetting = slipped(axis, drift, seed), 1 - 1 / (MEMORY * LENGTH * axis.samples)
     encoder = pmfid.Encoder(record.resolution)
@@ -181,7 +183,7 @@ PAGE = Page(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 

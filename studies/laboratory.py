@@ -1,4 +1,6 @@
-"""The page of the laboratory: `python -m studies.laboratory --out results/laboratory.md --images results/images`."""
+"""Write the page of the laboratory: `python -m studies.laboratory --out results/laboratory.md --images
+results/images`.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ A cart on a rack, driven by a voltage and watched by an encoder, as in the paper
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes the page and its pictures; returns the exit code."""
+    """Write the page and its pictures; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m studies.laboratory", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="Markdown page to write")
     parser.add_argument("--images", type=Path, required=True, help="folder of the pictures")
@@ -54,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def page(rows: Sequence[Merit], images: str, seeds: int) -> str:
-    """The whole page; images: the folder of the pictures as seen from it; seeds: runs of each row."""
+    """Return the page; `images` is the relative folder of the pictures, `seeds` the number of runs of each row."""
     scenarios = table(["scenario", ""], [[f"`{name}`", recipe.summary] for name, recipe in SCENARIOS.items()])
     lines = [HEAD, *scenarios, *_exactness(), *_figures(seeds), *sections(rows, images)]
     return "\n".join(lines).rstrip("\n") + "\n"

@@ -1,4 +1,4 @@
-"""Linear processes whose input is late, under control, or whose parameters change."""
+"""Linear processes with a late input, under control, or with changing parameters."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from pmfid.types import Floats
 def simulate_late(
     b: ArrayLike, a: ArrayLike, u: ArrayLike, dt: float, dead_time: float, *, hold: str = "zoh"
 ) -> Floats:
-    """Output (n,) from rest under the input u (n,) `dead_time` [s] ago, 0 before; b, a as in `simulate_process`, but
-    the numerator may have the order of the denominator.
+    """Return the output (n,) from rest under the input u (n,) of `dead_time` [s] ago, which is 0 before the record.
 
-    Steps of their own go from each sample to the switch of the late input and on to the next sample."""
+    b and a are as in `simulate_process`, but the numerator may have the order of the denominator. Separate steps lead
+    from
+    each sample to the switch of the late input and on to the next sample.
+    """
     u, b, a = np.asarray(u, float), np.atleast_1d(np.asarray(b, float)), np.asarray(a, float)
     whole = int(np.floor(dead_time / dt + 1e-9))
     rest = max(0.0, dead_time - whole * dt)
@@ -30,14 +32,14 @@ def simulate_late(
         return np.asarray(simulate_process(strict, a, late, dt, hold=hold) + through * late)
     before = np.r_[0.0, late[:-1]]
     between = before if hold == "zoh" else before + (late - before) * (1 - rest / dt)
-    both = np.column_stack([between, late]).ravel()  # at each sample, and where the late input comes to its value
+    both = np.column_stack([between, late]).ravel()  # at each sample, and at each switch of the late input
     at_samples = simulate_process(strict, a, both, np.resize([rest, dt - rest], both.size - 1), hold=hold)[::2]
     return np.asarray(at_samples + through * between)
 
 
 @dataclass(frozen=True)
 class Controller:
-    """u = gain (1 + lead s / (lag s + 1)) (reference - y), by differences backward; lead, lag [s]."""
+    """A controller u = gain (1 + lead s / (lag s + 1)) (reference - y), by backward differences; lead, lag [s]."""
 
     gain: float
     lead: float = 0.0
@@ -47,7 +49,7 @@ class Controller:
 def simulate_loop(
     b: ArrayLike, a: ArrayLike, controller: Controller, reference: ArrayLike, noise: ArrayLike, dt: float
 ) -> tuple[Floats, Floats]:
-    """u, y (n,) of a strictly proper process from rest under a controller that reads y with its noise (n,)."""
+    """Return u, y (n,) of a strictly proper process from rest under a controller that reads y with its noise (n,)."""
     r, v = np.asarray(reference, float), np.asarray(noise, float)
     A, B, C = make_state_space(np.atleast_1d(np.asarray(b, float)), np.asarray(a, float))
     n = A.shape[0]
@@ -66,10 +68,11 @@ def simulate_loop(
 
 
 def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt: float) -> Floats:
-    """Output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
+    """Return the output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
 
-    theta: time [s] -> a_0 to a_{n-1}, b_0 (n + 1,); they count as constant over each sample, at its middle, by the
-    power series of the exponential to fifth order: slow parameters, and poles well below 1 / dt.
+    `theta` maps the time [s] to a_0 to a_{n-1}, b_0 (n + 1,). The parameters are constant over each sample, with the
+    value
+    at its middle. The exponential is a power series to fifth order, for slow parameters and poles well below 1 / dt.
     """
     u = np.asarray(u, float)
     move, x, y = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(u.size)

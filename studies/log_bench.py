@@ -1,4 +1,4 @@
-"""A rotary and a linear axis with known truth, and how a log of them is written."""
+"""A rotary and a linear axis with known truth, and functions that write their logs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DEG = math.pi / 180
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """An axis: the truth in SI, dt [s], and the step of its encoder [m or rad]; u, y: what the clean log has."""
+    """An axis: the truth in SI, dt [s], the step of its encoder [m or rad], and u and y of the clean log."""
 
     name: str
     truth: DriveParameters
@@ -57,11 +57,11 @@ Writer = Callable[[Path, Bench], Path]
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A variant: what is written of a bench's columns t, u, y, and the keys of AXIS.toml that someone writes who knows
-    the names of the columns and what the numbers on the data sheet are, but not what this program wants to be reported.
+    """A variant of a log: the file from a bench's columns t, u, y, and the keys of AXIS.toml of a typical user.
 
-    units: those of the user's own numbers, with which a remedy of two ways is chosen; mend: what a remedy in words does
-    to the file, of a user who follows it.
+    The user knows the names of the columns and the numbers on the data sheet, but not this program. `units` are the
+    units
+    of the user's numbers, and decide between two remedies. `mend` applies a remedy in words to the file.
     """
 
     name: str
@@ -90,7 +90,7 @@ def columns(bench: Bench) -> Columns:
 
 
 def text(table: Mapping[str, object], separator: str = ",", decimal: str = ".", header: str | None = None) -> str:
-    """Lines of text; numbers with nine digits, text as it is."""
+    """Return lines of text; numbers have nine digits, text is unchanged."""
     rows = [
         [value if isinstance(value, str) else f"{value:.9g}".replace(".", decimal) for value in row]
         for row in zip(*(list(column) for column in table.values()), strict=True)  # type: ignore[call-overload]
@@ -105,7 +105,7 @@ def as_text(
     name: str = "run.csv",
     layout: Mapping[str, str] = MappingProxyType({}),
 ) -> Writer:
-    """Writes a text of changed columns, edited as a whole."""
+    """Return a writer of changed columns as text, which `edit` changes as a whole."""
 
     def write(folder: Path, bench: Bench) -> Path:
         whole = edit(text(change(bench), **layout))
@@ -124,7 +124,7 @@ def as_file(suffix: str, change: Callable[[Bench], Mapping[str, object]] = colum
 
 
 def renamed(**changes: tuple[str, float]) -> Callable[[Bench], Columns]:
-    """Columns under other names and in other units: y = ("pos_mm", 1e-3)."""
+    """Return a change of the columns' names and units, such as y = ("pos_mm", 1e-3)."""
 
     def change(bench: Bench) -> Columns:
         own = columns(bench)
@@ -135,5 +135,5 @@ def renamed(**changes: tuple[str, float]) -> Callable[[Bench], Columns]:
 
 
 def replaced(**changes: Callable[[Bench], object]) -> Callable[[Bench], Mapping[str, object]]:
-    """Columns computed again."""
+    """Return a change that computes columns again."""
     return lambda bench: columns(bench) | {key: make(bench) for key, make in changes.items()}

@@ -36,7 +36,7 @@ def moments(form: Callable[[datetime.datetime], str]) -> Callable[[Bench], objec
 
 
 def formats() -> Iterator[Log]:
-    """Every format, of the rotary axis with its angle in rad."""
+    """Yield every format, of the rotary axis with its angle in rad."""
     for suffix in WRITERS:
         yield Log(f"format {suffix}", "rotary", as_file(suffix))
     yield Log("format .csv.gz", "rotary", as_text(edit=lambda whole: gzip.compress(whole.encode()), name="run.csv.gz"))
@@ -62,7 +62,7 @@ def formats() -> Iterator[Log]:
 
 
 def other_names() -> Iterator[Log]:
-    """Formats that their content alone tells."""
+    """Yield formats that only the content shows."""
 
     def called(suffix: str, name: str) -> Writer:
         return lambda folder, bench: as_file(suffix)(folder, bench).rename(folder / name)
@@ -72,7 +72,7 @@ def other_names() -> Iterator[Log]:
 
 
 def layouts() -> Iterator[Log]:
-    """Text of the linear axis."""
+    """Yield layouts of text of the linear axis."""
     german: dict[str, str] = {"separator": ";", "decimal": ","}
     units = {"header": "t;u;y\n[s];[V];[m]"} | german
     yield Log("semicolons, decimal commas", "linear", as_text(layout=german))
@@ -89,7 +89,7 @@ def layouts() -> Iterator[Log]:
 
 
 def times() -> Iterator[Log]:
-    """The time in every way."""
+    """Yield all forms of the time column."""
     for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         yield Log(
             f"time called t_{unit}",
@@ -120,7 +120,7 @@ def times() -> Iterator[Log]:
 
 
 def units() -> Iterator[Log]:
-    """Columns and numbers of data sheets in units other than SI."""
+    """Yield columns and numbers of data sheets in units other than SI."""
     step, per_volt = BENCHES["linear"].step, BENCHES["linear"].truth.input_gain
     keys: Keys
     turn = BENCHES["rotary"].step / DEG
@@ -154,7 +154,7 @@ def units() -> Iterator[Log]:
 
 
 def motions() -> Iterator[Log]:
-    """Outputs that are no plain position."""
+    """Yield outputs that are no plain position."""
     counts = {"record": {"output_kind": "counts"}}
 
     def wrapped(span: int) -> Writer:
@@ -195,7 +195,7 @@ def renamed_wrapped(name: str, factor: float, span: float) -> Callable[[Bench], 
 
 
 def defects() -> Iterator[Log]:
-    """What goes wrong while one logs."""
+    """Yield faults of logging."""
 
     def lines(edit: Callable[[list[str]], list[str]]) -> Writer:
         return as_text(edit=lambda whole: "\n".join(edit(whole.splitlines())) + "\n")
@@ -242,7 +242,7 @@ def _interpolate(path: Path) -> None:
 
 
 def _cut_at_gap(path: Path) -> None:
-    """Keeps the longer part, from the gap on."""
+    """Keep the longer part of a log that is cut at its gap."""
     rows = _rows(path)
     stamps = np.array([float(row.split(",")[0]) for row in rows[1:]])
     steps = np.diff(stamps)
@@ -251,7 +251,7 @@ def _cut_at_gap(path: Path) -> None:
 
 
 def twos() -> Iterator[Log]:
-    """Two of these, or three, at once."""
+    """Yield combinations of two or three variants."""
     german: dict[str, str] = {"separator": ";", "decimal": ","}
     ms, mm = ("t_ms", 1e-3), ("pos_mm", 1e-3)
     keys: Keys = {"record": {"time": "t_ms", "output": "pos_mm"}, "encoder": {"resolution": 0.01}}
@@ -288,5 +288,5 @@ def logs() -> list[Log]:
 
 
 def clean(bench: str) -> Log:
-    """The log that the others are compared with."""
+    """Return the log to which the others are compared."""
     return Log("clean", bench, as_file(".csv"))

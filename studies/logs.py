@@ -1,4 +1,4 @@
-"""Study: what becomes of logs as they come? `python -m studies.logs --out results/logs.md`."""
+"""Study the estimates from realistic logs: `python -m studies.logs --out results/logs.md`."""
 
 from __future__ import annotations
 
@@ -24,18 +24,22 @@ from studies.log_bench import BENCHES, Keys, Log
 from studies.log_folder import clean, logs
 from studies.paper.truth import table
 
-#: Parameters may differ by this part from those of the clean log.
+#: Largest relative difference from the parameters of the clean log.
 SAME = 0.005
-#: Remedies that one follows before giving up.
+#: Number of remedies that a user follows before giving up.
 PATIENCE = 4
-#: "[encoder] resolution = "0.01 mm" or "0.01 m"", "give bits = 12".
+#: A key with its value in a remedy: "[encoder] resolution = "0.01 mm" or "0.01 m"", "give bits = 12".
 _KEY = re.compile(r'(?:\[(?P<section>\w+)\] )?(?P<key>\w+) = (?P<first>"[^"]*"|-?[\d.]+(?:e-?\d+)?)')
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """error: the largest of the parameters' relative deviations from the clean log, None: none was found; said: the
-    refusals on the way; followed: what was done about them."""
+    """The outcome of a log.
+
+    `error` is the largest relative deviation of a parameter from the clean log, or None without an estimate. `said` are
+    the
+    refusals on the way, and `followed` are the remedies that were applied.
+    """
 
     error: float | None
     said: tuple[str, ...]
@@ -52,13 +56,13 @@ Judge = Callable[[Log, Path, Floats], Outcome]
 
 
 def by_config(path: Path, keys: Keys) -> Floats:
-    """The estimate that `pmfid identify` gives with these keys. Raises as it does."""
+    """Return the estimate of `pmfid identify` with these keys; raise the same errors."""
     axis = validate_sections(Axis, keys)
     return identify(kind_of(axis).read([path], axis), axis).theta
 
 
 def outcome(log: Log, folder: Path, reference: Floats) -> Outcome:
-    """What becomes of a log of which every remedy is followed literally."""
+    """Return the outcome of a log if every remedy is followed literally."""
     path, keys = log.write(folder, BENCHES[log.bench]), deepcopy(log.config())
     said: list[str] = []
     followed: list[str] = []
@@ -77,8 +81,10 @@ def outcome(log: Log, folder: Path, reference: Floats) -> Outcome:
 
 
 def _follow(sentence: str, log: Log, keys: Keys, path: Path) -> str | None:
-    """Does what a refusal says, with the user's own units where it asks for them; None where it names no key, and the
-    user cannot do it to the file."""
+    """Follow the remedy of a refusal, with the user's own units if it asks for them.
+
+    None means that the remedy names no key, and that the user cannot apply it to the file.
+    """
     if "dt" in log.units and "give [record] dt" in sentence:
         keys["record"]["dt"] = BENCHES[log.bench].dt
         return f"dt = {BENCHES[log.bench].dt:g}"
@@ -96,7 +102,7 @@ def _follow(sentence: str, log: Log, keys: Keys, path: Path) -> str | None:
 
 
 def _set(found: re.Match[str], text: str, log: Log, keys: Keys) -> str:
-    """Writes a key that a remedy names, of several ways to do so the one in the user's units."""
+    """Write the key that a remedy names; of several forms, use the one in the user's units."""
     section = found["section"] or next(name for name, own in _homes().items() if found["key"] in own)
     ways = re.findall(r'"[^"]*"', text[found.start("first") :].split(";")[0].split(" and ")[0]) or [found["first"]]
     value = next((way for unit in log.units for way in ways if re.search(rf'[ /"]{re.escape(unit)}"', way)), ways[0])
@@ -110,8 +116,12 @@ def _homes() -> dict[str, set[str]]:
 
 
 def by_init(log: Log, folder: Path, reference: Floats) -> Outcome:
-    """What becomes of a log with the AXIS.toml that `pmfid init` writes, nothing edited; asked for the gain and the
-    travel of a count, the user tells those of the data sheet. Method and pole are those of the other column."""
+    """Return the outcome of a log with the unedited AXIS.toml of `pmfid init`.
+
+    If asked for the gain and the travel of a count, the user gives those of the data sheet. Method and pole equal those
+    of
+    the other column.
+    """
     bench, keys = BENCHES[log.bench], log.config()
     said = gain(keys["model"]["input_gain"])
     known = {"force": said if isinstance(said, Quantity) else bench.truth.input_gain, "travel": bench.step}
@@ -129,7 +139,7 @@ def by_init(log: Log, folder: Path, reference: Floats) -> Outcome:
 
 
 def outcomes(chosen: list[Log], of: Judge = outcome) -> Iterator[tuple[Log, Outcome]]:
-    """Of each log, in a folder of its own."""
+    """Yield the outcome of each log, in a separate folder."""
     with tempfile.TemporaryDirectory() as home:
         references = {name: _reference(name, Path(home)) for name in BENCHES}
         for k, log in enumerate(chosen):
@@ -144,7 +154,7 @@ def _reference(name: str, folder: Path) -> Floats:
 
 
 def rows(found: list[tuple[Log, Outcome]], begun: list[Outcome]) -> list[list[str]]:
-    """One for each log."""
+    """Return a row for each log."""
     made = []
     for (log, result), own in zip(found, begun, strict=True):
         error = "" if result.error is None else f"{100 * result.error:.3f}"

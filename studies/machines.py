@@ -1,4 +1,4 @@
-"""Machines, motions and encoders of the study of wrong models: none of them is tuned to."""
+"""Machines, motions and encoders of the study of wrong models; no estimator is tuned to them."""
 
 from __future__ import annotations
 
@@ -26,16 +26,21 @@ from pmfid.types import Floats
 from studies.paper.truth import CartRecord
 
 MOTIONS = ("prbs", "stop-and-go", "multisine")
-#: By which part the stroke of one experiment differs from that of the next.
+#: Relative difference of the stroke between two experiments.
 OTHERWISE = 0.02
-TONES = (0.3, 0.7, 1.3, 2.1)  # of the reference, over the frequency of a move and its rest
+TONES = (0.3, 0.7, 1.3, 2.1)  # tones of the reference, relative to the frequency of a move and its rest
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A machine on its bench: sample period dt [s], samples, input of the open loop volt [V] and its clock [samples],
-    position control kp, kd, u_max, moves of stroke [m or rad] in `move` and rests of `dwell` [s], travel per count of
-    4096 increments, speed over which Stribeck friction falls."""
+    """A machine on its bench.
+
+    `dt` is the sample period [s], and `volt` the input of the open loop [V] with its `clock` [samples]. Position
+    control
+    has `kp`, `kd` and `u_max`. Moves of `stroke` [m or rad] last `move`, rests `dwell` [s]. Further fields are the
+    travel
+    per count of 4096 increments, and the speed over which Stribeck friction falls.
+    """
 
     drive: DriveParameters
     dt: float
@@ -51,7 +56,7 @@ class Axis:
 
     @property
     def speed(self) -> float:
-        """Largest speed of a move."""
+        """The largest speed of a move."""
         return 1.875 * self.stroke / self.move
 
 
@@ -86,7 +91,7 @@ AXES: Mapping[str, Axis] = MappingProxyType(
     }
 )  # fmt: skip
 
-#: What is wrong -> the machine; the first is right.
+#: Unmodelled effect -> the machine with it; the first machine has none.
 WRONG: Mapping[str, Callable[[Axis], Machine]] = MappingProxyType(
     {
         "nothing": lambda axis: Machine(axis.drive),
@@ -103,17 +108,17 @@ WRONG: Mapping[str, Callable[[Axis], Machine]] = MappingProxyType(
 
 
 def truth(axis: Axis) -> np.ndarray:
-    """Mass, viscous and Coulomb friction (3,)."""
+    """Return mass, viscous and Coulomb friction (3,)."""
     return np.array([axis.drive.mass, axis.drive.viscous_friction, axis.drive.coulomb_friction])
 
 
 def machine_record(axis: Axis, wrong: str, motion: str, increments: int, seed: int) -> CartRecord:
-    """One run of the axis; the right machine is simulated exactly."""
+    """Simulate one run of the axis; the simulation of the right machine is exact."""
     return record_of(axis, WRONG[wrong](axis), motion, increments, seed)
 
 
 def record_of(axis: Axis, machine: Machine, motion: str, increments: int, seed: int) -> CartRecord:
-    """One run of a machine on the bench of an axis."""
+    """Simulate one run of a machine on the bench of an axis."""
     rng = np.random.default_rng([seed, 7])
     resolution = axis.resolution * 4096 / increments
     phase = resolution * rng.random()
@@ -121,7 +126,7 @@ def record_of(axis: Axis, machine: Machine, motion: str, increments: int, seed: 
         u = prbs(axis.samples, clock=axis.clock, amplitude=axis.volt, rng=rng)
         return CartRecord(u, driven_counts(axis, machine, u, resolution, phase), resolution)
     if motion == "stop-and-go":
-        # a controller parks the axis at the same edge of the lattice after the same move, whatever its phase
+        # otherwise a controller would park the axis at the same count edge after each move, whatever its phase
         stroke = axis.stroke * (1 + OTHERWISE * rng.uniform(-1, 1))
         reference = stop_and_go(axis.samples, axis.dt, stroke, axis.move, axis.dwell)
     else:
@@ -133,7 +138,9 @@ def record_of(axis: Axis, machine: Machine, motion: str, increments: int, seed: 
 def driven_counts(
     axis: Axis, machine: Machine, u: Floats, resolution: float, phase: float, rng: np.random.Generator | None = None
 ) -> NDArray[np.int64]:
-    """(n,) under an input u (n,); exactly simulated where a machine has nothing but the model's terms."""
+    """Return the counts (n,) under an input u (n,); the simulation is exact for a machine with only the model's
+    terms.
+    """
     if machine == Machine(machine.drive):
         return quantize(simulate_drive(machine.drive, u, axis.dt).x, resolution, phase)
     return drive_machine(machine, u, axis.dt, resolution, phase=phase, rng=rng).counts
@@ -147,7 +154,7 @@ def controlled_record(
     phase: float,
     rng: np.random.Generator | None = None,
 ) -> CartRecord:
-    """One run under position control along a reference (n,); exact as `driven_counts`."""
+    """Simulate one run under position control along a reference (n,); it is exact as in `driven_counts`."""
     (kp, kd, u_max), dt = (axis.control[name] for name in ("kp", "kd", "u_max")), axis.dt
     if machine == Machine(machine.drive):
         moved, counts = position_control(

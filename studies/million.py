@@ -1,5 +1,6 @@
-"""A million axes in one process, as a page: what stepping, keeping and taking them up costs, and what a kill leaves:
-`python -m studies.million --out results/million.md`."""
+"""Study a million axes in one process (cost of steps, checkpoints and restarts, effect of kills), as a page:
+`python -m studies.million --out results/million.md`.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +16,10 @@ from pmfid.simulation import CART
 from studies.paper.truth import table
 from studies.sharded_runs import BEFORE, CALL, Cost, Kill, estimator, in_a_process, kills, per_sample
 
-#: Axes of the fleets, of those for samples, models and methods, and samples in a call.
+#: Axes of the fleets, axes of the fleets for samples, models and methods.
 SIZES, SOME = (1_000, 10_000, 100_000, 1_000_000), 4096
 CALLS = (1, 4, 8, 16, 32, 100, 300)
-#: Samples in a call where models and methods are compared.
+#: Samples in a call of the comparison of models and methods.
 COMPARED = 50
 GAIN = CART.input_gain
 MODELS: Sequence[tuple[str, type[RecursiveEstimator], dict[str, object]]] = (
@@ -61,7 +62,7 @@ stays. The states are written from where they lie: no copy is made, and other th
 
 
 def _exponent(costs: Sequence[Cost], of: Callable[[Cost], float]) -> str:
-    """How a cost grows from the last but one size to the last, as a power."""
+    """Return the exponent with which a cost grows from the second-last size to the last."""
     if len(costs) < 2:
         return "-"
     (a, b) = costs[-2:]
@@ -69,7 +70,7 @@ def _exponent(costs: Sequence[Cost], of: Callable[[Cost], float]) -> str:
 
 
 def sizes(costs: Sequence[Cost]) -> list[str]:
-    """Tables of times and of memory."""
+    """Return the tables of times and of memory."""
     columns: Sequence[tuple[str, Callable[[Cost], float]]] = (
         ("add", lambda cost: cost.add.wall),
         (f"step of {CALL} samples", lambda cost: cost.step.wall),
@@ -107,7 +108,7 @@ def sizes(costs: Sequence[Cost]) -> list[str]:
 
 
 def kill_lines(axes: int, found: Sequence[Kill]) -> list[str]:
-    """What kills left."""
+    """Return the lines on the state after kills."""
     whole, newer, within = (sum(getattr(kill, name) for kill in found) for name in ("whole", "newer", "within"))
     times = ", ".join(f"{kill.after:.2f}" for kill in found)
     return [
@@ -123,7 +124,7 @@ def kill_lines(axes: int, found: Sequence[Kill]) -> list[str]:
 
 
 def samples() -> list[str]:
-    """What a sample costs, by how many come in a call."""
+    """Return the table of the cost of a sample, by the number of samples in a call."""
     rows = []
     for number in CALLS:
         seconds, _ = per_sample(estimator(), SOME, number)
@@ -141,7 +142,7 @@ def samples() -> list[str]:
 
 
 def models() -> list[str]:
-    """What methods and parameters cost."""
+    """Return the table of the cost of methods and parameters."""
     rows = []
     for name, cls, options in MODELS:
         single = estimator(cls, **options)
@@ -153,7 +154,7 @@ def models() -> list[str]:
 
 
 def page(costs: Sequence[Cost], found: Sequence[Kill]) -> str:
-    """The page."""
+    """Return the page."""
     last = costs[-1]
     lines = [
         "# A million axes in one process",

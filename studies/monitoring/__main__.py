@@ -1,4 +1,4 @@
-"""`python -m studies.monitoring`; the work is in `run`, where the processes find it."""
+"""Run `python -m studies.monitoring`; the work is in `run`, so that subprocesses can import it."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The axis of the study: a cart that goes and stops at random, and monitors calibrated for it."""
+"""The axis of the study: a cart with random moves and stops, and monitors calibrated for it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ def random_stop_and_go(
     move: tuple[float, float, float] = (STROKE, MOVE_TIME, DWELL_TIME),
     dt: float = CART_DT,
 ) -> Floats:
-    """Position reference (samples,) [m]: moves to and fro; stroke, its time and dwell, `move`, vary by +-VARIATION."""
+    """Return a position reference (samples,) [m] of moves in both directions.
+
+    Stroke, move time and dwell time, `move`, vary by +-VARIATION.
+    """
     parts, total, x, forward = [np.zeros(1)], 1, 0.0, True
     while total < samples:
         stroke, time, dwell = np.array(move) * rng.uniform(1 - VARIATION, 1 + VARIATION, 3)
@@ -40,7 +43,7 @@ def random_stop_and_go(
 
 
 def drive(schedule: Any, reference: Floats, increments: int, rng: np.random.Generator) -> tuple[Floats, Counts]:
-    """Input and counts (n,) under position control through the encoder, from a random place on its lattice."""
+    """Return input and counts (n,) under position control through the encoder, from a random start phase."""
     resolution = resolution_of(increments)
     control: dict[str, Any] = {**CART_CONTROL, "resolution": resolution, "phase": resolution * rng.random()}
     motion, counts = position_control(schedule, reference, CART_DT, **control)
@@ -48,19 +51,19 @@ def drive(schedule: Any, reference: Floats, increments: int, rng: np.random.Gene
 
 
 def normal_work(seed: int, increments: int, hours: float) -> tuple[Floats, Counts]:
-    """Input and counts of the unchanged cart."""
+    """Return input and counts of the unchanged cart."""
     rng = np.random.default_rng((seed, 1))
     return drive(CART, random_stop_and_go(round(hours * 3600 / CART_DT), rng), increments, rng)
 
 
 def changing(schedule: Schedule, seed: int, increments: int, seconds: float) -> tuple[Floats, Counts]:
-    """The same while the cart changes."""
+    """Return input and counts of a cart that changes by the schedule."""
     rng = np.random.default_rng((seed, 2))
     return drive(schedule, random_stop_and_go(round(seconds / CART_DT), rng), increments, rng)
 
 
 def make_riv(increments: int, theta: Floats | None = None) -> RIV:
-    """The estimator, started at theta (p,) if it is given."""
+    """Return the estimator, started at theta (p,) if it is given."""
     plain = RIV(Drive(CART.input_gain), Encoder(resolution_of(increments)), CART_DT, CUTOFF, forgetting=FORGETTING)
     if theta is None:
         return plain
@@ -68,12 +71,12 @@ def make_riv(increments: int, theta: Floats | None = None) -> RIV:
     return RIV(plain.model, plain.encoder, CART_DT, CUTOFF, forgetting=FORGETTING, initial=initial)
 
 
-#: By increments and mean time between false alarms; filled once, for all processes.
+#: Calibrations by increments and mean time between false alarms; filled once, for all processes.
 CALIBRATIONS: dict[tuple[int, float], Calibration] = {}
 
 
 def calibration(increments: int, mtbf_hours: float) -> Calibration:
-    """As `calibrated`, once."""
+    """Return the calibration of `calibrated`, computed once."""
     key = (increments, mtbf_hours)
     if key not in CALIBRATIONS:
         CALIBRATIONS[key] = calibrated(*key)
@@ -81,7 +84,7 @@ def calibration(increments: int, mtbf_hours: float) -> Calibration:
 
 
 def calibrated(increments: int, mtbf_hours: float) -> Calibration:
-    """From a reference record, its parameters by `iv` as in `pmfid monitor`."""
+    """Calibrate from a reference record; its parameters come from `iv`, as in `pmfid monitor`."""
     u, counts = normal_work(REFERENCE_SEED, increments, REFERENCE_HOURS)
     riv = make_riv(increments)
     theta = IV(riv.model, riv.encoder, CART_DT, CUTOFF).fit(u, counts).theta

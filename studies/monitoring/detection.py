@@ -1,4 +1,4 @@
-"""How soon a change is reported, and whether the right cause is named; how soon the estimate is right again."""
+"""The delay of reports on a change, the named causes, and the recovery of the estimate."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WITHIN = 0.05
 
 
 def watch_run(monitor: Monitor, u: Floats, counts: Any) -> tuple[list[Alarm], Floats]:
-    """Alarms and estimates (n, p) of a run."""
+    """Return alarms and estimates (n, p) of a run."""
     alarms, theta = [], []
     for value, count in zip(u.tolist(), counts.tolist(), strict=True):
         estimate, events = monitor.step(value, count)
@@ -40,17 +40,19 @@ def watch_run(monitor: Monitor, u: Floats, counts: Any) -> tuple[list[Alarm], Fl
 
 
 def changed(name: str, factor: float) -> DriveParameters:
-    """The cart after a change."""
+    """Return the cart after a change."""
     return replace(CART, **{name: factor * getattr(CART, name)})
 
 
 def _when(seed: int) -> float:
-    """A moment after BEFORE, anywhere in a cycle [s]."""
+    """Return a random moment of a cycle after BEFORE [s]."""
     return BEFORE + 3.0 * float(np.random.default_rng((seed, 3)).random())
 
 
 def work(detector: str, change: str, tolerance: float, seed: int) -> dict[str, Any]:
-    """Delay [s], NaN without an alarm; cause; relative size; error of the estimated time [s]; alarms before."""
+    """Return delay [s] (NaN without an alarm), cause, relative size, error of the estimated time [s], and earlier
+    alarms.
+    """
     name, factor = CHANGES[change]
     when = _when(seed)
     u, counts = changing(Schedule(((0.0, CART), (when, changed(name, factor)))), seed, INCREMENTS, when + AFTER)
@@ -71,7 +73,10 @@ def work(detector: str, change: str, tolerance: float, seed: int) -> dict[str, A
 
 
 def recovery(increments: int, seed: int) -> tuple[float, float]:
-    """Time until the mass stays within 5 % after the load [s]: constant forgetting, and with the alarm's re-opening."""
+    """Return the time until the mass stays within 5 % after the load [s].
+
+    The first value is for constant forgetting, the second with the alarm's opening of the memory.
+    """
     when = _when(seed)
     loaded = Schedule(((0.0, CART), (when, replace(CART, mass=LOADED))))
     u, counts = changing(loaded, seed, increments, when + AFTER)
@@ -82,14 +87,17 @@ def recovery(increments: int, seed: int) -> tuple[float, float]:
 
 
 def settled_after(mass: Floats, when: float) -> float:
-    """Seconds from the change until the mass (n,) is within WITHIN of the load for good."""
+    """Return the time [s] from the change until the mass (n,) stays within WITHIN of the load."""
     outside = np.flatnonzero(np.abs(mass / LOADED - 1) > WITHIN)
     return max(0.0, float(outside[-1] + 1) * CART_DT - when) if outside.size else 0.0
 
 
 def standstill(detector: str, seed: int, hours: float = 1.0) -> dict[str, Any]:
-    """A run that stands for `hours` in the middle, at tolerance 0: alarms, and the largest drift in percent while it
-    stands, in the first second of motion after it, and later on."""
+    """Run a cart that stands for `hours` in the middle, at tolerance 0.
+
+    Returns the alarms and the largest drift in percent: at standstill, in the first second of motion after it, and
+    later.
+    """
     rng = np.random.default_rng((seed, 4))
     part = random_stop_and_go(6000, rng)
     still = np.full(round(hours * 3600 / CART_DT), part[-1])

@@ -1,4 +1,4 @@
-"""How often a detector is wrong, against what was asked."""
+"""The rate of false alarms of the detectors, compared to the requested rate."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from studies.monitoring.axis import INCREMENTS, calibration, make_riv, normal_wo
 
 RUN_HOURS, RUNS_PER_TASK = 0.5, 25
 ASKED = (1.0, 24.0)
-#: After an alarm a detector restarts, that much later [s].
+#: Delay of a detector's restart after an alarm [s].
 HOLD = 15.0
 
 
 def work(task: int, increments: int = INCREMENTS) -> dict[str, Any]:
-    """Alarms of every detector for every asked time in RUNS_PER_TASK runs, at tolerance 0; the hours; correlation of
-    neighbouring blocks, and of those two apart."""
+    """Count the alarms of every detector for every requested time in RUNS_PER_TASK runs, at tolerance 0.
+
+    Also returns the hours, and the correlation of blocks one and two apart.
+    """
     made = {asked: calibration(increments, asked) for asked in ASKED}
     riv, one = make_riv(increments), made[ASKED[0]]
     seeds = [1000 + RUNS_PER_TASK * task + k for k in range(RUNS_PER_TASK)]
@@ -43,7 +45,7 @@ def _detectors(riv: Any, found: Calibration) -> Mapping[str, Detector]:
 
 
 def count_alarms(detector: Detector, x: Floats, w: Floats, threshold: float, hold: int) -> int:
-    """Alarms over x, w: (runs, n, p); after each the detector restarts, `hold` blocks later."""
+    """Count alarms over x, w (runs, n, p); after each alarm the detector restarts `hold` blocks later."""
     runs, n, p = x.shape
     fresh = detector.start((runs, p))
     state, waiting, alarms, tolerance = fresh, np.zeros(runs, int), 0, np.zeros(p)
@@ -57,13 +59,13 @@ def count_alarms(detector: Detector, x: Floats, w: Floats, threshold: float, hol
 
 
 def _correlation(x: Floats) -> Floats:
-    """(2, p): of blocks one and two apart."""
+    """Return the correlation (2, p) of blocks one and two apart."""
     power = np.mean(x**2, axis=(0, 1))
     return np.array([np.mean(x[:, lag:] * x[:, :-lag], axis=(0, 1)) / power for lag in (1, 2)])
 
 
 def poisson_interval(alarms: int, hours: float) -> tuple[float, float]:
-    """95 % interval of the mean time between alarms [h] (Garwood 1936)."""
+    """Return the 95 % interval of the mean time between alarms [h] (Garwood 1936)."""
     from scipy.stats import chi2
 
     low = 2 * hours / float(chi2.ppf(0.975, 2 * alarms + 2))
@@ -71,7 +73,7 @@ def poisson_interval(alarms: int, hours: float) -> tuple[float, float]:
 
 
 def write(results: list[dict[str, Any]]) -> tuple[list[list[str]], float]:
-    """Rows of the table, and the simulated hours."""
+    """Return the rows of the table, and the simulated hours."""
     hours, rows = float(sum(result["hours"] for result in results)), []
     for name, asked in results[0]["alarms"]:
         alarms = sum(result["alarms"][name, asked] for result in results)

@@ -18,7 +18,7 @@ HEAD = "# A machine that is watched"
 def figures(
     results: Mapping[str, list[Any]], tasks: Mapping[str, Sequence[Any]], pipe: PipeFigures | None
 ) -> list[str]:
-    """Lines from HEAD on. results, tasks: by section, in the same order."""
+    """Return the lines from HEAD on; `results` and `tasks` are by section, in the same order."""
     return [
         HEAD,
         "",

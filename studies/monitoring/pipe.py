@@ -1,4 +1,4 @@
-"""The command in a pipe: delay from a line in to its estimate out, lost samples, memory, the end by a signal."""
+"""The command in a pipe: delay from input line to estimate, lost samples, memory, end by a signal."""
 
 from __future__ import annotations
 
@@ -42,9 +42,13 @@ mtbf_hours = 1.0
 
 @dataclass(frozen=True)
 class PipeFigures:
-    """Delays from line in to estimate out [s]; lines sent and estimates that came back; resident memory [MiB] after a
-    tenth of the long run and at its end; samples of the long run, and its rate [1/s];
-    the lines of a short run."""
+    """The figures of the pipe.
+
+    The delays are from input line to estimate [s]. Further fields count sent lines and received estimates, and give the
+    resident memory [MiB] after a tenth of the long run and at its end. The samples of the long run, its rate [1/s], and
+    the
+    lines of a short run follow.
+    """
 
     median: float
     worst: float
@@ -58,7 +62,7 @@ class PipeFigures:
 
 
 def write_axis(folder: Path, seconds: float = 600.0) -> Path:
-    """AXIS.toml and normal.csv in a folder; the path of the first."""
+    """Write AXIS.toml and normal.csv into a folder; return the path of the first."""
     u, counts = normal_work(1, INCREMENTS, seconds / 3600)
     rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
     (folder / "normal.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
@@ -69,20 +73,22 @@ def write_axis(folder: Path, seconds: float = 600.0) -> Path:
 
 
 def command(axis: Path, *arguments: str) -> list[str]:
-    """`pmfid monitor -` in this interpreter."""
+    """Return the words that start `pmfid monitor -` in this interpreter."""
     start = "from pmfid.cli.main import main; main()"
     return [sys.executable, "-c", start, "monitor", "-", "--config", str(axis), *arguments]
 
 
 def lines(seconds: float, seed: int = 2) -> list[bytes]:
-    """A header and the samples of normal work."""
+    """Return a header and the samples of normal work."""
     u, counts = normal_work(seed, INCREMENTS, seconds / 3600)
     rows = enumerate(zip(u.tolist(), counts.tolist(), strict=True))
     return [b"t,u,counts\n", *(f"{k * CART_DT:.2f},{a!r},{b}\n".encode() for k, (a, b) in rows)]
 
 
 def delays(axis: Path, seconds: float, rate: float = 1000.0) -> tuple[np.ndarray, int, int]:
-    """Delay of every sample [s], lines sent and estimates received; a line every 1/rate s."""
+    """Return the delay of every sample [s], the sent lines and the received estimates; one line is sent every
+    1/rate s.
+    """
     sent_at: list[float] = []
     back_at: list[float] = []
     process = subprocess.Popen(
@@ -96,7 +102,7 @@ def delays(axis: Path, seconds: float, rate: float = 1000.0) -> tuple[np.ndarray
     head, *samples = lines(seconds * rate * CART_DT)
     process.stdin.write(head)
     process.stdin.flush()
-    while not back_at:  # the header comes back once the calibration is there
+    while not back_at:  # the header arrives when the calibration is complete
         time.sleep(0.01)
     start = time.perf_counter()
     for k, line in enumerate(samples):
@@ -120,7 +126,7 @@ def _receive(stream: IO[bytes], times: list[float]) -> None:
 
 
 def memory(axis: Path, samples: int, out: Path) -> tuple[float, float, float]:
-    """Resident memory [MiB] after a tenth of the samples and at the end, and samples per second."""
+    """Return the resident memory [MiB] after a tenth of the samples and at the end, and samples per second."""
     process = subprocess.Popen(command(axis, "--out", str(out)), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
     if process.stdin is None:
         raise OSError("the process has no pipe")
@@ -141,13 +147,13 @@ def memory(axis: Path, samples: int, out: Path) -> tuple[float, float, float]:
 
 
 def resident(pid: int) -> float:
-    """Resident memory of a process [MiB], from /proc."""
+    """Return the resident memory of a process [MiB], from /proc."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def terminated(axis: Path, out: Path, samples: int = 3000) -> tuple[int, int]:
-    """Kills a run with SIGTERM after `samples` lines, the pipe still open; its exit code and the rows of the file."""
+    """End a run by SIGTERM after `samples` lines with the pipe open; return its exit code and the rows of the file."""
     import polars as pl
 
     process = subprocess.Popen(command(axis, "--out", str(out)), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -166,7 +172,7 @@ def terminated(axis: Path, out: Path, samples: int = 3000) -> tuple[int, int]:
 
 
 def example(folder: Path) -> list[str]:
-    """The lines of a run in which the load grows by a fifth after 20 s."""
+    """Return the lines of a run in which the load grows by a fifth after 20 s."""
     axis = write_axis(folder)
     heavier = Schedule(((0.0, CART), (20.0, replace(CART, mass=1.2 * CART.mass))))
     u, counts = changing(heavier, 3, INCREMENTS, 45.0)
@@ -177,7 +183,7 @@ def example(folder: Path) -> list[str]:
 
 
 def measure(folder: Path, seconds: float, samples: int) -> PipeFigures:
-    """All of it."""
+    """Measure all figures."""
     axis = write_axis(folder)
     found, sent, received = delays(axis, seconds)
     early, late, rate = memory(axis, samples, folder / "long.parquet")
