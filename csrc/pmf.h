@@ -2,15 +2,15 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  *
- * One call of pmf_step() takes an input and an encoder count and walks straight through:
+ * One call of pmf_step() takes an input and an encoder count through these steps:
  *
  *   counts, input -> encoder -> network of first-order stages -> columns -> recursion -> estimate
  *
- * The kernel knows no equation: the configuration says which stages there are and which sums of their outputs are
- * regressors, target and instruments. Only the auxiliary model (optional) knows what a body with friction is, and the
- * linear one (optional) what a transfer function is. No malloc, no globals, no libc.
- * Compile with -std=c99 -ffp-contract=off and never with -ffast-math: then every target gives the same bits.
- */
+ * The kernel knows no equation: the configuration lists the stages, and the sums of their outputs that are regressors,
+ * target and instruments. Only the optional auxiliary model knows a body with friction, and only the optional linear
+ * model
+ * knows a transfer function. The kernel uses no malloc, no globals and no libc.
+ * Compile with -std=c99 -ffp-contract=off and never with -ffast-math: then every target gives the same bits. */
 #ifndef PMF_H
 #define PMF_H
 
@@ -29,8 +29,8 @@ typedef double scalar_t;
 #define PMF_SCALAR(x) (x)
 #endif
 
-/* The configuration consists of scalars. What depends on the data is written in these types, so that the same source
- * also runs several axes side by side: many/pmf_lanes.h then defines them for vectors. */
+/* The configuration consists of scalars. Everything that depends on the data has these types, so that the same source
+ * also runs several axes at once: many/pmf_lanes.h then defines them as vectors. */
 #ifdef PMF_LANES
 #include "many/pmf_lanes.h"
 #else
@@ -43,38 +43,38 @@ typedef int32_t integer_t;
 #define PMF_R(x) PMF_SCALAR(x)
 #endif
 
-/* Signals of one sampling interval. A block of eight comes from the counts (nodes 0..7) and one from the auxiliary
- * model (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval
- * is known best one sample after it. */
+/* Signals of one sampling interval. Eight signals come from the counts (nodes 0..7) and eight from the auxiliary model
+ * (nodes 8..15). All but the velocity from the counts are one sample late, because the direction of an interval is
+ * known best one sample later. */
 enum {
     PMF_INPUT = 0, /* input times moving fraction */
-    PMF_VELOCITY = 1, /* mean velocity; from the counts that of the last interval */
-    PMF_DIRECTION = 2, /* time moving forward minus backward, as a part of the interval */
-    PMF_MOVING = 3, /* time moving */
-    PMF_FORWARD = 4, /* time moving forward */
-    PMF_BACKWARD = 5, /* minus the time moving backward */
+    PMF_VELOCITY = 1, /* mean velocity; the velocity from the counts is that of the last interval */
+    PMF_DIRECTION = 2, /* time moving forward minus time moving backward, as a fraction of the interval */
+    PMF_MOVING = 3, /* fraction of time moving */
+    PMF_FORWARD = 4, /* fraction of time moving forward */
+    PMF_BACKWARD = 5, /* minus the fraction of time moving backward */
     PMF_FORWARD_VELOCITY = 6, /* the velocity's part from moving forward */
-    PMF_BACKWARD_VELOCITY = 7, /* and from moving backward */
-    PMF_AUXILIARY = 8, /* the same from the auxiliary model */
+    PMF_BACKWARD_VELOCITY = 7, /* the velocity's part from moving backward */
+    PMF_AUXILIARY = 8, /* first signal of the auxiliary model, which has the same eight signals */
     PMF_SPLIT_FORWARD = 16, /* late velocity from the counts while the auxiliary model moves forward */
-    PMF_SPLIT_BACKWARD = 17, /* and backward */
+    PMF_SPLIT_BACKWARD = 17, /* late velocity from the counts while the auxiliary model moves backward */
     PMF_LATE_INPUT = 18,
     PMF_LATE_VELOCITY = 19,
     PMF_ACCELERATION = 20, /* mean acceleration of the auxiliary model */
-    PMF_LATE_POSITION = 21, /* mean position from the counts, from the first one */
-    PMF_POSITION = 22, /* the same times moving fraction */
-    PMF_SPLIT_POSITION = 23, /* the same times the auxiliary model's moving fraction */
-    PMF_MODEL_POSITION = 24, /* the auxiliary model's own, times its moving fraction */
+    PMF_LATE_POSITION = 21, /* mean position by the counts, relative to the first count */
+    PMF_POSITION = 22, /* mean position by the counts times the moving fraction */
+    PMF_SPLIT_POSITION = 23, /* mean position by the counts times the auxiliary model's moving fraction */
+    PMF_MODEL_POSITION = 24, /* position of the auxiliary model times its moving fraction */
     PMF_SIGNALS = 25,
-    /* of a linear process, which has no auxiliary model: */
+    /* signals of a linear process, which has no auxiliary model: */
     PMF_ONE = PMF_AUXILIARY, /* always 1 */
     PMF_START = PMF_AUXILIARY +
-        1, /* 1 in the first interval, as late as the rest: what stood in the plant at the start */
-    /* of direct methods without an auxiliary model where the step varies: */
-    PMF_TURN = PMF_AUXILIARY /* what a reversal inside the interval adds to its mean velocity, per 1/12 of m v' */
+        1, /* 1 in the first interval, delayed like the other signals: the effect of the initial state */
+    /* signal of direct methods without an auxiliary model if the step varies: */
+    PMF_TURN = PMF_AUXILIARY /* effect of a reversal inside the interval on its mean velocity, per 1/12 of m v' */
 };
 
-/* What a parameter means to the auxiliary model. */
+/* Roles of parameters in the auxiliary model. */
 enum {
     PMF_MASS = 0,
     PMF_VISCOUS_FORWARD,
@@ -83,13 +83,13 @@ enum {
     PMF_COULOMB_BACKWARD,
     PMF_OFFSET,
     PMF_STIFFNESS,
-    PMF_DELAY, /* [s], of the input */
-    PMF_BODY_ROLES /* then a coefficient for each shape */
+    PMF_DELAY, /* dead time of the input [s] */
+    PMF_BODY_ROLES /* followed by a coefficient for each shape */
 };
 #define PMF_ROLES (7 + (PMF_WITH_DEAD_TIME + PMF_MAX_SHAPES > 0) + PMF_MAX_SHAPES)
 #define PMF_NO_PARAMETER 0xffU
 
-/* Status bits of a step. The Python enumeration `Status` has the same values and the advice. */
+/* Status bits of a step. The Python enumeration `Status` has the same values, with advice. */
 enum {
     PMF_STARTING = 1,
     PMF_SETTLING = 2,
@@ -103,10 +103,10 @@ enum {
     PMF_UNMODELLED = 512,
     PMF_FEEDBACK = 1024,
     PMF_DEAD_TIME = 2048,
-    PMF_STATUS_END, /* follows the last bit, so that all bits together need no further edit */
+    PMF_STATUS_END, /* follows the last bit, so that the union of all bits needs no further edit */
     PMF_STATUS_BITS = 2 * (PMF_STATUS_END - 1) - 1,
-    /* What a reader asks: does theta say nothing, or nothing new? Was this sample left out? Do effects outside the
-    model, or a controller, move theta beyond its covariance? */
+    /* Groups of bits for a reader: theta is no (new) estimate; this sample was left out; effects outside the model, or
+     * a controller, move theta beyond its covariance. */
     PMF_NOT_AN_ESTIMATE = PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET,
     PMF_SAMPLE_REJECTED = PMF_INVALID_INPUT | PMF_COUNT_JUMP,
     PMF_DISTORTED = PMF_UNMODELLED | PMF_FEEDBACK | PMF_DEAD_TIME
@@ -114,90 +114,91 @@ enum {
 
 /* Forgetting of old samples, in addition to the regularisation. */
 enum {
-    PMF_EXPONENTIAL = 0, /* every sample is forgotten alike */
-    PMF_DIRECTIONAL = 1, /* only in the direction of each phi; least squares only */
-    PMF_CONSTANT_TRACE = 2, /* as much as keeps the trace of P */
-    PMF_WINDOW = 3, /* the last samples alike, the others not at all */
-    PMF_SEPARATE = 4 /* every parameter in its own time */
+    PMF_EXPONENTIAL = 0, /* all samples are forgotten at the same rate */
+    PMF_DIRECTIONAL = 1, /* forgetting only in the direction of each phi; least squares only */
+    PMF_CONSTANT_TRACE = 2, /* forgetting keeps the trace of P */
+    PMF_WINDOW = 3, /* the last samples have equal weight, older ones none */
+    PMF_SEPARATE = 4 /* every parameter has its own rate */
 };
 
-/* Where the step varies, pauses are counted in these parts of a sample period. */
+/* If the step varies, pauses are counted in these fractions of a sample period. */
 enum { PMF_TICKS = 16 };
 
 typedef struct {
     scalar_t velocity_per_count; /* resolution / dt */
     scalar_t position_per_count; /* resolution */
     uint32_t count_mask; /* 2^bits - 1 */
-    uint32_t max_change; /* more counts in one sample are a jump; 0: no check */
-    uint32_t standstill_samples; /* without a count for so long, in the unit of `idle`: at rest */
-    scalar_t position_gain, velocity_gain; /* of the tracker, per count */
-    scalar_t smooth_end, smooth_start; /* one-step smoother of the tracker's velocity */
+    uint32_t max_change; /* a larger change of the count in one sample is a jump; 0: no check */
+    uint32_t standstill_samples; /* time without a count that means rest, in the unit of `idle` */
+    scalar_t position_gain, velocity_gain; /* gains of the tracker, per count */
+    scalar_t smooth_end, smooth_start; /* gains of the one-step smoother of the tracker's velocity */
 #if PMF_WITH_PROCESS
-    uint32_t process; /* the output of a linear process: positions count from zero, and rest means nothing */
-    uint32_t from_first; /* but its positions count from the first one, where the equation is as true of these */
+    uint32_t process; /* 1: output of a linear process: positions count from zero, and rest means nothing */
+    uint32_t from_first; /* 1: positions count from the first count; the equation also holds for these */
 #endif
 #if PMF_WITH_GUARD
-    uint32_t guard; /* samples in motion that it learns from before it judges strictly; 0: none */
-    scalar_t spike; /* factor over the largest recent input from which an input is suspicious */
-    scalar_t guard_leak; /* of what it has learned, per sample in motion */
-    uint32_t guard_hold; /* samples from a suspicious one on that are left out */
+    uint32_t guard; /* samples in motion for learning, before the guard judges strictly; 0: no guard */
+    scalar_t spike; /* an input beyond this factor times the largest recent input is suspicious */
+    scalar_t guard_leak; /* leak of the learned values, per sample in motion */
+    uint32_t guard_hold; /* number of samples left out from a suspicious sample on */
 #endif
 #if PMF_WITH_STEPS
-    scalar_t rate; /* samples per second where each comes with its step, else 0 */
+    scalar_t rate; /* samples per second if each sample comes with its step, otherwise 0 */
     scalar_t push; /* variance of the acceleration that the tracker expects, in counts per squared sample period */
-    uint32_t turns; /* 1: a reversal inside an interval is a signal of its own */
+    uint32_t turns; /* 1: a reversal inside an interval is a separate signal */
 #endif
 } pmf_encoder_config_t;
 
 #if PMF_WITH_STEPS
-/* Covariances of the tracker where the step varies, which its gains come from; the counts have a variance of 1. */
+/* Covariances of the tracker for a varying step, which give its gains; the counts have a variance of 1. */
 typedef struct {
-    real_t place, cross, speed; /* of the last position and velocity; the first two are its last gains as well */
-    real_t start_place, start_speed; /* of the velocity before with them */
+    real_t place, cross,
+        speed; /* covariances of the last position and velocity; the first two are also its last gains */
+    real_t start_place, start_speed; /* covariances of the earlier velocity with the last position and velocity */
 } pmf_tracker_t;
 #endif
 
 
 #if PMF_WITH_GUARD
-/* Against samples that no motion explains. */
+/* Guard against samples that no motion explains. */
 typedef struct {
-    whole_t seen; /* the first samples and those in motion, until it has learned */
+    whole_t seen; /* number of first samples and samples in motion during learning */
     whole_t suspect; /* suspicious changes in a row */
-    whole_t doubt; /* on the last two inputs */
-    whole_t wait; /* samples until it learns again what a motion may do */
+    whole_t doubt; /* doubts about the last two inputs, as bits */
+    whole_t wait; /* samples until the guard learns the limits of the motion again */
     whole_t reading; /* the last count while it is suspicious */
-    integer_t change; /* the last one, read or predicted, that the next is predicted from */
-    real_t rate; /* how that had changed */
-    real_t scatter; /* what predictions missed by, beyond the encoder's step: a leaking maximum */
-    real_t peak; /* of the input, leaking as fast */
-    real_t gain; /* change of the change by a unit of the input's */
-    real_t missed; /* what the last prediction missed by */
-    real_t last; /* and that of the last believed count, while the next ones are suspicious */
-    real_t lesson; /* what scatter grew by last */
-    real_t held; /* input that the filters had last */
-    whole_t sound; /* samples since a suspicious one, saturating; this and the next ones while it learns */
-    real_t earlier; /* what the prediction before the last missed by */
+    integer_t change; /* the last change, read or predicted, from which the next one is predicted */
+    real_t rate; /* change of the last change */
+    real_t scatter; /* leaking maximum of the prediction error beyond the encoder's step */
+    real_t peak; /* leaking maximum of the input, with the same leak */
+    real_t gain; /* effect of a unit of the input's change on the change of the count's change */
+    real_t missed; /* error of the last prediction */
+    real_t last; /* prediction error of the last accepted count, while the next ones are suspicious */
+    real_t lesson; /* last growth of `scatter` */
+    real_t held; /* last input of the filters */
+    whole_t sound; /* samples since a suspicious one, saturating; during learning, samples without a suspicion */
+    real_t earlier; /* error of the prediction before the last */
     real_t fair; /* scatter that motion alone explains */
 } pmf_guard_state_t;
 #endif
 
 typedef struct {
     whole_t count;
-    whole_t idle; /* samples since the last count, or sixteenths where the step varies, saturating */
-    whole_t gap; /* samples between counts lately */
+    whole_t idle; /* samples since the last count, or sixteenths of a sample if the step varies; saturating */
+    whole_t gap; /* recent number of samples between counts */
     whole_t fast;
-    whole_t started; /* of a linear process 2 after the second sample */
-    integer_t change; /* of the last interval */
+    whole_t started; /* 2 after the second sample of a linear process */
+    integer_t change; /* change of the count in the last interval */
     whole_t travel; /* counts since the first one, modulo 2^32 */
 #if PMF_WITH_PROCESS
-    integer_t first; /* count, with its sign */
+    integer_t first; /* first count, with its sign */
 #endif
     real_t position, velocity, velocity_before, innovation; /* tracker, in counts and samples */
-    real_t direction, moving; /* of the last interval */
+    real_t direction, moving; /* direction and moving fraction of the last interval */
     real_t input, input_before;
-    real_t mean_velocity; /* of the last interval */
+    real_t mean_velocity; /* mean velocity of the last interval */
 #if PMF_WITH_STEPS
-    real_t ratio, ratio_before; /* steps of this interval and of the one before, over the sample period */
+    real_t ratio, ratio_before; /* steps of this interval and of the preceding one, over the sample period */
     pmf_tracker_t tracker;
 #endif
 #if PMF_WITH_GUARD
@@ -205,24 +206,24 @@ typedef struct {
 #endif
 } pmf_encoder_state_t;
 
-/* node[k] = b0 * node[source] + (what b1 and a left from the step before) */
+/* node[k] = b0 * node[source] + (contribution of b1 and a from the preceding step) */
 typedef struct {
     uint32_t source;
     scalar_t a, b0, b1;
 #if PMF_WITH_STEPS
-    uint32_t rate; /* how it follows the step */
+    uint32_t rate; /* rule by which the stage follows a varying step */
 #endif
 } pmf_stage_t;
 
 #if PMF_WITH_STEPS
-/* Ways in which stages follow a step that varies; what a stage has is for the sample period. The step that matters,
- * over the period, is now * (this one) + before * (the one before). The first way is that of a stage that follows none.
- * Lists, not a list of structures: compilers then compute several ways at once. */
+/* Rules by which stages follow a varying step; the coefficients of a stage hold for the sample period. The step over
+ * the period is now * (this step) + before * (the preceding step). The first rule belongs to stages that follow no
+ * step. Lists replace a list of structures, so that compilers compute several rules at once. */
 typedef struct {
     scalar_t now[PMF_MAX_RATES], before[PMF_MAX_RATES];
     scalar_t half[PMF_MAX_RATES]; /* pole times half the sample period */
-    scalar_t keep[PMF_MAX_RATES]; /* 1: what the stage had counts, 0: it does not */
-    /* of its coefficients, by the step, and by the mean square of the step over time */
+    scalar_t keep[PMF_MAX_RATES]; /* 1: the memory of the stage counts, 0: it does not */
+    /* effects on the coefficients: constant, by the step, and by the mean square of the step over time */
     scalar_t gain[PMF_MAX_RATES], growth[PMF_MAX_RATES], square[PMF_MAX_RATES];
 } pmf_rates_t;
 #endif
@@ -249,7 +250,7 @@ typedef struct {
     real_t memory[PMF_MAX_STAGES];
     real_t column[PMF_MAX_COLUMNS];
 #if PMF_WITH_STEPS
-    real_t ratio, ratio_before; /* those of the encoder */
+    real_t ratio, ratio_before; /* step ratios of the encoder */
     real_t time, cubes; /* leaking sums of steps and of their cubes */
 #endif
 } pmf_network_state_t;
@@ -257,64 +258,64 @@ typedef struct {
 typedef struct {
     uint32_t n_parameters;
     uint32_t instrumental; /* 0: least squares, 1: instruments in their own columns */
-    uint32_t first_column; /* regressors, target, instruments from here on */
-    uint32_t min_updates; /* before the first estimate */
-    uint32_t residual_updates; /* first steps, solved with the accumulated right-hand side; later ones by innovation */
+    uint32_t first_column; /* first column of regressors, target and instruments */
+    uint32_t min_updates; /* updates before the first estimate */
+    uint32_t residual_updates; /* number of first updates that use the accumulated right-hand side; later ones use the
+                                  innovation */
     scalar_t forgetting;
-    scalar_t regularization; /* information that is never forgotten, as a part of the largest seen */
+    scalar_t regularization; /* information that is never forgotten, as a fraction of the largest so far */
     scalar_t pivot; /* smallest relative pivot for a first estimate */
-    uint32_t scheme; /* of forgetting */
+    uint32_t scheme; /* forgetting scheme */
     uint32_t window_block; /* samples in a block of the window */
-    uint32_t compensated; /* the noise of the columns is known: */
-    scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* its covariance in one sample's phi phi^T */
+    uint32_t compensated; /* 1: the noise of the columns is known */
+    scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* covariance of the known noise in one sample's phi phi^T */
 #if PMF_WITH_PROCESS
-    scalar_t target_noise[PMF_MAX_NOISE]; /* and in phi z */
-    scalar_t target_power; /* and in z^2 */
-    uint32_t constant,
-        lowest; /* the parameter that the output's level is in, and its share of that; PMF_NO_PARAMETER: none */
-    scalar_t lift; /* ... for the first count: a multiple of `lowest` */
+    scalar_t target_noise[PMF_MAX_NOISE]; /* covariance of the known noise in phi z */
+    scalar_t target_power; /* power of the known noise in z^2 */
+    uint32_t constant, lowest; /* parameters that hold the output's level, and its share; PMF_NO_PARAMETER: none */
+    scalar_t lift; /* shift of the constant for the first count, as a multiple of `lowest` */
 #endif
 #if PMF_WITH_SEPARATE
     scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
 #endif
-    uint32_t block; /* updates whose errors may be correlated; the spread of such blocks scales P */
-    scalar_t correlated; /* updates whose errors are taken to be the same until there are such blocks */
-    uint32_t half_memory; /* in looks at the size of the motion; 0: nothing is forgotten */
-    uint32_t leading; /* the parameter of the highest derivative */
+    uint32_t block; /* updates in a block with correlated errors; the spread of such blocks scales P */
+    scalar_t correlated; /* number of updates with equal errors, assumed until such blocks exist */
+    uint32_t half_memory; /* half memory in looks at the size of the motion; 0: nothing is forgotten */
+    uint32_t leading; /* index of the parameter of the highest derivative */
     scalar_t haste,
-        leak; /* weights of what is outdated at the next sample, and of the peaks after half a memory of motion */
-    scalar_t shown; /* inverse square of what the encoder shows of the leading column */
-    scalar_t outgrown; /* information in that column, over its squares at the looks of late, from which on it is from
-                          larger motions */
+        leak; /* weight of outdated information at the next sample, and of the peaks after half a memory of motion */
+    scalar_t shown; /* inverse square of the encoder's error in the leading column */
+    scalar_t outgrown; /* ratio of information in that column to its recent squares, above which the information comes
+                          from larger motions */
 #if PMF_WITH_AUXILIARY
-    uint32_t growing; /* the first samples, gathered with a model that was still wrong, count the less, by this power of
-                         their number; beyond 1 with shapes alone */
+    uint32_t growing; /* the first samples, which come from a poor model, have less weight, by this power of their
+                       * number; more than 1 only with shapes */
 #endif
 #if PMF_WITH_NOISE
-    scalar_t unexplained; /* mean square innovation over what the noise explains, beyond which the model is wrong; 0: no
+    scalar_t unexplained; /* ratio of mean square innovation to the known noise, above which the model is wrong; 0: no
                              check */
-    scalar_t check_samples; /* of a stretch of that comparison */
+    scalar_t check_samples; /* number of samples in a stretch of this check */
 #endif
 } pmf_recursion_config_t;
 
 typedef struct {
-    real_t cross[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta phi^T; lower half if least squares */
+    real_t cross[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta phi^T; lower half for least squares */
     real_t square[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta zeta^T, lower half; instruments only */
     real_t right[PMF_MAX_PARAMETERS]; /* sum zeta z */
     real_t weight; /* sum of the discounted weights */
-    real_t squares; /* and of their squares */
+    real_t squares; /* sum of the squared weights */
 } pmf_sums_t;
 
 typedef struct {
     real_t theta[PMF_MAX_PARAMETERS];
     real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
-    real_t
-        inflation[PMF_MAX_PARAMETERS]; /* theirs, for innovations that are not white and samples that count unequally */
+    real_t inflation[PMF_MAX_PARAMETERS]; /* factor of the variances for coloured innovations and unequal weights of
+                                             samples */
     real_t innovation, innovation_variance;
 } pmf_estimate_t;
 
 #if PMF_WITH_NOISE
-/* Sums of squared innovations and targets; weight: number of samples. */
+/* Sums of squared innovations and targets; `weight` is the number of samples. */
 typedef struct {
     real_t weight, innovation, target;
 } pmf_check_t;
@@ -322,92 +323,96 @@ typedef struct {
 
 typedef struct {
     pmf_sums_t sums;
-    real_t peak[PMF_MAX_PARAMETERS]; /* largest information seen in motions of the present size */
-    real_t power, power_before; /* squares of the leading column over what the encoder shows, of this half memory of
-                                   motion, and the last */
+    real_t peak[PMF_MAX_PARAMETERS]; /* largest information in motions of the present size */
+    real_t power, power_before; /* squares of the leading column over the encoder's error, in this half memory of motion
+                                   and in the last */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS]; /* 1 / D */
     pmf_estimate_t estimate;
-    real_t mass; /* 1 - forgetting^updates: how much of the regularisation is in force */
-    real_t weight; /* of the innovations below */
+    real_t mass; /* 1 - forgetting^updates: the active fraction of the regularisation */
+    real_t weight; /* weight of the innovations below */
     real_t innovation_square;
-    whole_t updates; /* saturating */
+    whole_t updates; /* number of updates, saturating */
     whole_t started; /* updates since the first estimate, 0 before, saturating */
     real_t score[PMF_MAX_PARAMETERS]; /* sum of zeta times innovation in this block */
     whole_t block_updates, blocks;
     whole_t moved; /* looks at samples in motion in this half memory */
-    whole_t swings; /* what these, and those of the last one, showed of the leading column, as bits */
-    whole_t
-        outdated; /* updates in which to forget in haste: the information is from larger motions than those of late */
-    whole_t excited; /* constant trace: looks for which the axis is taken to be excited */
-    whole_t since; /* updates since the start, or since then; saturating */
-    whole_t frozen; /* too little information left to forget any more */
+    whole_t swings; /* swings of the leading column in this half memory and the last, as bits */
+    whole_t outdated; /* remaining updates of fast forgetting: the information comes from larger motions than the recent
+                         ones */
+    whole_t excited; /* constant trace: remaining looks for which the axis counts as excited */
+    whole_t since; /* updates since the start, or since information was outdated; saturating */
+    whole_t frozen; /* 1: too little information is left for further forgetting */
 #if PMF_WITH_PROCESS
-    real_t lift; /* what `lowest` is worth in the constant of the output itself */
+    real_t lift; /* effect of `lowest` on the constant of the output itself */
 #endif
 #if PMF_WITH_NOISE
-    pmf_check_t check, check_before; /* of the model: this stretch of samples, and the last */
-    whole_t unmodelled; /* the last verdict on it, as a status bit */
+    pmf_check_t check, check_before; /* checks of the model in this stretch of samples and in the last */
+    whole_t unmodelled; /* last verdict of the check, as a status bit */
 #endif
     real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */
     real_t trace; /* mean of P over the reference; 0: not set yet */
 #if PMF_WINDOW_BLOCKS > 0
     pmf_sums_t window[PMF_WINDOW_BLOCKS];
-    whole_t window_block, window_updates; /* the one that is filled, and its updates */
+    whole_t window_block, window_updates; /* index of the current block, and its updates */
 #endif
 } pmf_recursion_state_t;
 
 #if PMF_MAX_SHAPES > 0
-/* What a force of a given form depends on. */
+/* Variable on which a force of a given form depends. */
 enum {
     PMF_OF_SPEED = 0,
-    PMF_OF_SQUARE = 1, /* of the speed; it has no table */
-    PMF_OF_PLACE = 2, /* this and all that follow */
-    PMF_OF_WAVE = 3 /* sine of the place; it has no table */
+    PMF_OF_SQUARE = 1, /* square of the speed; it has no table */
+    PMF_OF_PLACE = 2, /* position, as in all following forms */
+    PMF_OF_WAVE = 3 /* sine of the position; it has no table */
 };
 
-/* Straight lines between evenly spaced knots; beyond them the last one goes on. */
+/* Straight lines between evenly spaced knots; the last value continues beyond them. */
 typedef struct {
     uint32_t of;
-    uint32_t resists; /* 1: it acts against the motion, and holds at rest */
+    uint32_t resists; /* 1: the force acts against the motion, and holds at rest */
     uint32_t positive; /* 1: its coefficient is never negative */
-    uint32_t first, intervals; /* of its knots */
-    uint32_t node; /* that its mean over an interval, with its direction, is given to: a stage that leaves it there */
-    uint32_t measured; /* the same at the place of the counts, for the direct estimate; 0: none */
-    scalar_t start, knots_per_unit; /* of the speed or the position; of a wave: periods per unit */
+    uint32_t first, intervals; /* first knot and number of intervals */
+    uint32_t
+        node; /* node for the mean over an interval, with its direction; the stage at this node does not overwrite it */
+    uint32_t measured; /* node for the mean at the place of the counts, for the direct estimate; 0: none */
+    scalar_t start,
+        knots_per_unit; /* first knot and scale, of the speed or the position; for a wave: periods per unit */
 } pmf_shape_t;
 
 typedef struct {
     uint32_t n;
     pmf_shape_t shape[PMF_MAX_SHAPES];
     scalar_t knot[PMF_MAX_KNOTS];
-    scalar_t sum[PMF_MAX_KNOTS]; /* of a speed: the integral from its first knot on, in steps */
+    scalar_t sum[PMF_MAX_KNOTS]; /* shape of a speed: integral from its first knot, in steps */
 } pmf_shapes_config_t;
 #endif
 
 /* A body with friction, simulated from the input alone with a slow copy of the estimate. */
 typedef struct {
     uint32_t enabled;
-    uint32_t adapt; /* 0: the parameters stay the initial ones (off-line passes) */
+    uint32_t adapt; /* 0: the parameters keep their initial values (off-line passes) */
     uint32_t has_initial;
-    uint32_t direct_index[PMF_ROLES]; /* a role's parameter in the direct recursion, PMF_NO_PARAMETER: none */
-    uint32_t index[PMF_ROLES]; /* and in the instrumental one */
-    uint32_t check_column; /* filtered velocity, measured; the next ones are the model's, and its acceleration */
-    uint32_t target_column; /* corrected by what the discrete filters make of the model's own acceleration: */
-    uint32_t mass_column; /* that of the instrument of the mass */
-    uint32_t sensitivities; /* the number of parameters; 0: the model's stops and reversals count as known */
-    uint32_t cause[PMF_ROLES], role[PMF_ROLES]; /* the model's signal that each one multiplies, and its first role */
-    uint32_t trial_samples; /* so long is a new start given before it is judged */
+    uint32_t direct_index[PMF_ROLES]; /* index of a role's parameter in the direct recursion; PMF_NO_PARAMETER: none */
+    uint32_t index[PMF_ROLES]; /* index of a role's parameter in the instrumental recursion */
+    uint32_t check_column; /* measured filtered velocity; the model's velocity and acceleration follow */
+    uint32_t
+        target_column; /* target, corrected by the error of the discrete filters for the model's own acceleration */
+    uint32_t mass_column; /* column of the instrument of the mass */
+    uint32_t sensitivities; /* number of parameters; 0: the model's stops and reversals count as known */
+    uint32_t cause[PMF_ROLES],
+        role[PMF_ROLES]; /* the model's signal that each parameter multiplies, and its first role */
+    uint32_t trial_samples; /* samples of a new start before it is judged */
     scalar_t dt, input_gain;
-    scalar_t jump_gain; /* of each of the two stages that a blow at a stop goes through */
-    scalar_t position_gain; /* of the correction of the model's position, which matters with a spring only */
+    scalar_t jump_gain; /* gain of both stages that filter a blow at a stop */
+    scalar_t position_gain; /* gain of the correction of the model's position, needed only with a spring */
     scalar_t initial[PMF_ROLES];
-    scalar_t smoothing; /* per four samples, of the copy */
+    scalar_t smoothing; /* smoothing of the copy, per four samples */
     scalar_t memory; /* forgetting of the check, per sample */
-    scalar_t mismatch_limit; /* mean square difference of the velocities, as a part of their mean square */
-    scalar_t noise_power; /* of the filtered measured velocity */
+    scalar_t mismatch_limit; /* mean square difference of the velocities, as a fraction of their mean square */
+    scalar_t noise_power; /* noise power of the filtered measured velocity */
     scalar_t lag_memory; /* forgetting of the comparison that shows a model ahead of the plant, per sample */
-    scalar_t lag_samples; /* that are worth one in it: the filters make neighbours alike */
+    scalar_t lag_samples; /* number of samples that count as one in it, because the filters correlate neighbours */
 #if PMF_WITH_STEPS
     uint32_t steps; /* 1: the step varies */
 #endif
@@ -421,61 +426,61 @@ typedef struct {
     real_t weight, lack_lack, lack_acceleration, lack_velocity, acceleration, cross, velocity;
 } pmf_lag_t;
 
-/* What a parameter's change makes of the model's stops. */
+/* Effect of a parameter's change on the model's stops. */
 typedef struct {
     real_t momentum; /* the mass times the deviation of its velocity, over dt */
-    real_t blow, filtered; /* the force by which a stop takes that away, filtered once and twice */
+    real_t blow,
+        filtered; /* force by which a stop removes this momentum, and this force filtered by one and two stages */
 } pmf_jump_t;
 
 typedef struct {
     real_t parameter[PMF_ROLES];
     real_t velocity, position;
-    pmf_jump_t jump[PMF_ROLES]; /* of each parameter */
+    pmf_jump_t jump[PMF_ROLES]; /* effect of each parameter on the stops */
     real_t power, mismatch;
     real_t cross, innovations, changes; /* products of the innovations and the changes of the input; their squares */
-    whole_t running; /* has parameters */
-    whole_t trial; /* samples until it is judged */
+    whole_t running; /* 1: the model has parameters */
+    whole_t trial; /* samples until the model is judged */
     whole_t trusted;
-    whole_t in_charge; /* the instrumental estimate has taken over from the direct one */
-    whole_t feedback; /* the last verdict, as a status bit */
+    whole_t in_charge; /* 1: the instrumental estimate has taken over from the direct one */
+    whole_t feedback; /* last verdict on feedback, as a status bit */
     pmf_lag_t lag;
-    whole_t late; /* whether the model is ahead, the last verdict as a status bit */
-    whole_t turn; /* of the samples between two steps of the copy */
+    whole_t late; /* last verdict on a model ahead of the plant, as a status bit */
+    whole_t turn; /* counter of the samples between two steps of the copy */
 #if PMF_WITH_STEPS
-    real_t step; /* of the interval that is simulated [s] */
+    real_t step; /* length of the simulated interval [s] */
 #endif
 } pmf_auxiliary_state_t;
 
 #if PMF_WITH_LAG
-/* exp(-t / lag) over a part of a sample: its end, its integral, and that of t times it; t in samples. */
+/* exp(-t / lag) over a part of a sample: its end, its integral, and the integral of t exp(-t / lag); t in samples. */
 typedef struct {
     scalar_t rest, mean, moment;
 } pmf_decay_t;
 #endif
 
 #if PMF_WITH_DEAD_TIME
-/* An input that acts late, by any part of a sample, and perhaps with a lag. */
+/* An input that acts late, by any fraction of a sample, and perhaps with a lag. */
 typedef struct {
-    uint32_t room; /* whole samples at most; 0: it acts at once */
+    uint32_t room; /* largest number of whole samples; 0: no dead time */
     scalar_t rate; /* samples per second */
-    scalar_t dead_time; /* [s], where no auxiliary model has its own */
+    scalar_t dead_time; /* dead time [s], if no auxiliary model has its own */
 #if PMF_WITH_DEAD_TIME_FOUND
-    uint32_t found; /* it is estimated, as the last parameter */
-    uint32_t within; /* also by the motion within the counts */
-    scalar_t counts; /* per unit of position */
-    scalar_t growth; /* of the covariance of what is estimated, per sample */
+    uint32_t found; /* 1: the dead time is estimated, as the last parameter */
+    uint32_t within; /* 1: the motion within the counts also estimates it */
+    scalar_t counts; /* counts per unit of position */
+    scalar_t growth; /* growth of the covariance of the estimated parameters, per sample */
 #endif
 #if PMF_WITH_LAG
-    uint32_t lags; /* is there a lag? Then the dead time is known */
-    pmf_decay_t decay[2]; /* over the older input's part of an interval and over the newer one's */
+    uint32_t lags; /* 1: the input has a lag; the dead time is then known */
+    pmf_decay_t decay[2]; /* decay over the older input's part of an interval, and over the newer one's */
 #endif
 } pmf_late_config_t;
 
 typedef struct {
-    real_t
-        past[PMF_MAX_LATE]; /* inputs, from `at` on and round: that of the interval which the counts speak of first */
-    real_t older, newer, part; /* what acts in that interval: `part` of it the older one */
-    real_t gathered; /* dead time that what was gathered is for [s] */
+    real_t past[PMF_MAX_LATE]; /* ring of inputs; the input at `at` acts first in the interval of the counts */
+    real_t older, newer, part; /* inputs that act in that interval; the older one acts for the fraction `part` */
+    real_t gathered; /* dead time of the accumulated sums [s] */
 #if PMF_WITH_LAG
     real_t lagged; /* output of the lag at the end of that interval */
 #endif
@@ -483,24 +488,25 @@ typedef struct {
 } pmf_late_state_t;
 
 #if PMF_WITH_DEAD_TIME_FOUND
-/* The estimate at the dead time that is believed, and a motion that is held within the counts, which tells it. */
+/* The estimate at the accepted dead time, and a motion that is held within the counts to find the dead time. */
 typedef struct {
-    pmf_estimate_t believed; /* in the parameters of the recursion in charge */
-    real_t dead_time; /* that it is at */
-    real_t theta[PMF_MAX_PARAMETERS]; /* of the motion */
-    real_t covariance[PMF_MAX_PARAMETERS + 2][PMF_MAX_PARAMETERS + 2]; /* of its place, its velocity and theta */
-    real_t place; /* in counts, from the lower edge of the last one on */
+    pmf_estimate_t believed; /* accepted estimate in the parameters of the active recursion */
+    real_t dead_time; /* dead time of this estimate */
+    real_t theta[PMF_MAX_PARAMETERS]; /* parameters of the motion */
+    real_t covariance[PMF_MAX_PARAMETERS + 2]
+                     [PMF_MAX_PARAMETERS + 2]; /* covariance of place, velocity and theta of the motion */
+    real_t place; /* place in counts, from the lower edge of the last count */
     real_t velocity;
-    real_t push, speed; /* the largest force of the input, and speed */
-    real_t begun; /* its dead time at the beginning */
-    real_t before, unsure; /* its dead time a while ago, and the variance of that */
-    real_t surprise, expected; /* squares of what it was beyond an edge by, over its own deviation */
-    integer_t change; /* of the counts in the last interval */
+    real_t push, speed; /* largest force of the input, and largest speed */
+    real_t begun; /* dead time of the motion at its beginning */
+    real_t before, unsure; /* earlier dead time of the motion, and its variance */
+    real_t surprise, expected; /* squares of its distance beyond an edge, observed and expected */
+    integer_t change; /* change of the counts in the last interval */
     whole_t running;
-    whole_t age, near; /* samples since it began, and those near an edge; saturating */
-    whole_t looks; /* 1: it began from what it had found itself, 2: and stayed there */
-    whole_t tries; /* beginnings since it was last believed */
-    whole_t believes; /* what is believed, PMF_BELIEVES_... */
+    whole_t age, near; /* samples since the beginning of the motion, and samples near an edge; saturating */
+    whole_t looks; /* 1: the motion began from its own earlier result, 2: and the result stayed */
+    whole_t tries; /* beginnings since the motion was last accepted */
+    whole_t believes; /* source of the accepted dead time, PMF_BELIEVES_... */
 } pmf_found_state_t;
 #endif
 #endif
@@ -510,55 +516,56 @@ typedef struct {
 typedef struct {
     uint32_t enabled;
     uint32_t n, m, offset; /* parameters: a_0 to a_(n-1), b_0 to b_m and the constant, if there is one */
-    uint32_t input_node; /* held input, as late as the output and its dead time later */
-    uint32_t first_column; /* regressors, target, instruments */
-    uint32_t update_samples; /* so often are the filters computed from the copy */
-    uint32_t settle_samples; /* in addition to the settling of the process itself */
-    uint32_t start_updates; /* of the direct estimate before the model starts from it */
+    uint32_t input_node; /* held input, delayed like the output and by its dead time */
+    uint32_t first_column; /* first column of regressors, target and instruments */
+    uint32_t update_samples; /* samples between two computations of the filters from the copy */
+    uint32_t settle_samples; /* samples in addition to the settling of the process itself */
+    uint32_t start_updates; /* updates of the direct estimate before the model starts from it */
     scalar_t half_dt;
     scalar_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
-    scalar_t limit[PMF_MAX_ORDER]; /* of a_i dt^(n-i), beyond which the process is too fast for the samples */
-    scalar_t smoothing; /* per update, of the copy */
+    scalar_t limit[PMF_MAX_ORDER]; /* limit of a_i dt^(n-i), above which the process is too fast for the samples */
+    scalar_t smoothing; /* smoothing of the copy, per update */
     scalar_t memory; /* forgetting of the comparison with the output, per sample */
 } pmf_linear_config_t;
 
 /* The filters s^i / A(s), time in samples. */
 typedef struct {
     real_t a[PMF_MAX_ORDER];
-    real_t inverse; /* of a trapezoidal step */
-    real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER]; /* of a held signal */
+    real_t inverse; /* inverse of a trapezoidal step */
+    real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER]; /* step and gain for a held signal */
 } pmf_linear_filter_t;
 
-/* Signals after such a filter. */
+/* Signals after a filter s^i / A(s). */
 typedef struct {
-    real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER]; /* the input and a constant */
+    real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER]; /* filtered input and filtered constant */
     real_t measured[PMF_MAX_ORDER], simulated[PMF_MAX_ORDER];
 } pmf_linear_signals_t;
 
 typedef struct {
-    real_t parameter[PMF_MAX_PARAMETERS]; /* the copy */
-    real_t b[PMF_MAX_PARAMETERS]; /* as the simulation has it */
-    pmf_linear_filter_t own, fast; /* of the copy; more damped, for data, where that would settle too late */
+    real_t parameter[PMF_MAX_PARAMETERS]; /* parameters of the copy */
+    real_t b[PMF_MAX_PARAMETERS]; /* numerator in the form of the simulation */
+    pmf_linear_filter_t own,
+        fast; /* filters of the copy, and more damped filters for data if those of the copy would settle too late */
     pmf_linear_signals_t behind_own, behind_fast;
-    pmf_linear_signals_t bent; /* how the coefficients of these signals differ where time goes in samples */
+    pmf_linear_signals_t bent; /* differences of the coefficients of these signals if time counts in samples */
     real_t settling[PMF_MAX_ORDER];
     real_t output, power, mismatch;
-    real_t discount; /* of what was gathered with other filters; 1 where they did not change */
+    real_t discount; /* weight of the sums from other filters; 1 if the filters did not change */
     whole_t since; /* updates of the direct estimate at the start */
     whole_t wait, age, unsettled, settled;
     whole_t running, in_charge;
-    whole_t damped; /* data go through the fast filters */
+    whole_t damped; /* 1: data pass the fast filters */
 } pmf_linear_state_t;
 #endif
 
 typedef struct {
     uint32_t settle_samples;
 #if PMF_WITH_PROCESS
-    uint32_t first_samples; /* the same at the start, shorter where the start is part of the equation */
+    uint32_t first_samples; /* settling at the start, shorter if the initial state is part of the equation */
 #endif
     pmf_encoder_config_t encoder;
     pmf_network_config_t network;
-    pmf_recursion_config_t direct; /* from the counts alone */
+    pmf_recursion_config_t direct; /* recursion from the counts alone */
 #if PMF_WITH_DEAD_TIME
     pmf_late_config_t late;
 #endif
@@ -569,7 +576,7 @@ typedef struct {
     pmf_linear_config_t linear;
 #endif
 #if PMF_WITH_AUXILIARY + PMF_WITH_LINEAR
-    pmf_recursion_config_t instrument; /* with the model that is simulated, if there is one */
+    pmf_recursion_config_t instrument; /* recursion with the simulated model, if there is one */
 #endif
 } pmf_config_t;
 
@@ -577,7 +584,7 @@ typedef struct {
     whole_t status;
     whole_t settle; /* samples until the filters have forgotten their start */
 #if PMF_WITH_GUARD
-    whole_t hold; /* samples until they have forgotten what stands in place of a suspicious one */
+    whole_t hold; /* samples until they have forgotten the replacement of a suspicious sample */
 #endif
     pmf_encoder_state_t encoder;
     pmf_network_state_t network;
@@ -589,11 +596,11 @@ typedef struct {
 #endif
 #endif
 #if PMF_WITH_PROCESS
-    pmf_estimate_t lifted; /* the estimate with the constant of the output itself */
+    pmf_estimate_t lifted; /* estimate with the constant of the output itself */
 #endif
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_state_t auxiliary;
-    pmf_estimate_t borrowed; /* the direct estimate in the parameters of the instrumental one */
+    pmf_estimate_t borrowed; /* direct estimate in the parameters of the instrumental one */
 #endif
 #if PMF_WITH_LINEAR
     pmf_linear_state_t linear;
@@ -604,44 +611,46 @@ typedef struct {
 } pmf_state_t;
 
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
-/* The counter is reset: it would have read `count` at the last sample. Estimate and filters stay. */
+/* Reset the counter: it would have read `count` at the last sample. Estimate and filters stay. */
 void pmf_rebase(pmf_state_t *state, uint32_t count);
-/* Samples were lost, and the next one, for pmf_step() after this, reads `count`. Filters and model restart with its
- * motion; the sums of the estimate stay. A few lost samples are better stepped through, along straight lines. */
+/* Report lost samples before pmf_step() of the next one, which reads `count`. Filters and model restart with its
+ * motion; the sums of the estimate stay. A few lost samples are better replaced by straight lines and stepped through.
+ */
 void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
-/* The last sample was a guess: the next `samples` are not learnt from (in slow motion some more), at most the settling
- * time of the filters. The filters go on. */
+/* Report that the last sample was a guess: the recursion skips the next `samples` (in slow motion some more), at most
+ * the settling time of the filters. The filters go on. */
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples);
-/* One sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
+/* Process one sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 #if PMF_WITH_STEPS
-/* Before pmf_step() of a configuration with a rate: the time since the last sample [s]; without this call it is the
- * sample period. One that is not positive, or longer than 100 periods, is flagged as an invalid input. */
+/* Set the time since the last sample [s] before pmf_step() of a configuration with a rate; without this call it is the
+ * sample period. A step that is not positive, or longer than 100 periods, is flagged as an invalid input. */
 void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step);
 #endif
-/* P of the estimate, with theta_cov = innovation variance times P; n x n, row by row; its diagonal alone where the
- * estimate is borrowed from another parametrisation. */
+/* Write P of the estimate (n x n, row by row), with theta_cov = innovation variance times P. A borrowed estimate of
+ * another parametrisation has only the diagonal. */
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
-/* The estimate of the last step. */
+/* Return the estimate of the last step. */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
-/* Opens the memory after a change of the plant: of what was gathered on one parameter, or with PMF_NO_PARAMETER on all,
- * only the part root^2 counts on, 0 < root <= 1. The estimate stays where it is; filters and auxiliary model go on.
- * The inflation of standard errors restarts, also with root = 1. */
+/* Open the memory after a change of the plant: the information on one parameter, or with PMF_NO_PARAMETER on all, is
+ * multiplied by root^2, 0 < root <= 1. The estimate stays; filters and auxiliary model go on. The inflation of standard
+ * errors restarts, also with root = 1. */
 void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
-/* Variance of a parameter of the estimate, for innovations as coloured as they are; PMF_UNKNOWN until there is one. */
+/* Return the variance of an estimated parameter, for the observed colour of the innovations; PMF_UNKNOWN before the
+ * first estimate. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
 #define PMF_UNKNOWN PMF_R(1e30)
-/* The number of parameters of the estimate. */
+/* Return the number of parameters of the estimate. */
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
 
-/* Continue after a loss of power: a state with what says whose it is. The same bytes as `get_state` in Python. */
+/* A saved state, for a restart after a loss of power, with its identity. Python's `get_state` gives the same bytes. */
 #define PMF_STATE_MAGIC 0x53464d50U /* "PMFS" */
 #define PMF_STATE_VERSION 1U
 
 typedef struct {
     uint32_t magic, version;
-    uint32_t layout; /* CRC-32 of names, types and places of the state's fields */
-    uint32_t size; /* of all this, in bytes */
+    uint32_t layout; /* CRC-32 of names, types and offsets of the state's fields */
+    uint32_t size; /* size of this structure [byte] */
     uint32_t config; /* CRC-32 of the configuration */
     uint32_t checksum; /* CRC-32 of the five words above and the state */
     pmf_state_t state;
@@ -650,20 +659,21 @@ typedef struct {
 enum { PMF_LOADED = 0, PMF_NOT_A_STATE, PMF_DAMAGED_STATE, PMF_OTHER_VERSION, PMF_OTHER_CONFIG, PMF_IMPLAUSIBLE_STATE };
 
 void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved);
-/* PMF_LOADED, or why not; then the state is as before. */
+/* Load a saved state. Returns PMF_LOADED, or the reason of a failure, which leaves the state unchanged. */
 uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_state_t *state);
-/* 1: these can be the numbers of a state, 0: no sample could have made them, whatever their checksum. */
+/* Return 1 if the numbers can be a state, 0 if no sample could have made them, whatever their checksum. */
 uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state);
-/* CRC-32 of ISO 3309 (Ethernet, zlib) of more data; crc: of the data before, 0 at the start. */
+/* Return the CRC-32 of ISO 3309 (Ethernet, zlib); `crc` is the CRC of the preceding data, 0 at the start. */
 uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size);
 
-/* An alarm on a parameter of the estimate, after every step; not a part of the state: clear it to start. */
+/* An alarm on a parameter of the estimate, after every step. Its sums are not part of the state: clear them to start.
+ */
 typedef struct {
     uint32_t parameter;
     uint32_t interval; /* samples between two estimates that count */
     real_t nominal;
-    real_t shift; /* the change to be noticed, > 0 */
-    real_t threshold; /* of the logarithm of the likelihood ratio */
+    real_t shift; /* size of the change to be noticed, > 0 */
+    real_t threshold; /* threshold of the logarithm of the likelihood ratio */
 } pmf_alarm_config_t;
 
 typedef struct {
@@ -672,15 +682,15 @@ typedef struct {
 } pmf_alarm_state_t;
 
 #define PMF_LEAST_VARIANCE PMF_R(1e-30)
-/* 1: the parameter is above nominal, -1: below, 0: no alarm. */
+/* Return 1 if the parameter is above nominal, -1 if below, 0 without an alarm. */
 int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums, const pmf_config_t *config,
                        const pmf_state_t *state);
 
-/* What compiler options did to the arithmetic of this build, as bits; 0: the bits are those of Python. */
+/* Effects of compiler options on the arithmetic of this build, as bits; 0: the bits are those of Python. */
 enum { PMF_CONTRACTED = 1, PMF_REARRANGED = 2, PMF_NO_NAN = 4, PMF_FLUSHED = 8 };
 uint32_t pmf_arithmetic(void);
 
-/* Byte-wise, so that padding is zero too and two states can be compared. */
+/* Clear memory byte by byte, so that padding is zero and two states can be compared. */
 PMF_API void pmf_clear(void *memory, uint32_t size);
 
 #ifdef __cplusplus

@@ -1,15 +1,15 @@
 /* Alarm on a parameter: two-sided cumulative sum of its estimate's log-likelihood ratio (Page 1954).
  * SPDX-License-Identifier: Apache-2.0
  *
- * One value of the estimate in `interval` samples, so that its errors are nearly independent: with
- * x = theta - nominal of variance v, the ratio of a shift by s is s (x - s / 2) / v. Where the status says that the
- * estimate is not to be trusted, and where the variance is large, the sums hold still: no alarm without excitation.
- */
+ * The sums use one value of the estimate in `interval` samples, so that its errors are nearly independent. With
+ * x = theta - nominal of variance v, the ratio of a shift by s is s (x - s / 2) / v. The sums stay if the status marks
+ * the
+ * estimate as unreliable or if the variance is large: without excitation no alarm is raised. */
 #include "pmf_internal.h"
 
 #define UNTRUSTED (PMF_NOT_AN_ESTIMATE | PMF_UNMODELLED)
 
-/* max(0, sum + gain), and not beyond twice the threshold, so that it comes back after a repair. */
+/* Return max(0, sum + gain), limited to twice the threshold, so that the sum falls after a repair. */
 static real_t next_sum(real_t sum, real_t gain, real_t threshold)
 {
     real_t next = sum + gain, most = threshold + threshold;

@@ -1,12 +1,11 @@
-/* Small symmetric matrices: factors, triangular systems, projections. For pmf_recursion.c alone, which see.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* Small symmetric matrices: factors, triangular systems, projections. Only pmf_recursion.c includes this file.
+ * SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_ALGEBRA_H
 #define PMF_ALGEBRA_H
 
 #include "pmf_internal.h"
 
-/* The loops unroll only where the number of parameters arrives as a constant. */
+/* The loops unroll only if the number of parameters is a constant. */
 #if defined(PMF_PARAMETERS) && !defined(PMF_STRAIGHT)
 #define PMF_INLINE static
 #elif defined(__GNUC__)
@@ -14,7 +13,7 @@
 #else
 #define PMF_INLINE static inline
 #endif
-/* Not in lanes, whose vectors a call would bring into memory and back. */
+/* Lanes have no separate functions, because a call would move their vectors to memory and back. */
 #if defined(__GNUC__) && !defined(PMF_LANES)
 #define PMF_APART static __attribute__((noinline))
 #else
@@ -30,7 +29,7 @@
 #define TINY PMF_R(1e-200)
 #endif
 
-/* Lower half of a symmetric matrix = L D L^T. */
+/* Factorise a symmetric matrix, given by its lower half, as L D L^T. */
 PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
 {
     real_t scaled[N];
@@ -46,11 +45,12 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
             lower[i][j] = sum * inverse[j];
             pivot -= sum * lower[i][j];
         }
-        inverse[i] = PMF_R(1.0) / PMF_IF(pivot > floor, pivot, floor); /* floor > 0: P is positive whatever comes */
+        inverse[i] =
+            PMF_R(1.0) / PMF_IF(pivot > floor, pivot, floor); /* floor > 0: P stays positive for any information */
     }
 }
 
-/* The smallest pivot relative to its diagonal entry. */
+/* Return the smallest pivot relative to its diagonal entry. */
 PMF_SELDOM real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t inverse[N])
 {
     real_t smallest = PMF_R(1.0), relative;
@@ -82,7 +82,7 @@ PMF_INLINE void backward(uint32_t p, real_t lower[N][N], real_t x[N])
     }
 }
 
-/* Row i of half = L^-1 W, with the rows above it. */
+/* Compute row i of half = L^-1 W from the rows above it. */
 PMF_INLINE void forward_row(uint32_t p, uint32_t i, real_t cross[N][N], real_t lower[N][N], real_t half[N][N])
 {
     uint32_t j, k;
@@ -100,7 +100,7 @@ typedef struct {
     real_t lower[N][N], inverse[N], half[N][N];
 } projection_t;
 
-/* information = W^T Z^-1 W (lower half), move = W^T Z^-1 move; keeps what `project_more` needs. */
+/* Compute information = W^T Z^-1 W (lower half) and move = W^T Z^-1 move; keep the factors for `project_more`. */
 PMF_INLINE void project(pmf_recursion_state_t *state, uint32_t p, projection_t *projection, real_t information[N][N],
                         real_t move[N])
 {
@@ -130,7 +130,7 @@ PMF_INLINE void project(pmf_recursion_state_t *state, uint32_t p, projection_t *
     }
 }
 
-/* The same projection of another vector. */
+/* Apply the same projection to another vector. */
 PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N])
 {
     real_t projected[N];

@@ -1,12 +1,13 @@
 /* Auxiliary model: a body with viscous and Coulomb friction, driven by the input alone.
  * SPDX-License-Identifier: Apache-2.0
  *
- * It supplies what the encoder cannot: instruments without the encoder's noise, and the direction and the
- * moving fractions of every interval. Between events the motion is linear; exp() is replaced by its diagonal
- * Pade approximant of order 3 (relative error below 1e-9 for damping * dt <= 0.15, 1e-5 at 1), because the exp
- * of C libraries differ in their last bits. A constant force allows one stop in an interval at most, so the two
- * phases below are all there is, and the work is the same for every sample.
- */
+ * The model supplies instruments without the encoder's noise, and the direction and the moving fractions of every
+ * interval.
+ * Between events the motion is linear. exp() is replaced by its diagonal Pade approximant of order 3, because the exp
+ * of C
+ * libraries differ in their last bits; the relative error is below 1e-9 for damping * dt <= 0.15, and 1e-5 at 1. A
+ * constant force allows at most one stop in an interval, so that two phases suffice and every sample takes the same
+ * work. */
 #include "pmf_shapes.h"
 
 #if PMF_WITH_AUXILIARY
@@ -40,7 +41,8 @@ static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parame
     return body;
 }
 
-/* Time to stop, as a part of the interval: the root of the approximant, from that of order 1 by Newton. */
+/* Return the time to stop, as a fraction of the interval: the root of the approximant by Newton's method, which starts
+ * from the root of order 1. */
 static real_t stop_time(real_t z, real_t speed, real_t target)
 {
     real_t q = speed / (speed - target); /* 1 - exp(-z t) at the stop; target has the opposite sign */
@@ -55,14 +57,14 @@ static real_t stop_time(real_t z, real_t speed, real_t target)
     return x / z;
 }
 
-/* Moves in one direction for the time that is left, or until it stops, where one of the two holds. */
+/* Move in the direction whose truth holds, for the remaining time or until the stop. */
 static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backward, phase_t *phase)
 {
     truth_t moves = forward | backward, stops;
     real_t sign = PMF_IF(backward, PMF_R(-1.0), PMF_R(1.0));
     real_t net = sign * body->force - PMF_IF(backward, body->coulomb[1], body->coulomb[0]);
     real_t speed = sign * phase->velocity, h = phase->left, z, n, phi, end, distance;
-    /* a little damping always, so that z may divide; below it the motion over dt is that of constant force */
+    /* a little damping always makes the division by z safe; below it the motion over dt is that of constant force */
     real_t rate = PMF_IF(backward, body->viscous[1], body->viscous[0]) / body->mass * dt + PMF_R(1e-9);
     real_t target = net * dt / (body->mass * rate);
     z = rate * h;
@@ -111,8 +113,9 @@ static void forget_sensitivity(pmf_auxiliary_state_t *state)
     pmf_clear(state->jump, (uint32_t)sizeof state->jump);
 }
 
-/* Part of a deviation of velocity that remains after a stop: 0 if friction holds the body. If the body reverses, it is
- * the force after the stop over the force before, because the instant of the stop moves with the deviation. */
+/* Return the fraction of a velocity deviation that remains after a stop: 0 if friction holds the body. If the body
+ * reverses, the fraction is the force after the stop over the force before it, because the instant of the stop depends
+ * on the deviation. */
 static real_t left_behind_stop(const body_t *body, truth_t forward)
 {
     real_t push = PMF_IF(forward, -body->force, body->force);
@@ -121,9 +124,9 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
     return PMF_IF((behind > PMF_R(0.0)) & (before > PMF_R(0.0)), behind / before, PMF_R(0.0));
 }
 
-/* m w' + d w = -signal for the deviation w of the velocity by each parameter, and at a stop the rest of m w is lost, as
- * if by a blow. The sum of friction and input in the equation changes by the same blow: that is its derivative. After
- * the filters of the equation, as two stages of their delay, it completes regressors and target. */
+/* The velocity deviation w by each parameter follows m w' + d w = -signal, and a stop removes the rest of m w like a
+ * blow. This blow is the derivative of the sum of friction and input in the equation. After the filters of the
+ * equation, as two stages of their delay, it completes regressors and target. */
 static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
                              real_t before, real_t after, const real_t *signal)
 {
@@ -163,7 +166,7 @@ PMF_API void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *sign
 }
 #endif
 
-/* Moves for the part of the interval that is left, under a constant force and what the shapes make of the motion. */
+/* Move for the remaining part of the interval, under a constant force and the forces of the shapes. */
 static void advance(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, body_t *body,
                     phase_t *phase, real_t *signal)
 {
@@ -181,7 +184,7 @@ static void advance(const pmf_auxiliary_config_t *config, const pmf_auxiliary_st
             PMF_WHERE(phase->velocity == PMF_R(0.0), body, *body = body_at_rest(config, state, &plain, phase));
         }
 #endif
-        /* from rest it may break away, or stick */
+        /* from rest the body may break away, or stick */
         truth_t rests = phase->velocity == PMF_R(0.0), left = phase->left > PMF_R(0.0);
         truth_t forward = (rests & (body->force > body->coulomb[0])) | (phase->velocity > PMF_R(0.0));
         truth_t backward = PMF_NOT(forward) & (PMF_NOT(rests) | (-body->force > body->coulomb[1]));
@@ -197,7 +200,7 @@ static void advance(const pmf_auxiliary_config_t *config, const pmf_auxiliary_st
     }
 }
 
-/* Signals and state from the motion of an interval. */
+/* Set signals and state after the motion of an interval. */
 static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
                      phase_t *phase, real_t middle, real_t *signal)
 {
@@ -206,7 +209,7 @@ static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t
     signal[PMF_ACCELERATION] = (phase->velocity - state->velocity) / PMF_SPAN(config, state);
     sum = signal[PMF_ACCELERATION] + phase->distance[0] + phase->distance[1] + middle;
     absurd = PMF_NOT(sum - sum == PMF_R(0.0));
-    if (PMF_ANY(absurd)) { /* parameters: it starts again from rest */
+    if (PMF_ANY(absurd)) { /* absurd parameters: the body starts again from rest */
         phase->velocity = PMF_IF(absurd, PMF_R(0.0), phase->velocity);
         phase->distance[0] = PMF_IF(absurd, PMF_R(0.0), phase->distance[0]);
         phase->distance[1] = PMF_IF(absurd, PMF_R(0.0), phase->distance[1]);
@@ -242,7 +245,8 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 }
 
 #if PMF_LATE
-/* The older input acts for a part of the interval, the newer one for the rest; each of the two parts is exact. */
+/* The older input acts for a part of the interval, the newer one for the rest; the simulation of both parts is exact.
+ */
 PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                      const pmf_late_state_t *late, real_t *signal)
 {
@@ -259,7 +263,7 @@ PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_a
     rest.velocity = phase.velocity;
     rest.left = PMF_R(1.0) - late->part;
     moved = PMF_SPAN(config, state) * (phase.distance[0] + phase.distance[1]);
-    state->position += moved; /* where the shapes of the second part begin */
+    state->position += moved; /* start of the shapes in the second part */
     advance(config, state, &second, &rest, signal);
     state->position -= moved;
     pushed = late->older * (phase.moving[0] + phase.moving[1]) + late->newer * (rest.moving[0] + rest.moving[1]);
@@ -267,7 +271,7 @@ PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_a
     rest.distance[1] += phase.distance[1];
     rest.moving[0] += phase.moving[0];
     rest.moving[1] += phase.moving[1];
-    /* if it stops in the first part, the force of that part decides what remains after the stop */
+    /* after a stop in the first part, the force of that part decides the remaining deviation */
     last = body;
     PMF_WHERE(state->velocity * phase.velocity > PMF_R(0.0), &last, last = second);
     conclude(config, state, &last, &rest, middle, signal);
@@ -289,7 +293,7 @@ PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const p
     column[config->target_column] -= target;
 #if PMF_LATE
     if (config->index[PMF_DELAY] != PMF_NO_PARAMETER) {
-        /* the regressor of the dead time is a derivative at the model's own, from which the target counts */
+        /* the regressor of the dead time is a derivative at the model's dead time, from which the target counts */
         column[config->target_column] += state->parameter[PMF_DELAY] * column[first + config->index[PMF_DELAY]];
     }
 #endif
@@ -307,7 +311,7 @@ PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxil
     state->trial = PMF_W(config->trial_samples);
 }
 
-/* A model that lost the plant starts again at the measured velocity, as often as it takes. */
+/* Restart a model that lost the plant at the measured velocity, as often as needed. */
 static void try_again(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t velocity)
 {
     state->trusted = PMF_W(0);
@@ -325,7 +329,7 @@ PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_au
     real_t limit;
     truth_t running = state->running != 0U, looks, judged, lost;
     if (config->adapt == 0U) {
-        return running | PMF_NOT(running); /* a check that is never made is passed */
+        return running | PMF_NOT(running); /* without a check, the model passes */
     }
     if (!PMF_ANY(running)) {
         return running;

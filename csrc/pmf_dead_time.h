@@ -1,9 +1,9 @@
-/* An input that acts late: what drives the axis in the interval that the counts speak of. For pmf_step.c alone.
+/* An input that acts late: the input that drives the axis in the interval of the counts. Only pmf_step.c includes this
+ * file.
  * SPDX-License-Identifier: Apache-2.0
  *
- * A dead time is whole samples and a part of one. The filters take the mean of the two inputs that share an interval,
- * which is all that an interval's mean acceleration depends on; the auxiliary model switches where it belongs.
- */
+ * A dead time is whole samples and a fraction of a sample. The filters take the mean of the two inputs that share an
+ * interval, because the mean acceleration depends only on it. The auxiliary model switches at the right instant. */
 #ifndef PMF_DEAD_TIME_H
 #define PMF_DEAD_TIME_H
 
@@ -11,10 +11,11 @@
 
 #if PMF_LATE
 
-/* What was gathered while the dead time was further away [samples] was linearised too far from it: */
+/* Distance [samples] from the accepted dead time, above which the sums were linearised too far away. */
 #define FAR_AWAY PMF_R(0.25)
-#define ROOT_OF_ANOTHER PMF_R(0.1) /* where it is known by now */
-#define ROOT_OF_FAR_AWAY PMF_R(0.25) /* the square of this of it counts on. */
+#define ROOT_OF_ANOTHER \
+    PMF_R(0.1) /* root of the weight of these sums if the motion within the counts has looked again */
+#define ROOT_OF_FAR_AWAY PMF_R(0.25) /* root of the weight of these sums in other cases */
 
 static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -27,7 +28,7 @@ static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
     return config->late.dead_time;
 }
 
-/* The input that acts in the interval of the counts, after a dead time of `samples`. */
+/* Find the inputs that act in the interval of the counts, after a dead time of `samples`. */
 static void acts_behind(const pmf_late_config_t *late, const pmf_late_state_t *state, real_t samples, real_t *older,
                         real_t *newer, real_t *part)
 {
@@ -40,7 +41,7 @@ static void acts_behind(const pmf_late_config_t *late, const pmf_late_state_t *s
     *newer = state->past[(state->at + whole) % kept];
 }
 
-/* After the encoder: its input is that of the interval before the last, as the other signals are. */
+/* Delay the input after the encoder, whose input is that of the interval before the last, like its other signals. */
 static void delay_input(const pmf_config_t *config, pmf_state_t *state)
 {
     const pmf_late_config_t *late = &config->late;
@@ -60,7 +61,7 @@ static void delay_input(const pmf_config_t *config, pmf_state_t *state)
 }
 
 #if PMF_WITH_AUXILIARY
-/* The regressor of the dead time is a derivative, taken at the model's own; the direct target counts from there. */
+/* The regressor of the dead time is a derivative at the model's dead time; the direct target counts from there. */
 static void correct_direct(const pmf_config_t *config, const pmf_state_t *state, real_t *column)
 {
     uint32_t index = config->auxiliary.direct_index[PMF_DELAY], first = config->direct.first_column;
@@ -70,10 +71,10 @@ static void correct_direct(const pmf_config_t *config, const pmf_state_t *state,
 }
 
 #if PMF_FOUND
-#define APART PMF_R(4.0) /* standard deviations */
-#define HALF PMF_R(0.5) /* sample: the least standard deviation of one that is held */
-#define GUESSED PMF_R(5.0) /* times that: it does not know it at all */
-#define WELL_KNOWN PMF_R(0.1) /* standard deviation [samples] of a dead time that the recursion knows well itself */
+#define APART PMF_R(4.0) /* limit in standard deviations */
+#define HALF PMF_R(0.5) /* [samples]: least standard deviation of a dead time that is kept */
+#define GUESSED PMF_R(5.0) /* times that: the dead time is unknown */
+#define WELL_KNOWN PMF_R(0.1) /* standard deviation [samples] of a dead time that the recursion alone knows well */
 
 static real_t within_reach(const pmf_late_config_t *late, real_t dead_time)
 {
@@ -82,8 +83,8 @@ static real_t within_reach(const pmf_late_config_t *late, real_t dead_time)
     return dead_time < most ? dead_time : most;
 }
 
-/* The estimate at another dead time than the recursion's: it goes along the direction in which that is unsure. With a
- * variance of the other one, which replaces the recursion's; without (0) that is kept. */
+/* Move the estimate to another dead time along its direction of uncertainty. A positive variance of the other dead time
+ * replaces the recursion's variance; 0 keeps it. */
 static void move_to(const pmf_recursion_state_t *own, uint32_t p, real_t dead_time, real_t variance,
                     pmf_estimate_t *believed)
 {
@@ -108,8 +109,8 @@ static void move_to(const pmf_recursion_state_t *own, uint32_t p, real_t dead_ti
     believed->theta[p - 1U] = dead_time;
 }
 
-/* What there is to believe, best first: the motion within the counts, the recursion where it knows, what was believed
- * last, what the recursion has. `own`: the recursion that is in charge. */
+/* Choose the dead time by the best source: the motion within the counts, a certain recursion, the last accepted value,
+ * the recursion as it is. `own` is the active recursion. */
 static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_recursion_state_t *own, uint32_t p)
 {
     const pmf_late_config_t *late = &config->late;
@@ -125,12 +126,12 @@ static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_re
     } else {
         variance = estimate->variance_factor[p - 1U] * estimate->innovation_variance * inflation;
         found->believes = had == PMF_BELIEVES_NONE ? PMF_BELIEVES_NONE : PMF_BELIEVES_HELD;
-        if (had == PMF_BELIEVES_OWN || had == PMF_BELIEVES_NONE) { /* else what it gathered was at another one */
+        if (had == PMF_BELIEVES_OWN || had == PMF_BELIEVES_NONE) { /* otherwise its sums belong to another dead time */
             found->believes = variance > PMF_R(0.0) && variance < limit * limit ? PMF_BELIEVES_OWN : PMF_BELIEVES_NONE;
         }
         dead_time = found->believes == PMF_BELIEVES_HELD ? found->dead_time : dead_time;
         if (found->believes == PMF_BELIEVES_NONE && !(variance < GUESSED * GUESSED * limit * limit)) {
-            dead_time = (real_t)found->tries / late->rate; /* few samples, rather than any number */
+            dead_time = (real_t)found->tries / late->rate; /* a few samples are safer than an arbitrary number */
         }
         limit = found->believes == PMF_BELIEVES_HELD ? HALF / late->rate : PMF_R(0.0);
         variance = variance > limit * limit ? PMF_R(0.0) : limit * limit;
@@ -140,7 +141,7 @@ static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_re
     move_to(own, p, found->dead_time, variance, &found->believed);
 }
 
-/* P at the dead time that is believed (n x n): what the recursion does not know of it gives way to what is known. */
+/* Return P at the accepted dead time (n x n): the recursion's uncertainty is replaced by the known variance */
 static void covariance_there(const pmf_recursion_config_t *config, const pmf_recursion_state_t *own,
                              const pmf_estimate_t *believed, real_t *p)
 {
@@ -161,7 +162,7 @@ static void covariance_there(const pmf_recursion_config_t *config, const pmf_rec
     }
 }
 
-/* Does the recursion in charge know it otherwise? */
+/* Return whether the active recursion contradicts the dead time. */
 static uint32_t contradicted(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate;
@@ -174,7 +175,7 @@ static uint32_t contradicted(const pmf_config_t *config, const pmf_state_t *stat
                                                                                                                  : 0U;
 }
 
-/* What tells the dead time makes its step, and it is said where nothing does. */
+/* Step the sources of the dead time, and flag an unknown dead time. */
 static whole_t find_dead_time(const pmf_config_t *config, pmf_state_t *state, uint32_t settled, uint32_t in_charge)
 {
     pmf_found_state_t *found = &state->found;
@@ -196,7 +197,7 @@ static whole_t find_dead_time(const pmf_config_t *config, pmf_state_t *state, ui
                                                                                      : PMF_W(0);
 }
 
-/* The slow copy has the dead time that is believed at once, and what was gathered far from it counts less. */
+/* Give the slow copy the accepted dead time at once, and reduce the weight of sums from a distant one. */
 static void follow_dead_time(const pmf_config_t *config, pmf_state_t *state)
 {
     real_t *copied = &state->auxiliary.parameter[PMF_DELAY], apart;

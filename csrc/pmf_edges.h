@@ -1,6 +1,5 @@
-/* What the edges of counts say of a normal distribution of place, velocity and parameters. For pmf_within.h alone.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* The information of count edges on a normal distribution of place, velocity and parameters. Only pmf_within.h includes
+ * this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_EDGES_H
 #define PMF_EDGES_H
 
@@ -8,14 +7,14 @@
 
 #if PMF_FOUND
 
-#define WIDE PMF_R(0.1) /* variance of the place from which on a count is a reading of its middle */
+#define WIDE PMF_R(0.1) /* variance of the place above which a count is a reading of its middle */
 #define TWELFTH (PMF_R(1.0) / PMF_R(12.0))
-#define BLUR PMF_R(0.05) /* standard deviation of an edge: what the model misses otherwise */
-#define FIRST_BLUR PMF_R(0.5) /* what it was linearised too far from */
-#define BLUR_AGE PMF_R(5.0) /* goes like this over its age */
+#define BLUR PMF_R(0.05) /* standard deviation of an edge: other errors of the model */
+#define FIRST_BLUR PMF_R(0.5) /* error of the first linearisation */
+#define BLUR_AGE PMF_R(5.0) /* memory with which this error fades */
 #define EDGE_MEMORY PMF_R(0.998)
 #define NEAR PMF_R(3.0) /* deviations from an edge */
-#define FAR PMF_R(5.0) /* from there on a count says nothing */
+#define FAR PMF_R(5.0) /* beyond this distance a count has no information */
 
 /* Density over distribution of a standard normal variable, from -6 in steps of a quarter. */
 static const scalar_t mills[45] = {
@@ -33,7 +32,7 @@ static const scalar_t mills[45] = {
     PMF_SCALAR(1.48671994e-06),
 };
 
-/* At t < 5. Cubic between the knots, with the slope that the ratio itself has: -r (r + t). */
+/* Return the ratio at t < 5: cubic between the knots, with the ratio's own slope -r (r + t). */
 static real_t mills_ratio(real_t t)
 {
     real_t at = (t + PMF_R(6.0)) * PMF_R(4.0), knot, low, high, fall, falls;
@@ -53,7 +52,7 @@ static real_t mills_ratio(real_t t)
                                     at * (PMF_R(2.0) * (low - high) + fall + falls)));
 }
 
-/* Of a variance from that of an edge to that of a place that is not wide, by Newton. */
+/* Return the root of a variance between that of an edge and that of a narrow place, by Newton's method. */
 static real_t deviation_of(real_t variance)
 {
     real_t root = PMF_R(0.5) * (variance / PMF_R(0.13) + PMF_R(0.13));
@@ -63,7 +62,7 @@ static real_t deviation_of(real_t variance)
     }
     return root;
 }
-/* Covariance after the motion: only place and velocity move. */
+/* Update the covariance after the motion: only place and velocity move. */
 static void carry(pmf_found_state_t *found, const motion_t *motion, uint32_t n)
 {
     real_t place[MOST_KNOWN], velocity[MOST_KNOWN];
@@ -90,8 +89,8 @@ static void carry(pmf_found_state_t *found, const motion_t *motion, uint32_t n)
     found->covariance[SPEED][SPEED] = speed;
 }
 
-/* Moves everything with one of the numbers that is known better now: by so much, and with this part of its variance
- * gone. */
+/* Update all numbers by new knowledge of one of them, which moves by `moved` and loses the fraction `gone` of its
+ * variance. */
 static void learn(pmf_found_state_t *found, uint32_t n, uint32_t which, real_t moved, real_t gone)
 {
     real_t gain[MOST_KNOWN], own = found->covariance[which][which];
@@ -112,7 +111,7 @@ static void learn(pmf_found_state_t *found, uint32_t n, uint32_t which, real_t m
     }
 }
 
-/* How often it is beyond an edge, and how far, against what is to be expected. */
+/* Compare the number and size of violations of an edge to their expectation. */
 static void note_edge(pmf_found_state_t *found, real_t t, real_t ratio)
 {
     real_t square = t * t;
@@ -125,7 +124,7 @@ static void note_edge(pmf_found_state_t *found, real_t t, real_t ratio)
     found->surprise += t < PMF_R(0.0) ? square : PMF_R(0.0);
 }
 
-/* What a count says of the place: between two edges, the nearer of which counts. */
+/* Apply a count to the place, which is between two edges; the nearer edge counts. */
 static void cut_off(pmf_found_state_t *found, uint32_t n)
 {
     real_t variance = found->covariance[PLACE][PLACE], up = PMF_R(1.0) - found->place, blur, all, root, t, ratio;

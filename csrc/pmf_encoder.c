@@ -1,24 +1,26 @@
 /* Counts to velocity, direction and standstill.
  * SPDX-License-Identifier: Apache-2.0
  *
- * With several counts per sample the instant of a reversal inside an interval follows from the velocities at
- * its ends, which a tracker of piecewise constant acceleration estimates (Kalata 1984, fixed gains, smoothed
- * by one step). With less than two counts per sample the tracker would only follow the staircase: there the
- * direction is that of the last count.
- */
+ * With several counts per sample, the velocities at both ends of an interval give the instant of a reversal inside it.
+ * A
+ * tracker of piecewise constant acceleration estimates these velocities (Kalata 1984, fixed gains, smoothed by one
+ * step).
+ * With less than two counts per sample the tracker would only follow the staircase: the direction is then that of the
+ * last
+ * count. */
 #include "pmf_guard.h"
 
-/* All branches and no loop: on a microcontroller the smaller code is the faster one as well. */
+/* The code has branches but no loop: on a microcontroller the smaller code is also faster. */
 #if defined(PMF_PARAMETERS) && defined(__GNUC__) && !defined(PMF_STRAIGHT)
 #define PMF_FOR_SIZE __attribute__((cold))
 #else
 #define PMF_FOR_SIZE
 #endif
 
-#define FAST_COUNTS 2U /* counts in one sample from which on the tracker is trusted */
+#define FAST_COUNTS 2U /* counts in one sample above which the tracker is trusted */
 #define FAST_SPEED PMF_R(2.0) /* or in one sample period */
 #define CLOSE 3U
-/* Pauses are counted in samples, or in ticks where the step varies. */
+/* Pauses are counted in samples, or in ticks if the step varies. */
 #if PMF_STEPS
 #define PASSED passed
 #define NEXT_FAST(counts) next_fast(config, state, counts, ticks)
@@ -36,7 +38,7 @@
 #define SMOOTH_BEFORE(gains) ((gains)->smooth_before)
 typedef struct {
     real_t position_gain, velocity_gain, smooth_end, smooth_start;
-    real_t smooth_before; /* what smooth_end was one sample earlier */
+    real_t smooth_before; /* smooth_end of the preceding sample */
 } gains_t;
 #else
 #define TRAVELLED(speed) (speed)
@@ -50,14 +52,14 @@ static whole_t magnitude(integer_t x)
     return PMF_IF(x < 0, PMF_W(0) - (whole_t)x, (whole_t)x);
 }
 
-/* A count modulo mask + 1, sign-extended. */
+/* Return a count modulo mask + 1 with its sign. */
 static integer_t signed_count(uint32_t mask, whole_t count)
 {
     uint32_t half = (mask >> 1) + 1U;
     return PMF_IF(count < half, (integer_t)count, ~(integer_t)(mask - count));
 }
 
-/* Signed moving fraction of an interval from the velocities at its start and end. */
+/* Return the signed moving fraction of an interval from the velocities at its start and end. */
 static real_t signed_fraction(real_t start, real_t end)
 {
     real_t sum = start + end, fraction = PMF_IF(sum < PMF_R(0.0), PMF_R(-1.0), PMF_R(1.0));
@@ -69,7 +71,7 @@ static real_t signed_fraction(real_t start, real_t end)
     return fraction;
 }
 
-/* The interval before the last: its direction from the tracker, or the last count's. */
+/* Return the direction of the interval before the last, from the tracker or from the last count. */
 static real_t late_direction(const gains_t *gains, const pmf_encoder_state_t *state, real_t innovation, whole_t fast,
                              real_t velocity_two_before)
 {
@@ -84,7 +86,7 @@ static real_t late_direction(const gains_t *gains, const pmf_encoder_state_t *st
 }
 
 #if PMF_STEPS
-/* The step that was, in the unit of pauses. */
+/* Return the last step in the unit of pauses. */
 static uint32_t ticks_of(const pmf_encoder_config_t *config, real_t ratio)
 {
     return PMF_SAMPLE(config) != 1U ? (uint32_t)((real_t)PMF_TICKS * ratio + PMF_R(0.5)) : 1U;
@@ -107,9 +109,9 @@ static whole_t next_fast(whole_t fast, whole_t counts)
 }
 #endif
 
-/* Counts and the pauses between them. A pause much longer than the last ones is a standstill. Where counts came at
- * least every CLOSE samples, one sample more is enough; with a coarser encoder it may be a slow reversal, which takes
- * the longer the coarser it is. */
+/* Count the pauses between counts. A pause much longer than the recent ones is a standstill. If counts came at least
+ * every CLOSE samples, one further sample suffices. With a coarser encoder the pause may be a slow reversal, which
+ * takes longer with larger counts. */
 #if PMF_STEPS
 static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change,
                            uint32_t ticks)
@@ -130,7 +132,7 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
         state->idle = PMF_IF(counted, PMF_W(0), state->idle);
     }
 #if PMF_PROCESS
-    if (config->process != 0U) { /* a process that does not change is no standstill */
+    if (config->process != 0U) { /* a constant process is no standstill */
         return PMF_W(0);
     }
 #endif
@@ -153,7 +155,7 @@ static void track(const gains_t *gains, pmf_encoder_state_t *state, real_t innov
     state->innovation = innovation;
 }
 
-/* What needs no knowledge of the motion; the filters settle again. */
+/* Check the sample without knowledge of the motion; after an error the filters settle again. */
 static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t *input,
                      integer_t *change, whole_t *counts)
 {
@@ -173,7 +175,7 @@ static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state
     return status;
 }
 
-/* The signals of the interval before the last. */
+/* Write the signals of the interval before the last. */
 static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction,
                           real_t *signal)
 {
@@ -183,7 +185,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     real_t position;
 #if PMF_PROCESS
     if (config->process != 0U) {
-        middle += PMF_R(0.5); /* a count says "in the middle" */
+        middle += PMF_R(0.5); /* a count is a reading of its middle */
     }
 #endif
     position = config->position_per_count * middle;
@@ -211,8 +213,8 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 }
 
 #if PMF_WITH_GUARD
-/* Did counts come where they belong, as far as an encoder can tell? A stop could hide where it is slow, and anything
- * where one wrong count follows the other. */
+/* Return whether counts were put back at their place, as far as an encoder can tell. A stop could hide in slow motion,
+ * and any motion between two wrong counts in a row. */
 static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, integer_t change,
                        integer_t motion)
 {
@@ -224,7 +226,7 @@ static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_sta
 #endif
 
 #if PMF_STEPS
-/* The step of this interval over the sample period. */
+/* Return the step of this interval over the sample period. */
 static real_t ratio_of(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t *status)
 {
     if (!PMF_STEPPED(config->rate > PMF_R(0.0))) {
@@ -237,11 +239,13 @@ static real_t ratio_of(const pmf_encoder_config_t *config, pmf_encoder_state_t *
     return state->ratio;
 }
 
-/* A Kalman filter for an acceleration that is constant within each step, and its smoother by one sample. */
+/* Set the gains of a Kalman filter for an acceleration that is constant within each step, and of its smoother by one
+ * sample. */
 static void set_gains(const pmf_encoder_config_t *config, pmf_tracker_t *tracker, real_t ratio, gains_t *gains)
 {
     real_t half = PMF_R(0.5) * ratio, pushed = config->push * ratio * ratio, pulled = half * pushed;
-    real_t carried = tracker->cross + ratio * tracker->speed; /* of the velocity before with the position now */
+    real_t carried =
+        tracker->cross + ratio * tracker->speed; /* covariance of the earlier velocity with the present position */
     real_t place = tracker->place + ratio * (tracker->cross + carried) + half * pulled, cross = carried + pulled;
     real_t inverse = PMF_R(1.0) / (place + PMF_R(1.0));
     gains->position_gain = place * inverse;
@@ -264,8 +268,8 @@ static void keep_gains(const pmf_encoder_config_t *config, gains_t *gains)
     gains->smooth_start = config->smooth_start;
 }
 
-/* A reversal at the part x of an interval h changes the acceleration, and the mean velocity is off the mean of those
- * at its ends, as by a jerk, times 6 x (1 - x) = 1.5 (1 - direction^2). */
+/* A reversal at the fraction x of an interval h changes the acceleration. The mean velocity then differs from the mean
+ * of both ends, as by a jerk, times 6 x (1 - x) = 1.5 (1 - direction^2). */
 static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real_t velocity)
 {
     real_t turn = PMF_R(1.0) - direction * direction;
@@ -300,7 +304,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
         truth_t apart = (status & PMF_COUNT_JUMP) != 0U;
         status |= pmf_guard(config, state, input, count, apart, &change);
         counts = magnitude(change);
-        motion = PMF_IF(apart, change, state->guard.change); /* counts that are put back are none */
+        motion = PMF_IF(apart, change, state->guard.change); /* counts that are put back are no counts of the motion */
         status |= bridged(config, state, change, motion);
     } else {
         state->count = count;
@@ -311,7 +315,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     motion = change;
 #endif
     fast = NEXT_FAST(counts);
-    /* Position of the axis within the new count, in counts; a count says "in the middle". */
+    /* Position of the axis within the new count, in counts; a count is a reading of its middle. */
     changed = PMF_TO_REAL(change);
     predicted = PMF_IF(started, state->position + TRAVELLED(state->velocity) - changed, PMF_R(0.5));
     innovation = PMF_R(0.5) - predicted;

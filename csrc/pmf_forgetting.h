@@ -1,6 +1,5 @@
-/* What the sums of a recursion forget, and when. For pmf_recursion.c alone, which see.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* Forgetting in the sums of a recursion: its amount and its time. Only pmf_recursion.c includes this file.
+ * SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_FORGETTING_H
 #define PMF_FORGETTING_H
 
@@ -26,8 +25,8 @@
 
 #define LARGER(a, b) PMF_IF((a) > (b), a, b)
 
-/* Directional forgetting (Cao and Schwartz 2000): W - (1 - f) W phi phi^T W / (phi^T W phi). What phi says nothing of
- * is not forgotten, so that there is nothing to wind up and no regularisation is needed. */
+/* Directional forgetting (Cao and Schwartz 2000): W - (1 - f) W phi phi^T W / (phi^T W phi). Directions without
+ * information in phi are not forgotten, so that nothing winds up and no regularisation is needed. */
 PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *phi,
                                  uint32_t p)
 {
@@ -46,7 +45,7 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
         real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
         for (j = 0; j <= i; ++j) {
             real_t less = state->sums.cross[i][j] - part * along[j];
-            if (i == j) { /* below zero by rounding, or in a state from elsewhere that is no sum of squares */
+            if (i == j) { /* rounding, or a foreign state that is no sum of squares, can make this negative */
                 less = PMF_IF(less > PMF_R(0.0), less, PMF_R(0.0));
             }
             state->sums.cross[i][j] = PMF_IF(where, less, state->sums.cross[i][j]);
@@ -54,8 +53,8 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
     }
 }
 
-/* With directional forgetting a sample takes the part 1 - f of what is known in one of p directions, and so one p-th of
- * that in the mean. */
+/* With directional forgetting a sample takes the fraction 1 - f of the information in one of p directions, and on
+ * average one p-th of that. */
 PMF_INLINE scalar_t directions(const pmf_recursion_config_t *config)
 {
     (void)config; /* an export has these values as constants */
@@ -70,8 +69,8 @@ PMF_INLINE void forget_weight(const pmf_recursion_config_t *config, pmf_recursio
 }
 
 #if PMF_WITH_SEPARATE
-/* Forgetting by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, that is D R D for the information, and so for the
- * sums that it is made of. Returns the weight of the past that is left to apply. */
+/* Forget by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, which is D R D for the information and for its sums.
+ * Returns the remaining weight of the past. */
 PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t f,
                                     uint32_t p, uint32_t instrumental)
 {
@@ -94,9 +93,9 @@ PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_re
 }
 #endif
 
-/* Weight of the past at the next sample. With constant trace the part of P by which the last one had lowered it, but
- * never less than forgetting twice as fast. In motions that excite the axis it forgets as ever at least: else, where
- * these are less than those whose trace is kept, what is known from the larger ones would stay for good. */
+/* Return the weight of the past at the next sample. With constant trace, it is the fraction of P by which the last
+ * sample lowered P, but at most twice the normal forgetting. Motions that excite the axis are forgotten at least
+ * normally: otherwise the information of larger motions would stay for ever. */
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE(config->forgetting * config->forgetting), weight = PMF_ALIKE(config->forgetting);
@@ -112,8 +111,8 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
     return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
 }
 
-/* With a model that follows the estimate the first samples were gathered with a poor one: until the memory is full each
- * sample counts in proportion to its number, so that what they have wrong fades with the square of time. */
+/* If a model follows the estimate, the first samples come from a poor one. Until the memory is full, the weight of a
+ * sample is proportional to its number, so that early errors fade with the square of time. */
 PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t weight)
 {
 #if PMF_WITH_AUXILIARY
@@ -174,7 +173,7 @@ static void sum_window(pmf_recursion_state_t *state, uint32_t p)
     }
 }
 
-/* The oldest block goes at once and the sums are computed again: no rounding stays. */
+/* Remove the oldest block at once and compute the sums again, so that no rounding stays. */
 static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
     add_sample(&state->window[state->window_block], PMF_R(1.0), column, config->n_parameters, config->instrumental, 1);
@@ -209,9 +208,9 @@ PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
 #define MOST_WEIGHT PMF_R(524288.0) /* 2^19 samples in a sum */
 #define LONG_MEMORY PMF_SCALAR(0.999999) /* forgetting from which a sum may hold MOST_WEIGHT samples */
 
-/* A sum of float32 takes in nothing that is below 2^-24 of it. So what was gathered counts by half before that, again
- * and again: never forgetting means the last millions of samples. Only a sample with more than its share makes it so,
- * for at rest nothing is gathered that needs room. */
+/* A sum of float32 cannot take a term below 2^-24 of its value. Before that, the weight of the past is repeatedly
+ * halved: without forgetting, the memory is the last millions of samples. Only a sample with more than its share
+ * triggers this, because at rest the sums do not grow. */
 PMF_INLINE void make_room(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t first, real_t own,
                           uint32_t p)
 {
@@ -244,7 +243,7 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
         f = forget_separately(config, state, f, p, instrumental);
     }
 #endif
-    if (SCHEME(config) == PMF_CONSTANT_TRACE) { /* the trace of another motion */
+    if (SCHEME(config) == PMF_CONSTANT_TRACE) { /* the trace belongs to another motion */
         state->trace = PMF_IF(state->outdated != 0U, PMF_R(0.0), state->trace);
         state->since = PMF_IF(state->outdated != 0U, PMF_W(0), state->since + PMF_BIT(state->since < SATURATED, 1U));
     }
@@ -261,7 +260,7 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
               instrumental != 0U ? state->sums.square[0][0] : state->sums.cross[0][0], p);
 #endif
     add_sample(&state->sums, f, column, p, instrumental,
-               state->started <= config->residual_updates); /* later nobody reads it */
+               state->started <= config->residual_updates); /* unused after this point */
 #if PMF_WINDOW_BLOCKS > 0
     if (SCHEME(config) == PMF_WINDOW) {
         slide_window(config, state, column);
@@ -271,8 +270,8 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
     state->updates += PMF_BIT(state->updates < SATURATED, 1U);
 }
 
-/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps that of P at the end of the first memory, or of the first
- * one of smaller motions, each parameter in its own units. */
+/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps the trace of P from the end of the first memory, or of the
+ * first one of smaller motions. Each parameter counts in its own units. */
 static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        whole_t status)
 {

@@ -1,11 +1,9 @@
-/* Samples that were lost: the motion restarts, and the sums of the estimate stay.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* Lost samples: the motion restarts, and the sums of the estimate stay. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
-#define CREDIT PMF_R(10.0) /* error of the model's velocity, over its power, from which the velocity is reset */
+#define CREDIT PMF_R(10.0) /* error of the model's velocity, over its power, above which the velocity is reset */
 
-/* How far the axis moved meanwhile the counter says, unless it wrapped; how fast it moves now, the next samples. */
+/* The counter shows the distance during the gap, unless it wrapped; the next samples show the velocity. */
 static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, uint32_t count)
 {
 #if PMF_WITH_SPLIT

@@ -1,25 +1,37 @@
-/* Samples that no motion explains: a counter set anew, a wrong reading, a spike of the input. For pmf_encoder.c alone,
- * which see. SPDX-License-Identifier: Apache-2.0
+/* Samples that no motion explains: a reset counter, a wrong reading, a spike of the input. Only pmf_encoder.c includes
+ * this file. SPDX-License-Identifier: Apache-2.0
  *
- * A change of the counts is predicted from the last one, from how that had changed, and from what the input does. What
- * predictions missed by so far, as a leaking maximum, says what a motion may do; at rest, and with an input larger than
- * any lately, in proportion to the input. A change beyond that is left out and the predicted one taken in its place.
- * The next sample says what it was: it changes as predicted: the counter was set anew, its zero has moved and all goes
- * on; it comes back: a wrong reading, and what was missed meanwhile came evenly over the samples since the last good
- * one; it goes on from the suspicious one, and so does the third: a blow, say, so what was held back is added, nothing
- * is lost, and the filters settle again, for it did not come all at once. An input far beyond the largest one lately is
- * judged before the filters get it, two samples later: by then the counts have answered, or it has stayed; else the
- * last one counts in its place. Nothing here touches a sample that is not suspicious.
+ * The guard predicts a change of the counts from the last change, from the change of that, and from the input. A
+ * leaking
+ * maximum of the prediction errors is the limit of the motion. At rest, and with an input larger than the recent ones,
+ * the
+ * limit grows in proportion to the input. A change beyond the limit is left out, and the predicted change replaces it.
  *
- * A wrong count that is smaller than the limit is believed; the next one then misses by three times as much, the other
- * way, and comes back to the motion before both: the first one is taken out of what is foreseen, and the filters
- * settle. Wrong counts must not widen the limit, or each lets a larger one in. So what swings back is no lesson, nor is
- * anything within CALM samples after a suspicious one, and a lesson that a suspicion follows is taken back.
+ * The next sample decides. If it changes as predicted, the counter was reset: its zero has moved and the motion goes
+ * on.
+ * If it returns, the reading was wrong: the missed travel is spread evenly over the samples since the last good one. If
+ * it
+ * continues from the suspicious sample, and the third does too, it is a blow: the held-back travel is added, no count
+ * is
+ * lost, and the filters settle again. An input far beyond the largest recent one is judged two samples later, before
+ * the
+ * filters receive it. By then the counts have responded, or the input has stayed; otherwise the last input replaces it.
+ * A
+ * sample without a suspicion is never changed.
  *
- * While it learns, all but the wildest is believed. Motion is missed the same way, sample after sample, until it is
- * followed; a wrong count J by J, -3 J, 3 J, -J. So what motion alone explains is the largest miss without a neighbour
- * that goes back. Where the limit is far beyond that, or a believed count is found wrong, the estimator begins again.
- */
+ * A wrong count below the limit is accepted. The next one then misses by three times as much in the other direction,
+ * and
+ * returns to the earlier motion: the prediction removes the first one, and the filters settle. Wrong counts must not
+ * widen
+ * the limit, because each would let a larger one in. So the guard does not learn from a swing back, nor within CALM
+ * samples
+ * after a suspicious one, and it withdraws a lesson that a suspicion follows.
+ *
+ * While the guard learns, it accepts all but the wildest counts. A motion is missed with the same sign, sample after
+ * sample, until the prediction follows it. A wrong count gives the errors J, -3 J, 3 J, -J. So motion alone explains
+ * the
+ * largest error without a neighbour of the other sign. If the limit is far beyond that, or an accepted count is found
+ * wrong, the estimator begins again. */
 #ifndef PMF_GUARD_H
 #define PMF_GUARD_H
 
@@ -27,42 +39,44 @@
 
 #if PMF_WITH_GUARD
 
-#define FIRST_SAMPLES 4U /* a record may begin in motion */
-#define STEP PMF_R(4.0) /* by which the encoder's step alone spoils a prediction */
-#define NOISE PMF_R(2.0) /* of a second difference of counts */
-#define REST_EDGE PMF_R(6.0) /* less than that is never suspicious: at rest */
-#define MOTION_EDGE PMF_R(8.0) /* and in motion */
-#define CAUTION PMF_R(3.0) /* times what was missed so far */
-#define EARLY_CAUTION PMF_R(30.0) /* while little is known */
-#define EARLY_SPIKE PMF_R(1e6) /* times the largest input */
-#define PEAK_MARGIN PMF_R(1.25) /* times the leaking peak: else an input that stays would move it in every sample */
-#define NEW_SIZE PMF_R(2.0) /* times the peak: what a motion may do grows with such an input, at most by */
+#define FIRST_SAMPLES 4U /* samples at the start, because a record may begin in motion */
+#define STEP PMF_R(4.0) /* error of a prediction by the encoder's step alone */
+#define NOISE PMF_R(2.0) /* error of a second difference of counts */
+#define REST_EDGE PMF_R(6.0) /* smaller errors are never suspicious at rest */
+#define MOTION_EDGE PMF_R(8.0) /* smaller errors are never suspicious in motion */
+#define CAUTION PMF_R(3.0) /* limit, as a multiple of the errors so far */
+#define EARLY_CAUTION PMF_R(30.0) /* limit at the start, as a multiple of the errors so far */
+#define EARLY_SPIKE PMF_R(1e6) /* limit at the start, as a multiple of the largest input */
+#define PEAK_MARGIN \
+    PMF_R(1.25) /* multiple of the leaking peak: otherwise a constant input would move the peak in every sample */
+#define NEW_SIZE \
+    PMF_R(2.0) /* multiple of the peak above which the limit of the motion grows with the input, at most by: */
 #define LARGEST_GROWTH PMF_R(100.0)
-#define SWINGS PMF_R(0.25) /* part of the largest input: less of a change says little of its effect */
-#define GAIN_STEP PMF_R(0.03125) /* of the normalised gradient */
-#define LEAST_PEAK PMF_R(1e-12) /* of an input that is one: its inverse squared is a number */
-#define LARGEST_RATE PMF_R(1e9) /* of a predicted change: it has to fit an integer */
+#define SWINGS PMF_R(0.25) /* fraction of the largest input: a smaller change gives little information */
+#define GAIN_STEP PMF_R(0.03125) /* step of the normalised gradient */
+#define LEAST_PEAK PMF_R(1e-12) /* least peak of an input: its inverse square is a finite number */
+#define LARGEST_RATE PMF_R(1e9) /* largest rate of a predicted change, which must fit an integer */
 #define ANY_SHARE PMF_R(1e20)
-#define LESSON PMF_R(0.125) /* part of an excess that counts, once it has learned */
-#define LARGEST_SWING PMF_R(5.1) /* times the last miss, backwards: a wrong count may do that */
-#define SPOILT_BAND PMF_R(0.7) /* of what a wrong count spoils; else the next one is rather wrong */
-#define GOES_ON PMF_R(0.3) /* from sample to sample a blow differs by less */
-#define LARGEST_BLOW PMF_R(100.0) /* times the scatter */
-#define BACKWARDS PMF_R(0.25) /* of a miss: a neighbour so large, the other way, comes with a wrong count */
-#define DOUBTFUL PMF_R(3.0) /* times what motion alone explains */
-#define LOOKED_AT(config) \
-    ((config)->guard + PMF_GUARD_SOUND) /* the last lessons are, when the next samples are there */
-#define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one that teach nothing */
+#define LESSON PMF_R(0.125) /* counted fraction of an excess, after learning */
+#define LARGEST_SWING PMF_R(5.1) /* multiple of the last error, backwards, that a wrong count can cause */
+#define SPOILT_BAND PMF_R(0.7) /* band around the effect of a wrong count; outside it the next count is wrong */
+#define GOES_ON PMF_R(0.3) /* relative difference of a blow from sample to sample */
+#define LARGEST_BLOW PMF_R(100.0) /* largest blow, as a multiple of the scatter */
+#define BACKWARDS \
+    PMF_R(0.25) /* fraction of an error: a neighbour of this size and of the other sign comes with a wrong count */
+#define DOUBTFUL PMF_R(3.0) /* multiple of the error that motion alone explains */
+#define LOOKED_AT(config) ((config)->guard + PMF_GUARD_SOUND) /* updates at which the lessons are final */
+#define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one without learning */
 
-static integer_t signed_count(uint32_t mask, whole_t count); /* of pmf_encoder.c */
+static integer_t signed_count(uint32_t mask, whole_t count); /* defined in pmf_encoder.c */
 
 static real_t size_of(real_t x)
 {
     return PMF_IF(x < PMF_R(0.0), -x, x);
 }
 
-/* From a sample that is believed. Once it has learned, nothing that may come of a wrong count is a lesson: that is
- * missed by J, -3 J, 3 J, -J, and wrong ones come in flocks. */
+/* Learn from an accepted sample. After the first learning, possible effects of a wrong count are no lesson: they are
+ * missed by J, -3 J, 3 J, -J, and wrong counts come in groups. */
 PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where,
                               real_t missed)
 {
@@ -76,7 +90,7 @@ PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_stat
     guard->scatter = PMF_IF(where, guard->scatter + excess, guard->scatter);
 }
 
-/* A suspicion begins: what was learned from a sample just before was no lesson. */
+/* Begin a suspicion: a lesson of the sample just before is withdrawn. */
 PMF_SELDOM void begin_suspicion(pmf_guard_state_t *guard, truth_t where, real_t last)
 {
     truth_t fresh = where & ((guard->wait > 0U) | (size_of(guard->missed) > guard->scatter + STEP));
@@ -85,20 +99,20 @@ PMF_SELDOM void begin_suspicion(pmf_guard_state_t *guard, truth_t where, real_t 
     guard->last = PMF_IF(where, last, guard->last);
 }
 
-/* By how much the last count was missed that was believed at once. */
+/* Return the error of the last count that was accepted at once. */
 PMF_SELDOM real_t last_miss(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, truth_t suspected)
 {
     whole_t wait = guard->wait + 1U;
     truth_t judged = (wait == CALM(config)) | (wait == 2U * CALM(config));
 #if PMF_PROCESS
-    if (config->process != 0U) { /* its output may step there and back */
+    if (config->process != 0U) { /* the output of a process may step in both directions */
         return PMF_R(0.0);
     }
 #endif
     return PMF_IF(suspected, guard->last, PMF_IF(judged, PMF_R(0.0), guard->missed));
 }
 
-/* What an input does, from a sample that nobody doubts. */
+/* Learn the effect of an input from a sample without a doubt. */
 PMF_SELDOM void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing, real_t missed)
 {
     real_t gain = guard->gain + GAIN_STEP * missed * (swing / guard->peak) / guard->peak;
@@ -106,7 +120,7 @@ PMF_SELDOM void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing
     guard->gain = PMF_IF(where, gain, guard->gain);
 }
 
-/* By how much a prediction may miss; `open`: by anything, for nothing is known yet. */
+/* Return the largest allowed error of a prediction; `open` allows any error, because nothing is known yet. */
 static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, truth_t *open)
 {
     const pmf_guard_state_t *guard = &state->guard;
@@ -117,12 +131,12 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
     share = PMF_IF(guard->peak > LEAST_PEAK, reach / guard->peak, PMF_IF(reach > PMF_R(0.0), ANY_SHARE, PMF_R(0.0)));
 #if PMF_PROCESS
     if (config->process !=
-        0U) { /* its output is no motion: it may step by right, so only what it never did is suspicious */
+        0U) { /* the output of a process is no motion: it may step, and only unprecedented steps are suspicious */
         *open = PMF_NOT(learned | (guard->seen > config->guard >> 3));
         return REST_EDGE + EARLY_CAUTION * (guard->scatter + STEP) * PMF_IF(share < PMF_R(1.0), PMF_R(1.0), share);
     }
 #endif
-    missed = learned | (guard->scatter > PMF_R(0.0)); /* or a smooth motion, of which all was foreseen */
+    missed = learned | (guard->scatter > PMF_R(0.0)); /* or a smooth motion, which was fully predicted */
     *open = (guard->seen < FIRST_SAMPLES) |
             (PMF_NOT(missed | (guard->seen > config->guard >> 3)) & (moves | (share > PMF_R(0.0))));
     last = guard->scatter + PMF_IF((share > NEW_SIZE) | PMF_NOT(missed), STEP, PMF_R(0.0));
@@ -141,7 +155,7 @@ PMF_SELDOM integer_t sum_of(integer_t a, integer_t b)
     return signed_count(0xffffffffU, ((whole_t)a + (whole_t)b) & 0xffffffffU);
 }
 
-/* The change that is foreseen. Two differences of counts may be two counts off. */
+/* Return the predicted change. Two differences of counts may be wrong by two counts. */
 static integer_t foreseen_change(integer_t change, real_t rate)
 {
     real_t sure = size_of(rate) - NOISE;
@@ -149,14 +163,15 @@ static integer_t foreseen_change(integer_t change, real_t rate)
     return sum_of(change, rounded(PMF_IF(rate < PMF_R(0.0), -sure, sure)));
 }
 
-/* Two wrong readings in a row may look like the first two samples of a blow; a third one goes on only after a blow. */
+/* Two wrong readings in a row may look like the first two samples of a blow; a third one continues only after a blow.
+ */
 PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed,
                            real_t pending, real_t limit)
 {
     real_t before = guard->missed, most = PMF_R(2.0) * PMF_TO_REAL((integer_t)guard->suspect) * size_of(missed) + limit;
     truth_t third = guard->suspect > 1U;
 #if PMF_PROCESS
-    if (config->process != 0U) { /* its output may do anything */
+    if (config->process != 0U) { /* the output of a process may do anything */
         return (third & (size_of(missed - PMF_R(1.25) * before) <= PMF_R(0.75) * size_of(before) + limit)) |
                (guard->suspect > 2U);
     }
@@ -166,22 +181,23 @@ PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_s
            (size_of(missed) < LARGEST_BLOW * (guard->scatter + STEP)) & (size_of(pending) <= most);
 }
 
-/* While it learns: a jump is missed by J and -2 J, a wrong reading by J and -3 J. Was that the largest so far? */
+/* During learning: a jump has the errors J and -2 J, a wrong reading J and -3 J. Return whether this error is the
+ * largest so far. */
 PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed)
 {
     real_t first = guard->missed, size = size_of(first);
     truth_t wild = (size_of(missed + PMF_R(2.5) * first) <= PMF_R(0.75) * size) & (size > guard->scatter);
 #if PMF_PROCESS
-    if (config->process != 0U) { /* its output may step */
+    if (config->process != 0U) { /* the output of a process may step */
         return wild & PMF_NOT(wild);
     }
 #endif
     return wild & (size > MOTION_EDGE) & (guard->seen < config->guard);
 }
 
-/* Motion misses the same way until it is followed; a miss beside one that goes back may come of a wrong count. What it
- * learned is doubtful if far more was missed than by motion: then wrong counts were believed, and estimates
- * have them. All begin again, the guard with what motion alone explains. */
+/* A motion is missed with the same sign until the prediction follows it; an error with a neighbour of the other sign
+ * may come from a wrong count. The lessons are doubtful if the errors far exceed those of motion: then wrong counts
+ * were accepted and are in the estimates. All begin again, the guard with the errors of motion alone. */
 static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t looks, real_t miss,
                              real_t scatter, whole_t status)
 {
@@ -189,7 +205,7 @@ static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state
     truth_t jumped = ((status & PMF_COUNT_JUMP) != 0U) | (guard->suspect != 0U), lesson;
     real_t fair = size_of(miss) - STEP, least = -BACKWARDS * miss * miss;
 #if PMF_PROCESS
-    if (config->process != 0U) { /* its output may step */
+    if (config->process != 0U) { /* the output of a process may step */
         return PMF_W(0);
     }
 #endif
@@ -206,7 +222,8 @@ static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state
     return PMF_BIT(doubtful, PMF_BEGIN_AGAIN);
 }
 
-/* What a wrong count taught would hide all others. It does not begin from the start: it might never end. */
+/* The lesson of a wrong count would hide all others. The guard does not restart from the first sample, because it might
+ * never finish learning. */
 PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t change)
 {
     guard->scatter = PMF_IF(where, PMF_R(0.0), guard->scatter);
@@ -216,7 +233,7 @@ PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t chang
     guard->change = PMF_IF(where, rounded(change), guard->change);
 }
 
-/* Decides on a change from the accepted count where it or one before is suspicious. A doubtful input counts as none. */
+/* Decide on a change from the accepted count if it or an earlier one is suspicious. A doubtful input counts as none. */
 PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count,
                                 truth_t apart, integer_t *change)
 {
@@ -233,10 +250,10 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
            share, expected;
     real_t steady = before - guard->rate, last = last_miss(config, guard, suspected), spoilt;
     truth_t undone, ends, lost, learned = guard->seen >= config->guard;
-    limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* what is missed adds up until the next good sample */
+    limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* errors add up until the next good sample */
     back = size_of(missed_whole) <= limit;
     back = (back & PMF_NOT(suspected & (size < size_of(missed_whole)))) | open | apart;
-    /* or the last believed count was wrong: then it comes back to the motion before that */
+    /* or the last accepted count was wrong: then the count returns to the earlier motion */
     spoilt = PMF_R(0.5) * (gap + PMF_R(2.0)) * (gap + PMF_R(3.0)) * last;
     undone = PMF_NOT(back) & (size_of(missed_whole + spoilt) < SPOILT_BAND * size_of(spoilt));
     begin_suspicion(guard, PMF_NOT(suspected | back), last);
@@ -250,9 +267,9 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     sound = back | anew | real;
     ends = sound | (guard->suspect >= PMF_GUARD_SUSPECTS);
     wild = back & PMF_NOT(suspected | apart | undone) & was_wild(config, guard, missed_whole);
-    /* What was missed since the last good sample came evenly: all at once, it would be taken for an acceleration. */
+    /* The missed travel since the last good sample is spread evenly: at once, it would look like an acceleration. */
     closes = (suspected | undone) & sound & PMF_NOT(real | open | apart);
-    rate = PMF_IF(back, whole, part - guard->missed); /* a blow goes on from the reading before */
+    rate = PMF_IF(back, whole, part - guard->missed); /* a blow continues from the last reading */
     missed = PMF_IF(back, missed_whole, missed);
     share = missed / (PMF_R(1.0) + gap);
     most = CAUTION * guard->scatter + MOTION_EDGE;
@@ -265,11 +282,11 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     rate = PMF_IF(sound, PMF_IF(closes, predicted + share, rate), expected);
     guard->rate = PMF_IF(apart, PMF_R(0.0), rate);
 #if PMF_PROCESS
-    if (config->process != 0U) { /* its output has a zero that cannot move */
+    if (config->process != 0U) { /* the output of a process has a fixed zero */
         anew = anew & PMF_NOT(anew);
     }
 #endif
-    /* nobody knows what a moved zero hid; its neighbours' mean is the best guess */
+    /* a moved zero hides the motion; the mean of its neighbours is the best guess */
     read = PMF_IF(closes & back, sum_of(guard->change, rounded(predicted + share - gap * last)), read);
     *change = PMF_IF(sound, PMF_IF(anew, sum_of(read, rounded(missed - share)), *change), foreseen);
     guard->change = PMF_IF(apart, guard->change, PMF_IF(sound, PMF_IF(closes | real, read, *change), foreseen));
@@ -280,7 +297,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     guard->scatter = PMF_IF(lost, PMF_R(2.0) * guard->scatter + STEP, guard->scatter);
     guard->wait = PMF_IF(ends & (suspected | undone),
                          PMF_IF(guard->wait > 0U, PMF_W(2U * CALM(config)), PMF_W(CALM(config))), guard->wait);
-    undone = undone | (wild & (guard->seen > CALM(config))); /* before, the filters settle anyway */
+    undone = undone | (wild & (guard->seen > CALM(config))); /* before this point, the filters settle anyway */
     rough = real | undone | (ends & (guard->suspect > 1U));
     guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(ends, PMF_W(0), guard->suspect + 1U);
@@ -289,7 +306,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
            PMF_BIT(undone & PMF_NOT(learned), PMF_BEGIN_AGAIN);
 }
 
-/* The largest input, and with it what a motion may do. */
+/* Update the largest input and, with it, the limit of the motion. */
 PMF_SELDOM void grow(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where, real_t size)
 {
     truth_t scales =
@@ -299,7 +316,7 @@ PMF_SELDOM void grow(const pmf_encoder_config_t *config, pmf_guard_state_t *guar
     guard->peak = PMF_IF(where, size, guard->peak);
 }
 
-/* Decides on the input that the filters get now, where it was doubtful. */
+/* Decide on a doubtful input that the filters receive now. */
 static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before,
                         truth_t large)
 {
@@ -314,7 +331,7 @@ static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t 
     grow(config, guard, real & (size > guard->peak), size);
 }
 
-/* The input that comes: does it set a new size, or is it doubtful? */
+/* Judge a new input: it sets a new size, or it is doubtful. */
 PMF_SELDOM truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
                               real_t missed_before, real_t size)
 {
@@ -328,7 +345,7 @@ PMF_SELDOM truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_st
     return large;
 }
 
-/* The input that comes, and the one that the filters get now. */
+/* Process the new input, and the input that the filters receive now. */
 static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before,
                            real_t input)
 {
@@ -351,8 +368,8 @@ static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state
     return PMF_BIT(large, PMF_INVALID_INPUT);
 }
 
-/* A sample: `change`, from the accepted count, becomes what is to be believed, and so does state->input_before.
- * `apart`: max_speed has judged the change. Returns status bits. */
+/* Process a sample: `change`, from the accepted count, and state->input_before become the accepted values. `apart`
+ * means that max_speed has rejected the change. Returns status bits. */
 static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input, whole_t count,
                          truth_t apart, integer_t *change)
 {

@@ -1,19 +1,18 @@
-/* Statistics of innovations: their variance, the inflation of standard errors by their colour, and whether the model
- * explains them. For pmf_recursion.c alone. SPDX-License-Identifier: Apache-2.0
- */
+/* Statistics of innovations: their variance, the inflation of standard errors by their colour, and the check of the
+ * model. Only pmf_recursion.c includes this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_INNOVATIONS_H
 #define PMF_INNOVATIONS_H
 
 #include "pmf_forgetting.h"
 
 #define MIN_BLOCKS 8.0
-#define SKIPPED_INNOVATIONS 4U /* innovations of a fresh estimate say nothing of the noise */
+#define SKIPPED_INNOVATIONS 4U /* number of first innovations that are skipped, because they do not show the noise */
 #define JUDGED 16U /* updates between two verdicts on the model, half-way between two looks; a power of two */
-#define NEGLIGIBLE PMF_R(1e-6) /* mean square part of the target that no model need explain */
+#define NEGLIGIBLE PMF_R(1e-6) /* mean square fraction of the target that a model may leave unexplained */
 #define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
 #if PMF_WITH_NOISE
-/* The innovations of a stretch of samples; the innovations of the last stretch are kept, too. */
+/* Note the innovations of a stretch of samples; the innovations of the last stretch are also kept. */
 static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                              real_t target)
 {
@@ -30,8 +29,8 @@ static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion
     state->check.target = PMF_IF(where, state->check.target + target * target, state->check.target);
 }
 
-/* Are the innovations larger than the known noise and the standard errors explain? Only the last two stretches count,
- * so the transient of the start is forgotten, however large it was. */
+/* Check whether the innovations exceed the known noise and the standard errors. Only the last two stretches count, so
+ * that the transient of the start is forgotten, however large it was. */
 static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                            real_t target)
 {
@@ -58,7 +57,8 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
         for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
-        unsure += estimate->inflation[i]; /* mean of phi^T (covariance of theta) phi, over that of the innovations */
+        unsure +=
+            estimate->inflation[i]; /* mean of phi^T (covariance of theta) phi, over the variance of the innovations */
     }
     explained += estimate->innovation_variance * unsure / state->sums.weight;
     limit = config->unexplained * explained * (state->check.weight + state->check_before.weight) +
@@ -74,7 +74,7 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 {
     pmf_estimate_t *estimate = &state->estimate;
     real_t square = estimate->innovation * estimate->innovation;
-    real_t f = memory_of(config, state, PMF_ALIKE(config->forgetting)); /* as the samples themselves */
+    real_t f = memory_of(config, state, PMF_ALIKE(config->forgetting)); /* with the forgetting of the samples */
     where = where & (state->started > SKIPPED_INNOVATIONS) & (state->frozen == 0U);
     if (PMF_ANY(where)) {
         state->weight = PMF_IF(where, f * state->weight + PMF_R(1.0), state->weight);
@@ -85,8 +85,8 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 }
 
 #if PMF_PROCESS
-/* Variance of the constant plus `lift` times the lowest coefficient, over that of the innovations: a sum of squares,
- * for in the entries of P it would be a small difference. */
+/* Return the variance of the constant plus `lift` times the lowest coefficient, over the variance of the innovations.
+ * It is computed as a sum of squares, because it would be a small difference of entries of P. */
 PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
 {
     real_t x[N], sum = PMF_R(0.0);
@@ -104,10 +104,10 @@ PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recurs
 }
 #endif
 
-/* Spread of theta by blocks of innovations against that of white ones (batch means): with weights w its covariance is
- * P (sum w^2) S P, S the long-run covariance of the scores, where white innovations and equal weights have P times
- * their variance. What is missing to MIN_BLOCKS of them counts as blocks of innovations that are the same for as long
- * as the filters may make them. `move` is a block's sum after the gain. */
+/* Compare the spread of theta by blocks of innovations to that of white ones (batch means). With weights w, its
+ * covariance is P (sum w^2) S P, where S is the long-run covariance of the scores; white innovations with equal weights
+ * have P times their variance. Blocks missing from MIN_BLOCKS count as blocks of equal innovations, over the memory of
+ * the filters. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        real_t move[N])
 {
@@ -121,13 +121,13 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
         real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
         real_t *inflation = &state->estimate.inflation[i], change;
 #if PMF_PROCESS
-        if (i == config->constant) { /* as it is read */
+        if (i == config->constant) { /* the constant as the user reads it */
             white = lifted_factor(config, state) * state->estimate.innovation_variance;
             move[i] += state->lift * move[config->lowest];
         }
 #endif
         change = move[i] * move[i] * share / white - PMF_IF(few, PMF_ALIKE(config->correlated), *inflation);
-        /* beyond the number format, or nothing over nothing, it would stay */
+        /* values beyond the number format, or 0/0, would stay for ever */
         *inflation = PMF_IF(where & (change - change == PMF_R(0.0)), *inflation + change / blocks, *inflation);
     }
 }
@@ -142,7 +142,7 @@ PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
     backward(p, state->factor, move);
 }
 
-/* At the end of a block its effect on theta is compared with that of white innovations. */
+/* Compare the effect of a block on theta to that of white innovations, at the end of the block. */
 PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where, uint32_t p,
                           uint32_t instrumental, projection_t *projection)
 {
@@ -160,7 +160,7 @@ PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_st
     state->block_updates = PMF_IF(where, PMF_W(0), state->block_updates);
 }
 
-/* Gathers the innovations of a block. */
+/* Accumulate the innovations of a block. */
 PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                            const real_t *zeta, uint32_t p)
 {

@@ -1,8 +1,8 @@
 /* An input with a first-order lag, as in a current loop: two levels with the same effect on a body.
  * SPDX-License-Identifier: Apache-2.0
  *
- * From one switch to the next it runs as an exponential. A level for each half of the interval, with the same mean and
- * the same first moment, leaves velocity and position at its end as they are, but for the damping within a sample.
+ * Between two switches the lagged input is an exponential. Two levels, one for each half of the interval, have the same
+ * mean and the same first moment. They keep velocity and position at its end, except for the damping within a sample.
  */
 #ifndef PMF_LAG_H
 #define PMF_LAG_H
@@ -11,7 +11,7 @@
 
 #if PMF_LATE && PMF_WITH_LAG
 
-/* Needs the two inputs of the interval and the older one's part of it; leaves two levels, a half each. */
+/* Replace the two inputs of the interval, with the older one's fraction, by two levels for half an interval each. */
 static void lag_input(const pmf_decay_t *decay, pmf_late_state_t *late)
 {
     real_t first = late->part, second = PMF_R(1.0) - first, half = PMF_R(0.5);

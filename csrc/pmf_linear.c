@@ -3,39 +3,39 @@
  *
  * With a slow copy A, B of the estimate the columns are (Young and Jakeman 1980; Garnier and Young 2008)
  *     s^i / A(s) y   and, for the instruments,   s^i / A(s) x,  x = B(s) / A(s) u,   and   s^j / A(s) u.
- * The filters of y and x are trapezoidal and those of u exact for its hold: with F_T = 1 / A(s_T) the equation
- * A(s_T) F_T y = sum b_j ZOH{s^j / A} u holds without any error of the discretisation at the true A.
+ * The filters of y and x are trapezoidal, and those of u are exact for its hold. With F_T = 1 / A(s_T) the equation
+ * A(s_T) F_T y = sum b_j ZOH{s^j / A} u has no error of the discretisation at the true A.
  *
- * Any other filters would do as well: the equation holds after each. If 1 / A rings for too long, data go through
- * filters of a more damped polynomial, which stay, and the instruments alone keep 1 / A. For a resonance that costs at
- * most a factor 2 of the variance, however fast the filters are. These filters, and a step of the copy, bring no
- * transient into the data. After them the equation holds exactly with the coefficients of the copy's sampled form
- * (`bend`).
+ * The equation also holds after any other filters. If 1 / A rings for too long, data pass fixed filters of a more
+ * damped
+ * polynomial, and only the instruments keep 1 / A. For a resonance this costs at most a factor 2 of the variance,
+ * however
+ * fast the filters are. These filters, and a step of the copy, cause no transient in the data. After them the equation
+ * holds exactly with the coefficients of the copy's sampled form (`bend`).
  *
  * Time counts in samples: state j is dt^(j-n) s^j / A(s) of its signal, and A has the coefficients a_i dt^(n-i). States
- * move by increments, which keeps float32 accurate where poles are slow. When A moves they are carried over. The matrix
- * exponential is a Taylor polynomial after six halvings, for no libm gives the same bits everywhere; it is computed
- * once in update_samples, the rest is the same for every sample.
- */
+ * move by increments, which keeps float32 accurate for slow poles. The states are converted when A moves. The matrix
+ * exponential is a Taylor polynomial after six halvings, so that no libm changes the bits. It is computed once in
+ * update_samples; all other work is the same for every sample. */
 #include "pmf_linear_filters.h"
 
 #if PMF_LINEAR
 #define SETTLED PMF_R(0.05)
-#define SETTLED_FAST PMF_R(0.01) /* after filters that data go through for good, and that forget soon */
+#define SETTLED_FAST PMF_R(0.01) /* limit of the settling for fast filters, which forget soon */
 #define DISCOUNT PMF_R(2.0)
-#define WORST PMF_R(1.0) /* mean square error of the model over the mean square output: it explains nothing */
-#define WORST_DAMPED PMF_R(2.0) /* ... without any correlation, at the same power */
-#define LEAST PMF_R(2.0) /* over the samples so far: a copy must decay so fast */
-#define IN_TIME PMF_R(4.5) /* ... and its filters, to settle in as many samples again */
-#define RATE PMF_R(30.0) /* ... and those of data, where its own would not: the faster, the more samples are left */
-#define AGAIN PMF_R(3.0) /* times the samples */
-#define DOUBTFUL PMF_R(0.05) /* part that stays of the sums after filters that became too slow */
-#define PART PMF_R(0.3) /* of the direct estimate's samples */
-#define LONGER PMF_R(4.0) /* standard errors, squared */
-#define SHORT_BAR PMF_R(0.01) /* of the parameter */
+#define WORST PMF_R(1.0) /* mean square error of the model over the mean square output: the model explains nothing */
+#define WORST_DAMPED PMF_R(2.0) /* the same ratio without any correlation, at equal power */
+#define LEAST PMF_R(2.0) /* least decay of a copy, over the samples so far */
+#define IN_TIME PMF_R(4.5) /* least decay of its filters, to settle in as many further samples */
+#define RATE PMF_R(30.0) /* decay of the filters of data, if its own are too slow */
+#define AGAIN PMF_R(3.0) /* multiple of the samples */
+#define DOUBTFUL PMF_R(0.05) /* remaining fraction of the sums after filters that became too slow */
+#define PART PMF_R(0.3) /* fraction of the direct estimate's samples */
+#define LONGER PMF_R(4.0) /* squared ratio of standard errors */
+#define SHORT_BAR PMF_R(0.01) /* fraction of the parameter */
 
-/* After filters that are not its own a process obeys exactly the equation of its sampled form. Its coefficients are the
- * parameters of the process plus these differences. */
+/* After foreign filters, a process exactly obeys the equation of its sampled form. The coefficients are the parameters
+ * of the process plus these differences. */
 static void bend(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     real_t row[M], one = config->offset != 0U ? state->b[config->m + 1U] * config->scale[0] : PMF_R(0.0);
@@ -51,8 +51,8 @@ static void bend(const pmf_linear_config_t *config, pmf_linear_state_t *state)
     state->bent.one[0] -= one;
 }
 
-/* The filters of the copy, and how much less what was gathered with the ones before counts: early ones may have been
- * lightly damped and have large columns. If data go through filters that stay, only the instruments were worse. */
+/* Take over the filters of the copy, and discount the sums from the preceding filters: early ones may have been lightly
+ * damped, with large columns. With permanent filters for data, only the instruments were worse. */
 static void adopt(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     real_t largest = PMF_R(0.0), a[M];
@@ -75,14 +75,14 @@ static void adopt(const pmf_linear_config_t *config, pmf_linear_state_t *state)
     state->wait = config->update_samples;
 }
 
-/* The filters that data go through. */
+/* Return the filters of the data. */
 static const pmf_linear_filter_t *data_filter(const pmf_linear_state_t *state)
 {
     return state->damped != 0U ? &state->fast : &state->own;
 }
 
-/* Has the step response of the data's 1 / A stayed at its end? A transient of the size of the change of A decays with
- * it. */
+/* Check whether the step response of the data's 1 / A has stayed at its end. A transient of the size of the change of A
+ * decays with it. */
 static void note_settling(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     const pmf_linear_filter_t *filter = data_filter(state);
@@ -99,7 +99,7 @@ static void note_settling(const pmf_linear_config_t *config, pmf_linear_state_t 
     }
 }
 
-/* Regressors of the process in one direction of the data: the output's, the input's, the constant's. */
+/* Write the regressors of the process in one direction of the data: output, input, constant. */
 static void emit(const pmf_linear_config_t *config, const pmf_linear_signals_t *signals, const real_t *output,
                  real_t *column)
 {
@@ -115,7 +115,7 @@ static void emit(const pmf_linear_config_t *config, const pmf_linear_signals_t *
     }
 }
 
-/* B / A of the input, and the constant's part, at the end of the interval. */
+/* Return B / A of the input with the constant's part, at the end of the interval. */
 static real_t model_output(const pmf_linear_config_t *config, const pmf_linear_state_t *state)
 {
     const pmf_linear_signals_t *signals = &state->behind_own;
@@ -127,7 +127,7 @@ static real_t model_output(const pmf_linear_config_t *config, const pmf_linear_s
     return config->offset != 0U ? output + state->b[config->m + 1U] * config->scale[0] * signals->one[0] : output;
 }
 
-/* One sample of all signals through the copy's filters; returns the simulated output at its end. */
+/* Pass one sample of all signals through the copy's filters; return the simulated output at its end. */
 static real_t simulate(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
 {
     pmf_linear_signals_t *signals = &state->behind_own;
@@ -142,7 +142,7 @@ static real_t simulate(const pmf_linear_config_t *config, pmf_linear_state_t *st
     return model;
 }
 
-/* The same of the data through the fast filters; returns the correction of the target for the copy's equation. */
+/* Pass one sample of the data through the fast filters; return the correction of the target for the copy's equation. */
 static real_t bent(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
 {
     pmf_linear_signals_t *signals = &state->behind_fast;
@@ -189,14 +189,14 @@ void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *stat
     state->mismatch = config->memory * state->mismatch + (end - model) * (end - model);
 }
 
-/* Does its output explain nothing of the measured one? Before it has built up less is expected. */
+/* Return whether its output explains nothing of the measured output. During its build-up, less is required. */
 static uint32_t is_lost(const pmf_linear_state_t *state)
 {
     real_t worst = state->damped != 0U ? WORST_DAMPED : WORST;
     return state->settled != 0U && state->mismatch > worst * state->power ? 1U : 0U;
 }
 
-/* Moves the copy by a part of the way to theta with these a, if that is stable. */
+/* Move the copy by a fraction of the way to theta, with these a, if the result is stable. */
 static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, const real_t *a,
                      real_t part)
 {
@@ -226,14 +226,14 @@ static void scaled(const pmf_linear_config_t *config, const real_t *theta, real_
     }
 }
 
-/* Filters other than those before have to forget their start. */
+/* New filters must forget their start. */
 static void settle_anew(pmf_linear_state_t *state)
 {
     state->age = state->unsettled = state->settled = 0U;
     pmf_clear(state->settling, (uint32_t)sizeof state->settling);
 }
 
-/* Data go through filters of the copy, damped until they settle in as many samples again as there were. */
+/* Let data pass filters of the copy, damped to settle in as many samples as have passed. */
 static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t samples)
 {
     real_t a[M];
@@ -245,10 +245,10 @@ static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t
     state->damped = 1U;
 }
 
-/* A model from an estimate, and filters for data that settle in as many samples again as there were: its own where they
- * do. Any others of the same order will do, and lose little (the equation holds after every filter), if the
- * instruments keep the model's: where it rings for long, or noise makes it unstable, they are those of a more damped
- * one. */
+/* Begin a model from an estimate, with filters for data that settle in as many samples as have passed: its own if they
+ * do. Other filters of the same order lose little if the instruments keep the model's filters, because the equation
+ * holds after every filter. If the model rings for long, or noise makes it unstable, the data have filters of a more
+ * damped model. */
 static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples)
 {
     real_t a[M];
@@ -269,9 +269,9 @@ static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *sta
     return 1U;
 }
 
-/* Moves the copy towards an estimate, as far as that is stable, if the filters are about to be computed again. If they
- * would not settle in time, data leave these filters; 1: that is now. Without forgetting, fast filters are replaced
- * once there is time for slower ones, which average more of the noise. */
+/* Move the copy towards an estimate, as far as it stays stable, before the filters are computed again. If its filters
+ * would not settle in time, data leave them; return 1 at this moment. Without forgetting, slower filters replace fast
+ * ones once time allows, because they average more of the noise. */
 static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta,
                        real_t samples, uint32_t forgets)
 {
@@ -296,8 +296,8 @@ static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *st
     return leaving;
 }
 
-/* While the direct estimate is in charge, the model starts from it; and again, if that did not lead to a refined one
- * within twice the samples: the first copy may have been far off. */
+/* While the direct estimate is active, the model starts from it. It starts again if it does not lead to a refined
+ * estimate within twice the samples: the first copy may have been far off. */
 static void start(const pmf_linear_config_t *config, pmf_linear_state_t *state, const pmf_recursion_state_t *direct)
 {
     uint32_t wait = 2U * state->since;
@@ -309,15 +309,15 @@ static void start(const pmf_linear_config_t *config, pmf_linear_state_t *state, 
     }
 }
 
-/* A squared standard error. */
+/* Return a squared standard error. */
 static real_t bar(const pmf_estimate_t *estimate, uint32_t i, uint32_t inflated)
 {
     real_t inflation = inflated != 0U && estimate->inflation[i] > PMF_R(0.0) ? estimate->inflation[i] : PMF_R(1.0);
     return estimate->variance_factor[i] * estimate->innovation_variance * inflation;
 }
 
-/* The refined estimate takes over once it has a fair part of the direct estimate's samples, if its standard errors are
- * not much larger, or small enough. After filters that are not its own, innovations are not white. */
+/* The refined estimate takes over once it has a fair fraction of the direct estimate's samples, if its standard errors
+ * are small enough or not much larger. After foreign filters, innovations are not white. */
 static uint32_t refined_enough(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;

@@ -1,6 +1,5 @@
-/* Filters 1 / A(s) of a polynomial that changes: exact for a held signal, trapezoidal for a sampled one. Included
- * by pmf_linear.c alone. SPDX-License-Identifier: Apache-2.0
- */
+/* Filters 1 / A(s) of a varying polynomial: exact for a held signal, trapezoidal for a sampled one. Only pmf_linear.c
+ * includes this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_LINEAR_FILTERS_H
 #define PMF_LINEAR_FILTERS_H
 #include "pmf_internal.h"
@@ -9,17 +8,17 @@
 #define M PMF_MAX_ORDER
 #define HALVINGS 6
 #define TAYLOR 10U
-#define SHIFTS 16U /* to the left, at most */
+#define SHIFTS 16U /* largest number of steps to the left */
 
-/* Are all roots in the left half-plane (Routh 1877), and none faster than the samples can show? */
+/* Return whether all roots are in the left half-plane (Routh 1877) and slow enough for the samples. */
 static uint32_t plausible(const pmf_linear_config_t *config, const real_t *a)
 {
-    real_t row[2][M + 2]; /* two rows of the table, in turn */
+    real_t row[2][M + 2]; /* two rows of the table, by turns */
     uint32_t n = config->n, i, k;
     for (i = 0; i < M + 2U; ++i) {
         row[0][i] = row[1][i] = PMF_R(0.0);
     }
-    for (i = 0; i <= n; ++i) { /* from the highest power on, every other one */
+    for (i = 0; i <= n; ++i) { /* every second coefficient, from the highest power */
         row[i % 2U][i / 2U] = i == 0U ? PMF_R(1.0) : a[n - i];
         if (i < n && !(a[i] > PMF_R(0.0) && a[i] < config->limit[i])) {
             return 0U;
@@ -40,7 +39,7 @@ static uint32_t plausible(const pmf_linear_config_t *config, const real_t *a)
     return 1U;
 }
 
-/* matrix = companion * matrix, times a factor. */
+/* Compute matrix = companion * matrix, times a factor. */
 static void companion(const real_t *a, uint32_t n, real_t factor, real_t matrix[M][M])
 {
     uint32_t i, j;
@@ -56,7 +55,7 @@ static void companion(const real_t *a, uint32_t n, real_t factor, real_t matrix[
     }
 }
 
-/* From half the time to the whole: E = 2 E + E^2, g = 2 g + E g. */
+/* Double the time: E = 2 E + E^2, g = 2 g + E g. */
 static void twice(uint32_t n, real_t step[M][M], real_t gain[M])
 {
     real_t square[M][M], moved[M];
@@ -79,7 +78,7 @@ static void twice(uint32_t n, real_t step[M][M], real_t gain[M])
     }
 }
 
-/* step = exp(companion) - 1 and gain = the integral of exp(companion t) over one sample, last column. */
+/* Compute step = exp(companion) - 1 and gain, the last column of the integral of exp(companion t) over one sample. */
 static void discretise(pmf_linear_filter_t *filter, uint32_t n)
 {
     real_t h = PMF_R(1.0), sum[M][M];
@@ -112,7 +111,7 @@ static void discretise(pmf_linear_filter_t *filter, uint32_t n)
     }
 }
 
-/* The filter of a polynomial; of a sampled signal alone it needs no step. */
+/* Compute the filter of a polynomial; a filter for sampled signals only needs no step. */
 static void make_filter(pmf_linear_filter_t *filter, uint32_t n, const real_t *a, uint32_t stepping)
 {
     real_t divisor = PMF_R(1.0), part = PMF_R(1.0);
@@ -128,8 +127,8 @@ static void make_filter(pmf_linear_filter_t *filter, uint32_t n, const real_t *a
     }
 }
 
-/* left = (1 + E / 2)^-1 E and right = (1 + E / 2)^-1 g: what x[k+1] = x[k] + E x[k] + g u is for the means of both
- * ends, x[k+1] - x[k] = left (x[k] + x[k+1]) / 2 + right u. */
+/* Compute left = (1 + E / 2)^-1 E and right = (1 + E / 2)^-1 g. In means of both ends, x[k+1] = x[k] + E x[k] + g u is
+ * x[k+1] - x[k] = left (x[k] + x[k+1]) / 2 + right u. */
 static void mean_form(const pmf_linear_filter_t *filter, uint32_t n, real_t left[M][M], real_t right[M])
 {
     real_t half[M][M];
@@ -164,8 +163,8 @@ static void mean_form(const pmf_linear_filter_t *filter, uint32_t n, real_t left
     }
 }
 
-/* The transfer function between samples as one of s_T, which the trapezoidal filters know: its denominator `a`, and the
- * numerators `top` and `unit` of the rows b and one (Faddeev and LeVerrier). */
+/* Compute the transfer function between samples as a function of s_T, the variable of the trapezoidal filters: its
+ * denominator `a`, and the numerators `top` and `unit` of the rows b and one (Faddeev and LeVerrier). */
 static void sampled_form(const pmf_linear_filter_t *filter, uint32_t n, const real_t *b, real_t one, real_t *a,
                          real_t *top, real_t *unit)
 {
@@ -200,7 +199,7 @@ static void sampled_form(const pmf_linear_filter_t *filter, uint32_t n, const re
     }
 }
 
-/* A(s + rate): all roots further left by it. */
+/* Compute A(s + rate): all roots move to the left by the rate. */
 static void shift(uint32_t n, real_t rate, real_t *a)
 {
     uint32_t i, k;
@@ -211,7 +210,7 @@ static void shift(uint32_t n, real_t rate, real_t *a)
     }
 }
 
-/* Do all roots decay at least so fast, and are none faster than the samples can show? */
+/* Return whether all roots decay at least at this rate and are slow enough for the samples. */
 static uint32_t decays(const pmf_linear_config_t *config, const real_t *a, real_t rate)
 {
     real_t moved[M];
@@ -223,7 +222,7 @@ static uint32_t decays(const pmf_linear_config_t *config, const real_t *a, real_
     return plausible(config, moved);
 }
 
-/* Moves all roots to the left until they decay at `rate`; 0: the number of steps did not suffice. */
+/* Move all roots to the left until they decay at `rate`; return 0 if the number of steps did not suffice. */
 static uint32_t damp(const pmf_linear_config_t *config, real_t *a, real_t rate)
 {
     uint32_t shifts;
@@ -236,7 +235,7 @@ static uint32_t damp(const pmf_linear_config_t *config, real_t *a, real_t rate)
     return 0U;
 }
 
-/* x += E x + g u: exact for a held u. */
+/* Compute x += E x + g u: exact for a held u. */
 static void held(const pmf_linear_filter_t *filter, uint32_t n, real_t u, real_t x[M])
 {
     real_t moved[M];
@@ -252,8 +251,8 @@ static void held(const pmf_linear_filter_t *filter, uint32_t n, real_t u, real_t
     }
 }
 
-/* The trapezoidal rule with the mean of a signal over the sample: the middle of the states, c + q / 2^(n-i) with the
- * last one's increment q, is each one's increment but for the one above. */
+/* Apply the trapezoidal rule with the mean of a signal over the sample. The middle of the states, c + q / 2^(n-i) with
+ * the last one's increment q, is each state's increment except for the one above. */
 static void trapezoidal(const pmf_linear_filter_t *filter, uint32_t n, real_t mean, real_t w[M])
 {
     real_t middle[M + 1], q = mean;

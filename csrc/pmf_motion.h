@@ -1,6 +1,5 @@
-/* An interval of a body that the input alone moves, and its derivatives by all that is not known. For pmf_edges.h
- * alone. SPDX-License-Identifier: Apache-2.0
- */
+/* An interval of a body that only the input moves, and its derivatives by all unknowns. Only pmf_edges.h includes this
+ * file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_MOTION_H
 #define PMF_MOTION_H
 
@@ -10,10 +9,10 @@
 
 #define PLACE 0U
 #define SPEED 1U
-#define FIRST 2U /* parameter */
+#define FIRST 2U /* place, velocity and parameters */
 #define MOST_KNOWN (PMF_MAX_PARAMETERS + 2)
 
-/* Where a sample leads, and its derivatives by place, velocity and theta before it. */
+/* The end of a sample, and its derivatives by place, velocity and theta at the start. */
 typedef struct {
     real_t velocity, distance; /* distance in counts */
     real_t place_by[MOST_KNOWN], velocity_by[MOST_KNOWN];
@@ -32,7 +31,7 @@ static void roles_of(const pmf_config_t *config, const real_t *theta, real_t rol
     }
 }
 
-/* Acceleration of a body at a velocity, where it rests of one that breaks away. */
+/* Return the acceleration of a body at a velocity; at rest, the acceleration after breaking away. */
 static real_t acceleration_of(const body_t *body, real_t velocity)
 {
     uint32_t way = velocity < PMF_R(0.0) ? 1U : 0U;
@@ -46,7 +45,7 @@ static real_t acceleration_of(const body_t *body, real_t velocity)
     return (body->force - sign * body->coulomb[way] - body->viscous[way] * velocity) / body->mass;
 }
 
-/* The sum of forces that each parameter multiplies, over the interval. */
+/* Return the sum over the interval of the forces that each parameter multiplies. */
 static void note_causes(const pmf_config_t *config, const phase_t *whole, real_t change, real_t *by)
 {
     const uint32_t *index = config->auxiliary.index;
@@ -70,8 +69,7 @@ static void add_phase(phase_t *whole, const phase_t *part)
     whole->moving[1] += part->moving[1];
 }
 
-/* Derivatives of an interval that ran through `whole` from one velocity by way of that at the switch to the last one.
- */
+/* Differentiate an interval `whole` from its first velocity, by way of the velocity at the switch, to the last one. */
 static void differentiate(const pmf_config_t *config, const body_t *first, const body_t *second, const phase_t *whole,
                           const real_t velocity[3], real_t part, motion_t *motion)
 {

@@ -1,16 +1,16 @@
 /* A network of first-order stages, and the columns tapped from it.
  * SPDX-License-Identifier: Apache-2.0
  *
- * A chain of first-order stages keeps float32 accurate where direct-form sections of the same filter lose
- * three digits at small pole * dt.
- */
+ * A chain of first-order stages keeps float32 accurate, while direct-form sections of the same filter lose three digits
+ * at
+ * small pole * dt. */
 #include "pmf_internal.h"
 
 #define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];
 #define TAP(c, t, from) column[c] += tap[t].weight * node[from];
 
 #if PMF_STEPS
-#if PMF_LAYOUT != 0U /* an export has just what it needs */
+#if PMF_LAYOUT != 0U /* an export has exactly the rules that it needs */
 #define RATES(config) PMF_MAX_RATES
 #define STAGES(config) PMF_MAX_STAGES
 #else
@@ -20,7 +20,7 @@
 
 #define RECENT PMF_R(0.99609375) /* forgetting of steps: 256 samples */
 
-/* Of the step, over time: long ones last longer. */
+/* Return the mean square of the step over time; long steps have more weight. */
 static real_t mean_square(pmf_network_state_t *state)
 {
     real_t longest = (real_t)PMF_LONGEST, step = state->ratio < longest ? state->ratio : longest;
@@ -29,8 +29,8 @@ static real_t mean_square(pmf_network_state_t *state)
     return state->cubes / state->time;
 }
 
-/* A stage: by the trapezoidal rule, with its zero cancelled, a delay, or what the auxiliary model wrote there. `memory`
- * has the source of the step before. */
+/* A stage: the trapezoidal rule with its zero cancelled, a delay, or a value of the auxiliary model. `memory` has the
+ * source of the preceding step. */
 #define FOLLOW(k, from, rate) \
     STEPPED(k, from, gain[rate] * (stage[k].b0 * w + stage[k].b1 * memory[k]) + keep[rate] * *y)
 #define CANCELLED(k, from, rate) STEPPED(k, from, gain[rate] * (stage[k].b0 * w) + keep[rate] * *y)
@@ -43,7 +43,7 @@ static real_t mean_square(pmf_network_state_t *state)
         memory[k] = w;                                        \
     }
 
-/* The trapezoidal rule over a step, h: pole times half the step. */
+/* Apply the trapezoidal rule over a step; h is the pole times half the step. */
 static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_rates_t *rates = &config->rates;
@@ -77,7 +77,7 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
 #endif
 
 #ifdef PMF_NETWORK
-/* Straight code where it is known which stages and taps there are: a list of them, in order. */
+/* Straight code for known stages and taps, as a list in order. */
 #define STAGE(k, from)                                          \
     {                                                           \
         real_t w = node[from], y = stage[k].b0 * w + memory[k]; \
@@ -98,7 +98,7 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
     real_t *node = state->node, *memory = state->memory, *column = state->column;
     PMF_NETWORK(STAGE, DELAY, COLUMN, TAP)
 }
-#elif defined(PMF_STEPPED_STAGES) /* of an export */
+#elif defined(PMF_STEPPED_STAGES) /* the list of an export */
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_tap_t *tap = config->tap;

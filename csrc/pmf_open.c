@@ -1,21 +1,19 @@
-/* Opens the memory of an estimate: P grows, theta stays.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* Open the memory of an estimate: P grows, theta stays. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32
-#define FAINT PMF_R(1e-6) /* of a number, little more than its rounding */
+#define FAINT PMF_R(1e-6) /* fraction of a number, slightly more than its rounding */
 #else
 #define FAINT PMF_R(1e-14)
 #endif
 
-/* What the known noise of the columns adds to their products. */
+/* Return the contribution of the columns' known noise to their products. */
 static real_t feigned(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t i, uint32_t j)
 {
     return PMF_WITH_NOISE != 0 && config->compensated != 0U ? state->sums.weight * config->noise[i][j] : PMF_R(0.0);
 }
 
-/* W, Z and v by the same factor: theta = W^-1 v stays, P grows by 1 / keep. */
+/* Multiply W, Z and v by the same factor: theta = W^-1 v stays, P grows by 1 / keep. */
 static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
 {
     uint32_t i, j;
@@ -25,22 +23,24 @@ static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
             state->sums.square[i][j] *= keep;
         }
         state->sums.right[i] *= keep;
-        state->peak[i] *= keep; /* else the regularisation would take the new information for a poor one */
+        state->peak[i] *= keep; /* otherwise the regularisation would mistake the new information for a poor one */
     }
     state->sums.weight *= keep;
     state->sums.squares *= keep * keep;
 }
 
-/* One parameter alone: the information R = W or W^T Z^-1 W becomes R - (1 - keep) r r^T / R_ii with r = R e_i, so that
- * what is known of the others for given theta_i stays: in L D L^T with parameter i in front only its pivot shrinks.
+/* Open one parameter alone: the information R = W or W^T Z^-1 W becomes R - (1 - keep) r r^T / R_ii with r = R e_i. The
+ * information on the other parameters for given theta_i stays: in L D L^T with parameter i first, only its pivot
+ * shrinks.
  *
- * Least squares take R from the sums as they are. The factors of the last step hold the regularisation as well, which
- * may be more than the part that is kept: its diagonal would become negative. */
+ * Least squares takes R from the sums. The factors of the last step also hold the regularisation, which may exceed the
+ * kept
+ * part: the diagonal would become negative. */
 static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one, real_t keep)
 {
     uint32_t p = config->n_parameters, i, j;
     real_t r[PMF_MAX_PARAMETERS], own = state->sums.cross[one][one] - feigned(config, state, one, one);
-    if (!(own > FAINT * state->sums.cross[one][one])) { /* nothing is known of it that could be left out */
+    if (!(own > FAINT * state->sums.cross[one][one])) { /* no information on it exists that could be removed */
         return;
     }
     for (i = 0; i < p; ++i) {
@@ -53,7 +53,8 @@ static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_sta
             state->sums.cross[i][j] -= (PMF_R(1.0) - keep) * less;
         }
         after = state->sums.cross[i][i] - feigned(config, state, i, i);
-        if (!(after > FAINT * before)) { /* all that was known of it hung on the other: the rounding is left */
+        if (!(after >
+              FAINT * before)) { /* all its information depended on the other parameter: only the rounding is left */
             after = before > PMF_R(0.0) ? FAINT * before : PMF_R(0.0);
             state->sums.cross[i][i] = after + feigned(config, state, i, i);
         }
@@ -61,7 +62,7 @@ static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_sta
     }
 }
 
-/* With instruments W - (1 - sqrt keep) W e_i r^T / R_ii has that R; it is one for any r. */
+/* With instruments, W - (1 - sqrt keep) W e_i r^T / R_ii has this R; it has a solution for any r. */
 static void open_instruments(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one,
                              real_t keep, real_t root)
 {
@@ -83,7 +84,7 @@ static void open_instruments(const pmf_recursion_config_t *config, pmf_recursion
     state->peak[one] *= keep;
 }
 
-/* The right-hand side for which theta stays. */
+/* Compute the right-hand side that keeps theta. */
 static void hold_estimate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
 {
     uint32_t p = config->n_parameters, i, j;
@@ -121,14 +122,14 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
         hold_estimate(config, state);
     }
 #if PMF_WINDOW_BLOCKS > 0
-    if (config->scheme == PMF_WINDOW) { /* what is left counts as the newest block */
+    if (config->scheme == PMF_WINDOW) { /* the remainder counts as the newest block */
         pmf_clear(state->window, (uint32_t)sizeof state->window);
         pmf_copy(&state->sums, &state->window[state->window_block], (uint32_t)sizeof state->sums);
     }
 #endif
-    state->weight *= keep; /* the innovations since the change say nothing of the noise */
+    state->weight *= keep; /* the innovations since the change do not show the noise */
     state->innovation_square *= keep;
-    state->blocks = 0U; /* nor of how white it is */
+    state->blocks = 0U; /* they do not show the colour of the noise either */
     state->block_updates = 0U;
     pmf_clear(state->score, (uint32_t)sizeof state->score);
     for (i = 0; i < config->n_parameters; ++i) {
@@ -137,7 +138,7 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
 }
 
 #if PMF_WITH_AUXILIARY
-/* The parameter of the direct estimate that has a part of the instrumental one's; all where none has. */
+/* Return the direct estimate's parameter that is part of the instrumental one's; without one, open all. */
 static uint32_t direct_part(const pmf_auxiliary_config_t *config, uint32_t parameter)
 {
     uint32_t role;

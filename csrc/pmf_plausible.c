@@ -1,11 +1,12 @@
-/* Can these numbers be a state of this configuration?
+/* Check whether numbers can be a state of this configuration.
  * SPDX-License-Identifier: Apache-2.0
  *
- * A checksum says that a state was not damaged, not that it is one: whoever can write the bytes can compute it. So
- * before a state is taken, every whole number is compared with what the configuration lets it become (one of them is an
- * index), and every real one must be finite and where it has a sign, have it. What passes may still be wrong; it cannot
- * write where it should not, hold the estimator still, or be not a number.
- */
+ * A checksum shows that a state was not damaged, not that it is valid: any writer of the bytes can compute it. So every
+ * whole number is compared to its limits by the configuration before a state is accepted (one of them is an index).
+ * Every
+ * real number must be finite and have its sign. An accepted state may still be wrong. It cannot write outside its
+ * memory,
+ * block the estimator, or hold a value that is no number. */
 #include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32
@@ -13,10 +14,11 @@
 #else
 #define LARGEST PMF_R(1.7976931348623157e308)
 #endif
-#define MOST_COUNTS PMF_R(1e15) /* of the tracker: far more than a counter of 32 bits makes of it */
-#define REALS(member) ((uint32_t)(sizeof(member) / (sizeof(real_t)))) /* of an array, or a structure of reals alone */
+#define MOST_COUNTS PMF_R(1e15) /* limit of the tracker: far more than a counter of 32 bits can cause */
+#define REALS(member) \
+    ((uint32_t)(sizeof(member) / (sizeof(real_t)))) /* number of reals in an array, or in a structure of reals */
 
-/* Not for what is no number, either. */
+/* Return whether numbers are within limits; NaN is not. */
 PMF_SELDOM uint32_t within(const real_t *number, uint32_t numbers, real_t least, real_t most)
 {
     uint32_t i, fine = 1U;
@@ -122,7 +124,7 @@ PMF_SELDOM uint32_t check_check(const pmf_check_t *check)
 }
 #endif
 
-/* What says how large the motion is, and was. */
+/* Check the present and the past size of the motion. */
 PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     return not_negative(state->peak, REALS(state->peak)) & not_negative(&state->power, 1U) &
@@ -139,7 +141,7 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
            within(&state->mass, 1U, PMF_R(0.0), PMF_R(1.0)) & not_negative(&state->weight, 1U) &
            not_negative(&state->innovation_square, 1U) & at_most(state->started, state->updates) &
            finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
-           /* a block may end some updates late, and of those without a status */
+           /* a block may end some updates late, and has only updates without a status */
            at_most(state->block_updates, state->updates) &
 #if PMF_WITH_NOISE
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &

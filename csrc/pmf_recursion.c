@@ -1,26 +1,28 @@
 /* Recursive least squares and recursive instrumental variables in information form.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Kept are the sums that define the estimate, discounted by the forgetting factor,
+ * The recursion keeps the sums that define the estimate, discounted by the forgetting factor,
  *     W = sum zeta phi^T,  Z = sum zeta zeta^T,  v = sum zeta z          (least squares: zeta = phi, Z = W)
- * and theta is moved by  theta += R^-1 W^T Z^-1 zeta (z - phi^T theta),  R = W^T Z^-1 W + regularisation,
- * which without the regularisation is exactly theta = W^-1 v. Kept as sums, nothing can lose its symmetry or
- * wind up: without excitation W decays, and the regularisation, a small part of the largest information seen
- * (Levenberg-Marquardt recursive least squares, Ljung and Soderstrom 1983), slows theta in just those directions that
- * are hardly excited; where it is all there is in some direction, theta is held and the status says so. With
- * forgetting = 1 there is none, and theta equals the batch solution.
+ * and moves theta by  theta += R^-1 W^T Z^-1 zeta (z - phi^T theta),  R = W^T Z^-1 W + regularisation.
+ * Without the regularisation this is exactly theta = W^-1 v. Sums cannot lose their symmetry or wind up: without
+ * excitation W decays. The regularisation is a small fraction of the largest information so far (Levenberg-Marquardt
+ * recursive least squares, Ljung and Soderstrom 1983). It slows theta in hardly excited directions. If a direction has
+ * only
+ * the regularisation, theta is held and the status says so. With forgetting = 1 no regularisation is used, and theta
+ * equals
+ * the batch solution.
  *
- * Every loop has a fixed number of turns: n_parameters is a constant of the configuration.
- */
+ * Every loop has a fixed number of turns: n_parameters is a constant of the configuration. */
 #include "pmf_innovations.h"
 #include "pmf_scale.h"
 
 #define POOR PMF_R(50.0) /* information below POOR times the regularisation is called poor */
-#define FREEZE PMF_R(1e-3) /* and below FREEZE times it there is nothing left worth forgetting */
-#define LEAST_CLEAN PMF_R(0.02) /* of a column's information */
+#define FREEZE PMF_R(1e-3) /* information below FREEZE times the regularisation is no longer forgotten */
+#define LEAST_CLEAN PMF_R(0.02) /* fraction of a column's information */
 
-/* Information less what the known noise feigns. Where hardly anything is left, that is poor excitation: some is kept,
- * so that P stays positive. Before there can be an estimate nothing is subtracted: it may be more than there is. */
+/* Subtract the apparent information of the known noise. If hardly any is left, excitation is poor: some is kept, so
+ * that P stays positive. Before the first estimate nothing is subtracted, because the noise may exceed the information.
+ */
 PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p,
                                   real_t information[N][N])
 {
@@ -38,7 +40,7 @@ PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pm
     return poor;
 }
 
-/* Adds the regularisation and says whether there is information left to forget. */
+/* Add the regularisation, and note whether information is left to forget. */
 PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
                            real_t information[N][N])
 {
@@ -52,7 +54,8 @@ PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_s
     }
 }
 
-/* Diagonal of P = (L D L^T)^-1, and whether a parameter's own information is little more than the regularisation. */
+/* Compute the diagonal of P = (L D L^T)^-1, and flag a parameter whose own information hardly exceeds the
+ * regularisation. */
 PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p)
 {
     real_t threshold = POOR * state->mass * config->regularization;
@@ -77,8 +80,8 @@ PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_sta
     return poor;
 }
 
-/* What theta shall be moved by, before the gain: from the right-hand side while the estimate is young (nothing
- * of the first solution's rounding stays), from the innovation afterwards (rounding of the sums does not enter). */
+/* Compute the move of theta before the gain. A young estimate uses the right-hand side, which removes the rounding of
+ * the first solution. Later it uses the innovation, so that rounding of the sums has no effect. */
 PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, const real_t *zeta,
                          uint32_t p, uint32_t instrumental, real_t move[N])
 {
@@ -178,7 +181,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         }
     }
     state->started += PMF_BIT(PMF_NOT(waits) & (state->started < SATURATED), 1U);
-    /* else the noise alone would carry theta away in a long while */
+    /* otherwise noise alone would slowly move theta */
     moves = PMF_NOT(waits) & ((status == 0U) | (state->started == 1U));
     if (PMF_ANY(moves)) {
         solve(state, p, move);
@@ -198,7 +201,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
         note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
-        /* not where sizes are compared or the model is judged: both in one sample would take long */
+        /* not together with the comparison of sizes or the check of the model: one sample would take long */
         ends = scored & ((state->updates & 1U) != 0U) & (state->block_updates >= config->block);
         if (PMF_ANY(ends)) {
             end_block(config, state, ends, p, instrumental, &projection);
@@ -210,8 +213,8 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled);
 }
 
-/* The sums as well: one that left the range would show in theta much later, or never. Row by row, so that no addition
- * waits for all before it. */
+/* Check the sums as well: an overflow would show in theta much later, or never. The check goes row by row, so that no
+ * addition waits for all others. */
 PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
 {
     real_t sum = state->innovation_square;
@@ -229,7 +232,7 @@ PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, 
     return sum - sum == PMF_R(0.0);
 }
 
-/* The update, or PMF_RESET where it left the number format. */
+/* Return the status of the update, or PMF_RESET if it left the number format. */
 PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
                            uint32_t p, uint32_t instrumental)
 {
@@ -237,8 +240,8 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
     return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
 }
 
-/* An export with shapes has recursions of two sizes, which go through loops: code for every size would be twice the
- * rest of it. */
+/* An export with shapes has recursions of two sizes, which use loops: code for every size would be twice the rest of
+ * the kernel. */
 #if defined(PMF_PARAMETERS) || (PMF_MAX_SHAPES > 0 && PMF_LAYOUT != 0U)
 #define EVERY_SIZE 0
 #else
@@ -246,8 +249,8 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
 #endif
 
 #if EVERY_SIZE
-/* The same code with the number of parameters as a constant: loops unroll, the bits stay. In functions of their own,
- * for the time that a compiler takes grows faster than what it compiles. */
+/* The same code with the number of parameters as a constant: loops unroll, the bits stay. It is split into functions,
+ * because the time of a compiler grows faster than the size of a function. */
 #define FIXED(p, instrumental)                                                                                         \
     PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, \
                                                    const real_t *column)                                               \
@@ -291,7 +294,7 @@ static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_stat
 #endif
 }
 
-/* Forget everything but the last finite estimate. */
+/* Forget everything except the last finite estimate. */
 PMF_SELDOM void restart(pmf_recursion_state_t *state, const real_t theta[N], uint32_t p)
 {
     uint32_t i;
@@ -329,7 +332,7 @@ void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_
 }
 #endif
 
-#if PMF_WHOLE /* of one axis */
+#if PMF_WHOLE /* for one axis */
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)
 {
     uint32_t n = config->n_parameters, i, j, k, column;

@@ -1,17 +1,16 @@
-/* The scale of information: what is known from larger motions than those of late is outdated. For pmf_recursion.c
- * alone. SPDX-License-Identifier: Apache-2.0
- */
+/* The scale of information: information from larger motions than the recent ones is outdated. Only pmf_recursion.c
+ * includes this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_SCALE_H
 #define PMF_SCALE_H
 
 #include "pmf_forgetting.h"
 
-#define HALF_MEMORIES 4U /* factor by which the same bits of the last half memory are larger */
-#define SOME PMF_R(0.0625) /* of what the encoder shows, squared: the axis moves */
-#define LITTLE PMF_SCALAR(0.25) /* of what begins the haste ends it */
+#define HALF_MEMORIES 4U /* ratio by which the bits of the last half memory are larger */
+#define SOME PMF_R(0.0625) /* fraction of the encoder's squared error, above which the axis moves */
+#define LITTLE PMF_SCALAR(0.25) /* fraction of the starting limit that ends the fast forgetting */
 
-/* Sums the squares of the acceleration in motion, in units of what the encoder shows, over this half memory of motion
- * and the last. Is another one over? */
+/* Sum the squares of the acceleration in motion, in units of the encoder's error, over this half memory of motion and
+ * the last. Returns whether a half memory is complete. */
 PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               real_t square, truth_t moves)
 {
@@ -22,8 +21,8 @@ PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursio
     return moves & PMF_NOT(state->moved < config->half_memory);
 }
 
-/* Were both more than the encoder's errors could feign, and did it show how the axis sped up and slowed down? All but
- * that, as a constant speed or running down, says little, however long. */
+/* Return whether both sums exceed the encoder's errors, and whether the axis visibly accelerated and braked. Other
+ * motions, such as a constant speed, give little information, however long. */
 PMF_INLINE truth_t excites(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE((scalar_t)config->half_memory);
@@ -32,7 +31,7 @@ PMF_INLINE truth_t excites(const pmf_recursion_config_t *config, const pmf_recur
            (state->power_before > least);
 }
 
-/* The next half memory of motion begins. */
+/* Begin the next half memory of motion. */
 PMF_INLINE void end_half_memory(pmf_recursion_state_t *state, truth_t ends)
 {
     state->moved = PMF_IF(ends, PMF_W(0), state->moved);
@@ -41,9 +40,9 @@ PMF_INLINE void end_half_memory(pmf_recursion_state_t *state, truth_t ends)
     state->power = PMF_IF(ends, PMF_R(0.0), state->power);
 }
 
-/* After every half memory of motions that excite the axis the peaks come down to what these can give. Where more is
- * known than accelerations like those of late could give for good, it is from larger motions, and forgotten in haste: a
- * memory is one of time, whatever the size of the motion. */
+/* After every half memory of motions that excite the axis, lower the peaks to the level of these motions. Information
+ * beyond the reach of recent accelerations comes from larger motions, and is forgotten fast: a memory counts time for
+ * any size of motion. */
 PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               truth_t looks, uint32_t p, real_t known)
 {

@@ -1,11 +1,13 @@
-/* Shapes: forces of a given form and an unknown size, of the auxiliary model alone (for pmf_auxiliary.c).
+/* Shapes: forces of a given form and an unknown size, only in the auxiliary model (for pmf_auxiliary.c).
  * SPDX-License-Identifier: Apache-2.0
  *
  * A shape is friction at a speed, friction at a place, or a force at a place. Its form is a sine, a square, or a table
- * that was made where the configuration was, read on straight lines between its knots. In an interval a shape acts with
- * its mean along the motion: over the speeds, for an acceleration that does not change, exactly, so that friction that
- * falls within a fraction of a sample's change of speed needs no smaller steps.
- */
+ * of
+ * the configuration with straight lines between its knots. In an interval a shape acts with its mean along the motion.
+ * The
+ * mean over the speeds is exact for a constant acceleration. So friction that falls within a fraction of a sample's
+ * speed
+ * change needs no smaller steps. */
 #ifndef PMF_SHAPES_H
 #define PMF_SHAPES_H
 
@@ -19,28 +21,28 @@ typedef struct {
 } body_t;
 
 typedef struct {
-    real_t velocity, left; /* left: of the interval, as a part */
-    real_t distance[2], moving[2]; /* forward, backward; in parts of the interval */
+    real_t velocity, left; /* remaining fraction of the interval */
+    real_t distance[2], moving[2]; /* forward, backward; as fractions of the interval */
 } phase_t;
 
 #if PMF_SHAPED
 
-/* In pmf_auxiliary.c. */
+/* Defined in pmf_auxiliary.c. */
 static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backward, phase_t *phase);
 
-#define FORESIGHTS 2U /* of where an interval ends, each with the means along the one before */
-#define MOST_PERIODS PMF_R(1e9) /* beyond, a number says nothing of the place in a period */
+#define FORESIGHTS 2U /* iterations of the end of an interval, each with the means along the preceding one */
+#define MOST_PERIODS PMF_R(1e9) /* beyond this number of periods, a value does not show the place in a period */
 
 typedef struct {
-    real_t velocity, place; /* of one end of a motion */
-    real_t value[PMF_MAX_SHAPES]; /* there, of the shapes of a place; at its beginning alone */
+    real_t velocity, place; /* position and velocity at one end of a motion */
+    real_t value[PMF_MAX_SHAPES]; /* values of the shapes of a place; only at the beginning */
 } shape_end_t;
 
-/* How many knots from the first one; within the table. */
+/* Return the number of knots from the first one, within the table. */
 static real_t knots_from_first(const pmf_shape_t *shape, real_t at)
 {
     real_t x = (at - shape->start) * shape->knots_per_unit, last = PMF_ALIKE((scalar_t)shape->intervals);
-    x = PMF_IF(x > PMF_R(0.0), x, PMF_R(0.0)); /* what is no number is the first knot */
+    x = PMF_IF(x > PMF_R(0.0), x, PMF_R(0.0)); /* NaN counts as the first knot */
     return PMF_IF(x < last, x, last);
 }
 
@@ -50,13 +52,13 @@ static integer_t knot_before(const pmf_shape_t *shape, real_t x)
     return PMF_IF(i < last, i, last);
 }
 
-/* sin(2 pi x), x in periods from the start: a polynomial over a quarter of a period, through Chebyshev's nodes. Its
- * error is 1e-13. */
+/* Return sin(2 pi x), x in periods from the start: a polynomial over a quarter of a period through Chebyshev's nodes,
+ * with an error of 1e-13. */
 static real_t wave_value(const pmf_shape_t *shape, real_t at)
 {
     real_t x = (at - shape->start) * shape->knots_per_unit, s;
     truth_t near = (x < MOST_PERIODS) & (x > -MOST_PERIODS);
-    x = PMF_IF(near, x, PMF_R(0.0)); /* what is no number is the start */
+    x = PMF_IF(near, x, PMF_R(0.0)); /* NaN counts as the start */
     x -= PMF_TO_REAL(PMF_TO_INTEGER(x));
     x = PMF_IF(x > PMF_R(0.5), x - PMF_R(1.0), PMF_IF(x < PMF_R(-0.5), x + PMF_R(1.0), x));
     x = PMF_IF(x > PMF_R(0.25), PMF_R(0.5) - x, PMF_IF(x < PMF_R(-0.25), PMF_R(-0.5) - x, x));
@@ -82,7 +84,7 @@ static real_t shape_value(const pmf_shapes_config_t *config, const pmf_shape_t *
     return shape->of == PMF_OF_WAVE ? wave_value(shape, at) : value_in_table(config, shape, at);
 }
 
-/* From the first knot on, in steps of the table; beyond it the last value goes on. */
+/* Return the integral from the first knot, in steps of the table; the last value continues beyond it. */
 static real_t shape_integral(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t at)
 {
     real_t x = knots_from_first(shape, at), part, low;
@@ -94,7 +96,7 @@ static real_t shape_integral(const pmf_shapes_config_t *config, const pmf_shape_
            ((at - shape->start) * shape->knots_per_unit - x) * knot[shape->intervals];
 }
 
-/* Mean over speeds from a to b, both >= 0. */
+/* Return the mean over speeds from a to b, both >= 0. */
 static real_t mean_over_speed(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t a, real_t b)
 {
     real_t knots, middle, apart;
@@ -103,7 +105,7 @@ static real_t mean_over_speed(const pmf_shapes_config_t *config, const pmf_shape
         return (a * a + a * b + b * b) * PMF_R(0.333333333333333333);
     }
     knots = (b - a) * shape->knots_per_unit;
-    near = (knots < PMF_R(1.0)) & (knots > PMF_R(-1.0)); /* too near for a difference of integrals */
+    near = (knots < PMF_R(1.0)) & (knots > PMF_R(-1.0)); /* too close for a difference of integrals */
     middle = PMF_ANY(near) ? shape_value(config, shape, PMF_R(0.5) * (a + b)) : PMF_R(0.0);
     if (PMF_ALL(near)) {
         return middle;
@@ -112,7 +114,7 @@ static real_t mean_over_speed(const pmf_shapes_config_t *config, const pmf_shape
     return PMF_IF(near, middle, apart);
 }
 
-/* Mean along a motion from one end to the other in a time [s], by Simpson's rule. */
+/* Return the mean along a motion between two ends in a time [s], by Simpson's rule. */
 static real_t mean_over_place(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t begun,
                               const shape_end_t *from, const shape_end_t *to, real_t time)
 {
@@ -126,7 +128,7 @@ static real_t speed_of(real_t velocity)
     return PMF_IF(velocity < PMF_R(0.0), -velocity, velocity);
 }
 
-/* The body with its shapes' means; `mean` keeps those, of friction against the motion. */
+/* Return the body with the means of its shapes; `mean` keeps these means, for friction against the motion. */
 static body_t shaped_body(const pmf_shapes_config_t *config, const body_t *plain, const real_t *parameter,
                           const shape_end_t *from, const shape_end_t *to, real_t time, real_t *mean)
 {
@@ -149,7 +151,7 @@ static body_t shaped_body(const pmf_shapes_config_t *config, const body_t *plain
     return body;
 }
 
-/* Where a motion begins. */
+/* Return the beginning of a motion. */
 static shape_end_t begin_motion(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
                                 const phase_t *phase)
 {
@@ -166,7 +168,7 @@ static shape_end_t begin_motion(const pmf_auxiliary_config_t *config, const pmf_
     return here;
 }
 
-/* A body at rest: what holds it, and what drives it. */
+/* Return a body at rest with its holding and driving forces. */
 static body_t body_at_rest(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
                            const body_t *plain, const phase_t *phase)
 {
@@ -176,7 +178,7 @@ static body_t body_at_rest(const pmf_auxiliary_config_t *config, const pmf_auxil
     return shaped_body(&config->shapes, plain, state->parameter, &here, &here, PMF_R(0.0), mean);
 }
 
-/* About where a body comes to in a time [s], or where it stops before; returns the time. */
+/* Predict the place of a body after a time [s], or at an earlier stop; return the time. */
 static real_t foresee(const body_t *body, truth_t backward, const shape_end_t *from, real_t time, shape_end_t *to)
 {
     real_t side = PMF_IF(backward, PMF_R(-1.0), PMF_R(1.0)), speed = side * from->velocity;
@@ -193,7 +195,7 @@ static real_t foresee(const body_t *body, truth_t backward, const shape_end_t *f
     return time;
 }
 
-/* `move` with the shapes' means along the motion that comes of it, which are added to the shapes' signals. */
+/* Do `move` with the means of the shapes along the resulting motion, and add these means to the shapes' signals. */
 static void move_shaped(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, const body_t *plain,
                         truth_t forward, truth_t backward, phase_t *phase, real_t *signal)
 {

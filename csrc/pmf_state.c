@@ -1,6 +1,5 @@
-/* A state that outlives a loss of power, and what the arithmetic of this build does to its bits.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* A state that survives a loss of power, and the effect of this build's arithmetic on its bits.
+ * SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
 #define POLYNOMIAL 0xedb88320U /* CRC-32 of ISO 3309, bits reversed */
@@ -30,7 +29,7 @@ static uint32_t checksum(const pmf_saved_t *saved)
     return pmf_crc32(pmf_crc32(0U, head, (uint32_t)sizeof head), &saved->state, (uint32_t)sizeof saved->state);
 }
 
-/* Do all stages compute their nodes from nodes of the same step? */
+/* Return whether all stages compute their nodes from nodes of the same step. */
 static uint32_t computes_nodes(const pmf_network_config_t *network)
 {
     uint32_t i;
@@ -66,7 +65,7 @@ void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state)
     keeps |= config->late.room;
 #endif
 #if PMF_WITH_AUXILIARY
-    models = config->auxiliary.enabled; /* it may rest */
+    models = config->auxiliary.enabled; /* the axis may rest */
 #endif
     if (keeps == 0U) {
         pmf_clear(node, (models != 0U ? (uint32_t)PMF_AUXILIARY : (uint32_t)PMF_SIGNALS) * size);
@@ -116,22 +115,22 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
 #define LEAST_NORMAL PMF_R(0x1p-1022)
 #endif
 
-/* The values are volatile, so that the target computes and not the compiler. */
+/* The values are volatile, so that the target computes them and not the compiler. */
 uint32_t pmf_arithmetic(void)
 {
     volatile real_t above = PMF_R(1.0) + SMALL, below = PMF_R(1.0) - SMALL, one = PMF_R(1.0), zero = PMF_R(0.0);
     volatile real_t large = LARGE, least = LEAST_NORMAL, half = PMF_R(0.5);
     real_t a = above, b = below, c = one, nothing = zero, half_least;
     uint32_t wrong = 0U;
-    if (a * b - c != PMF_R(0.0)) { /* the product rounds to one; fused or in a wider format it does not */
+    if (a * b - c != PMF_R(0.0)) { /* the product rounds to one; a fused product or a wider format does not */
         wrong |= PMF_CONTRACTED;
     }
     a = large;
-    if ((a + c) - a != PMF_R(0.0)) { /* the sum rounds to its large part; rearranged it is one */
+    if ((a + c) - a != PMF_R(0.0)) { /* the sum rounds to its large part; rearranged, it is one */
         wrong |= PMF_REARRANGED;
     }
     nothing = nothing / nothing;
-    if (nothing - nothing == PMF_R(0.0)) { /* not a number is not equal to anything */
+    if (nothing - nothing == PMF_R(0.0)) { /* NaN is not equal to any number */
         wrong |= PMF_NO_NAN;
     }
     half_least = least * half;

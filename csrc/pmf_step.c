@@ -1,19 +1,18 @@
-/* One sample straight through: encoder, network, recursion.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* One sample through encoder, network and recursion. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_dead_time.h"
 
-#define TAKE_OVER PMF_R(3.0) /* times the samples, or the variance */
-#define SHORT_BAR PMF_R(0.01) /* of the mass */
-/* Mean square of the step over time, in squared periods, beyond which the direct methods are off by percents. */
+#define TAKE_OVER PMF_R(3.0) /* ratio of samples, or of variances */
+#define SHORT_BAR PMF_R(0.01) /* fraction of the mass */
+/* Mean square of the step over time, in squared periods, above which the direct methods are wrong by percents. */
 #define BURSTS PMF_R(2.0)
-/* What the instrumental recursion says beside the estimate of the simpler method. */
+/* Status bits of the instrumental recursion that remain with the estimate of the simpler method. */
 #define KEPT_ON_FALLBACK ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK))
 
 #ifndef PMF_LANES
 PMF_API void pmf_clear(void *memory, uint32_t size)
 {
-    volatile unsigned char *byte = (volatile unsigned char *)memory; /* else compilers call memset of the C library */
+    volatile unsigned char *byte =
+        (volatile unsigned char *)memory; /* otherwise compilers call memset of the C library */
     uint32_t i;
     for (i = 0; i < size; ++i) {
         byte[i] = 0;
@@ -25,7 +24,8 @@ PMF_API void pmf_clear(void *memory, uint32_t size)
 void pmf_copy(const void *from, void *to, uint32_t size)
 {
     const unsigned char *source = (const unsigned char *)from;
-    volatile unsigned char *target = (volatile unsigned char *)to; /* else compilers call memcpy of the C library */
+    volatile unsigned char *target =
+        (volatile unsigned char *)to; /* otherwise compilers call memcpy of the C library */
     uint32_t i;
     for (i = 0; i < size; ++i) {
         target[i] = source[i];
@@ -41,7 +41,7 @@ PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 #else
     state->settle = PMF_W(config->settle_samples);
 #endif
-    state->encoder.idle = PMF_W(config->encoder.standstill_samples); /* at rest until a count says otherwise */
+    state->encoder.idle = PMF_W(config->encoder.standstill_samples); /* at rest until a count shows a motion */
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
 #endif
@@ -80,7 +80,7 @@ PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
     return config->direct.n_parameters;
 }
 
-/* A value beyond the number format may sit in the filters as well. */
+/* Clear the filters, which may also hold a value beyond the number format. */
 static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(&state->network, (uint32_t)sizeof state->network);
@@ -96,7 +96,7 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 }
 
 #if PMF_WITH_GUARD
-/* Wrong counts were believed, and all that was gathered has them. */
+/* Begin again: wrong counts were accepted, and all sums contain them. */
 PMF_SELDOM void begin_again(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(&state->direct, (uint32_t)sizeof state->direct);
@@ -117,7 +117,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 #if PMF_WITH_GUARD
     truth_t suspicious = (status & PMF_SAMPLE_REJECTED) != 0U;
     truth_t bridged =
-        ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* by the sample before */
+        ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* set by the preceding sample */
     state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),
                          PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
     PMF_WHERE((status & PMF_BEGIN_AGAIN) != 0U, state, begin_again(config, state));
@@ -177,7 +177,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     if (PMF_ANY(settling)) {
 #if PMF_WITH_AUXILIARY
         if (PMF_MODELLED(config)) {
-            /* by now the measured velocity is known: the model need not run up to it with its own time constant */
+            /* the measured velocity is known now: the model need not approach it with its own time constant */
             truth_t half_way = settling & (state->settle == config->settle_samples / 2U);
             state->auxiliary.velocity =
                 PMF_IF(half_way, state->network.column[config->auxiliary.check_column], state->auxiliary.velocity);
@@ -195,7 +195,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 }
 
 #if PMF_WITH_AUXILIARY
-/* The direct estimate in the parameters of the instrumental one. */
+/* Write the direct estimate in the parameters of the instrumental one. */
 static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *direct, pmf_state_t *state)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
@@ -209,7 +209,7 @@ static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *di
         }
     }
 #if PMF_SHAPED
-    for (i = 0; i < auxiliary->shapes.n; ++i) { /* of some the direct estimate knows nothing */
+    for (i = 0; i < auxiliary->shapes.n; ++i) { /* the direct estimate lacks some parameters */
         uint32_t own = auxiliary->index[PMF_BODY_ROLES + i];
         if (own != PMF_NO_PARAMETER && auxiliary->direct_index[PMF_BODY_ROLES + i] == PMF_NO_PARAMETER) {
             borrowed->variance_factor[own] = PMF_UNKNOWN;
@@ -221,8 +221,8 @@ static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *di
 }
 
 #if PMF_STEPS
-/* A sum over samples becomes an integral over time: each row, which is one sample late, counts for half of the steps
- * before and after it. The samples of a burst would else have all weight, and the pause none. */
+/* A sum over samples becomes an integral over time: each row, one sample late, has half the weight of its two
+ * neighbouring steps. Otherwise the samples of a burst would have all weight, and the pause none. */
 static void weigh_instruments(const pmf_recursion_config_t *config, pmf_network_state_t *network)
 {
     real_t longest = (real_t)PMF_LONGEST, *zeta = &network->column[config->first_column + config->n_parameters + 1U];
@@ -235,14 +235,14 @@ static void weigh_instruments(const pmf_recursion_config_t *config, pmf_network_
 }
 #endif
 
-/* The instrumental estimate takes over once it has gathered a fair part of what the direct one has, which began before,
- * and knows the mass about as well, or well enough. */
+/* The instrumental estimate takes over once it has a fair fraction of the samples of the direct one, which began
+ * earlier. It must also know the mass about as well, or well enough. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     uint32_t mass = config->auxiliary.index[PMF_MASS], direct_mass = config->auxiliary.direct_index[PMF_MASS];
     real_t small = SHORT_BAR * own->theta[mass];
-#if PMF_SHAPED /* what counts by the power of its number weighs the less */
+#if PMF_SHAPED /* samples weighted by a power of their number count less */
     real_t gathered = PMF_R(0.5) * (PMF_R(1.0) + (real_t)config->instrument.growing) * state->instrument.sums.weight;
 #else
     real_t gathered = state->instrument.sums.weight;
@@ -252,14 +252,15 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
                        (own->variance_factor[mass] * own->inflation[mass] * own->innovation_variance < small * small));
 #if PMF_FOUND
     if (config->late.found != 0U && state->found.looks != 0U) {
-        enough = TAKE_OVER * gathered > state->direct.sums.weight; /* neither need find the dead time any more */
+        enough = TAKE_OVER * gathered >
+                 state->direct.sums.weight; /* neither estimate searches for the dead time any longer */
     }
 #endif
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
-/* What the instrumental estimate left unexplained on its way, by orders of magnitude more than the direct one at times,
- * is no noise: it would stay in the error bars where nothing is forgotten. */
+/* Forget the early residuals of the instrumental estimate, at times orders of magnitude larger than the direct one's.
+ * They are no noise, and without forgetting would stay in the error bars. */
 static void forget_start(pmf_state_t *state, truth_t where)
 {
     real_t limit = state->instrument.weight * state->direct.estimate.innovation_variance;
@@ -267,12 +268,12 @@ static void forget_start(pmf_state_t *state, truth_t where)
     state->instrument.innovation_square = PMF_IF(where, limit, state->instrument.innovation_square);
 }
 
-/* Instrumental variables where the auxiliary model follows the plant, else the direct estimate. */
+/* Use instrumental variables if the auxiliary model follows the plant, otherwise the direct estimate. */
 static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, whole_t direct_status, truth_t settled)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
 #if PMF_WITH_GUARD
-    truth_t held = state->hold != 0U; /* the measured velocity is not what the axis did */
+    truth_t held = state->hold != 0U; /* the measured velocity does not show the axis */
 #else
     truth_t held = settled & PMF_NOT(settled);
 #endif
@@ -280,7 +281,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
             borrows;
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     whole_t status, stepped = PMF_W(0);
-    /* what was gathered with a wrong direction would stay */
+    /* sums with a wrong direction would stay */
     PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,
               pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument));
     status = PMF_BIT(PMF_NOT(trusted) | (state->instrument.started == 0U), PMF_STARTING);
@@ -295,7 +296,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
 #if PMF_FOUND
-    if (config->late.within == 0U) /* else there is more to judge it by */
+    if (config->late.within == 0U) /* otherwise more samples are available for the verdict */
 #endif
         status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
                                      trusted & settled & (state->auxiliary.in_charge != 0U));
@@ -351,7 +352,7 @@ PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state)
 }
 #endif
 
-#if PMF_WHOLE /* of one axis */
+#if PMF_WHOLE /* for one axis */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state)
 {
 #if PMF_PROCESS
@@ -387,17 +388,17 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
     }
     variance = estimate->variance_factor[parameter] * estimate->innovation_variance *
                (inflation > PMF_R(0.0) ? inflation : PMF_R(1.0));
-    return variance < PMF_UNKNOWN ? variance : PMF_UNKNOWN; /* it may leave the number format, too */
+    return variance < PMF_UNKNOWN ? variance : PMF_UNKNOWN; /* it may also leave the number format */
 }
 #endif
 
-/* The recursions on the columns of this sample, unless it is suspicious. */
+/* Run the recursions on the columns of this sample, unless it is suspicious. */
 static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, whole_t filtered)
 {
     whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);
     truth_t settled = (filtered & PMF_SETTLING) == 0U, use = settled;
 #if PMF_WITH_AUXILIARY
-    if (PMF_MODELLED(config)) { /* the second half of the settling is the model's */
+    if (PMF_MODELLED(config)) { /* the second half of the settling belongs to the model */
 #if PMF_WITH_GUARD
         use = use | ((state->hold == 0U) & (state->settle < config->settle_samples / 2U));
 #else
@@ -448,7 +449,7 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
 
 #if PMF_WHOLE
 #if PMF_PROCESS
-/* The constant's row and column for the output itself. */
+/* Compute the constant's row and column for the output itself. */
 static void lift_covariance(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
 {
     uint32_t n = config->direct.n_parameters, constant = config->direct.constant, i;

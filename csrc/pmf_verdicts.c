@@ -1,8 +1,7 @@
-/* What the auxiliary model's misses say of the plant: that its input follows them, or that it is late.
+/* Verdicts from the auxiliary model's errors: the input follows them, or the input acts late.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Both are correlations of what is known already, sample by sample, and no more than a bit of the status.
- */
+ * Both verdicts are correlations of known values, sample by sample, and each gives one bit of the status. */
 #include "pmf_internal.h"
 
 #if PMF_WITH_AUXILIARY
@@ -10,15 +9,15 @@
 #define FEEDBACK_MEMORY PMF_R(0.999)
 /* Least squared correlation of the velocity residual with the model's acceleration if the model leads the plant, and
  * the least lead in samples: 0.06 and 0.03 for half a sample of dead time under position control, 0.2 in open loop.
- * Chance and a right model stay below one of both. And the least evidence, in samples alike. */
+ * Chance and a right model stay below one of both. The third limit is the least evidence, in independent samples. */
 #define LATE_PART PMF_R(0.04)
 #define LATE_BY PMF_R(0.02)
 #define LATE_SURE PMF_R(9.0)
 #define FEEDBACK_STARTS \
-    250U /* innovations of a young estimate are large and say nothing; as many more make a verdict */
-#define FEEDBACK_TURNS 16U /* length of the stretches of updates that are used and skipped in turn: half the cost */
-/* Squared correlation of what the controller makes of the encoder's error with what the equation makes of it: 0.14 to
- * 0.8 under position control, in open loop at most 0.04, however seldom the input changes. */
+    250U /* innovations of a young estimate are large and not informative; a verdict needs twice as many */
+#define FEEDBACK_TURNS 16U /* length of the stretches of updates that are used and skipped by turns: half the cost */
+/* Squared correlation of the controller's response to the encoder's error with the equation's response: 0.14 to 0.8
+ * under position control, at most 0.04 in open loop, however seldom the input changes. */
 #define FEEDBACK_PART PMF_R(0.09)
 
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
@@ -51,7 +50,8 @@ static void note_lag(pmf_lag_t *lag, scalar_t memory, real_t lack, real_t accele
     lag->velocity = memory * lag->velocity + velocity * velocity;
 }
 
-/* Does the acceleration explain the velocity residual, without the part that a wrong size of the velocity explains? */
+/* Return whether the acceleration explains the velocity residual, without the part that a wrong velocity scale
+ * explains. */
 static truth_t is_behind(const pmf_auxiliary_config_t *config, const pmf_lag_t *lag)
 {
     real_t lack = lag->lack_velocity / lag->velocity, alike = lag->cross / lag->velocity;

@@ -1,16 +1,19 @@
-/* A motion that is held within the counts, recursively, which tells how late the input acts (for pmf_auxiliary.c).
+/* A recursive motion that is held within the counts, which shows the delay of the input (for pmf_auxiliary.c).
  * SPDX-License-Identifier: Apache-2.0
  *
- * Under control through a coarse encoder the input follows the encoder's error, and instruments made of it are none.
- * What does not mind is the likelihood of the counts: a body moved by the input alone lies between two edges at every
- * sample. Its place and velocity and all parameters have a normal distribution, which the model carries from sample to
- * sample and each count cuts off at its nearest edge; of what is left mean and covariance are kept (assumed density
- * filtering). A count far from an edge has no information, a count near an edge more than a variance of a twelfth. So
- * standard errors shrink with the number of edges and not with its root.
+ * Under control through a coarse encoder the input follows the encoder's error, so that instruments from the input
+ * fail.
+ * The likelihood of the counts does not suffer: a body moved by the input alone lies between two edges at every sample.
+ * Its
+ * place, velocity and parameters have a normal distribution. The model carries this distribution from sample to sample,
+ * and each count cuts it off at its nearest edge; mean and covariance of the rest are kept (assumed density filtering).
+ * A
+ * count far from an edge has no information, a count near an edge more than a variance of a twelfth. So standard errors
+ * shrink with the number of edges and not with its root.
  *
- * That believes the model. How far the place was beyond an edge is compared with its own deviation, and where that is
- * too often too much, it begins again.
- */
+ * This assumes a right model. The distance of the place beyond an edge is compared to its own deviation, and if it is
+ * too
+ * large too often, the motion begins again. */
 #ifndef PMF_WITHIN_H
 #define PMF_WITHIN_H
 
@@ -18,21 +21,20 @@
 
 #if PMF_FOUND
 
-#define GROWING PMF_R(100.0) /* samples; those gathered while it was linearised further away count the less */
-#define SURPRISED PMF_R(1.3) /* as many times as large as expected is another motion */
-#define STRAYED \
-    PMF_R(6.0) /* square of deviations by which a dead time moves away from what it was: too sure of that, */
-#define WIDENED PMF_R(4.0) /* which counts a quarter */
+#define GROWING PMF_R(100.0) /* memory in samples; samples linearised further away have less weight */
+#define SURPRISED PMF_R(1.3) /* ratio to the expectation that means another motion */
+#define STRAYED PMF_R(6.0) /* squared deviations by which a moved dead time shows that its variance was too small */
+#define WIDENED PMF_R(4.0) /* after such a move the sums count a quarter */
 #define SLACK PMF_R(0.1)
-#define WHILE PMF_R(0.25) /* a while is as long as it takes for a variance to come down to this part */
+#define WHILE PMF_R(0.25) /* interval of comparison: until the variance falls to this fraction */
 #define STAYED PMF_R(0.25) /* [samples] */
 #define YOUNG 10U
-#define ENOUGH_AGE 100U /* before it is believed, and this near an edge: */
+#define ENOUGH_AGE 100U /* samples before the motion is accepted, and samples near an edge: */
 #define ENOUGH_NEAR 100U
-#define SHARP PMF_R(0.1) /* standard deviation [samples] of a dead time that is known */
-#define LEAST_KEPT PMF_R(0.3) /* of mass and viscous friction in one sample */
+#define SHARP PMF_R(0.1) /* standard deviation [samples] of a known dead time */
+#define LEAST_KEPT PMF_R(0.3) /* least kept fraction of mass and viscous friction in one sample */
 
-/* Masses and frictions are not negative, a dead time within what the kernel can delay. */
+/* Keep masses and frictions from becoming negative, and the dead time within the kernel's room. */
 static void keep_possible(const pmf_config_t *config, pmf_found_state_t *found, const real_t *before)
 {
     const uint32_t *index = config->auxiliary.index;
@@ -53,7 +55,7 @@ static void keep_possible(const pmf_config_t *config, pmf_found_state_t *found, 
     }
 }
 
-/* What is not known of a parameter at first, as a standard deviation. */
+/* Return the initial standard deviation of a parameter. */
 static real_t unknown_of(const pmf_config_t *config, const pmf_found_state_t *found, const real_t *role, uint32_t which)
 {
     real_t friction = PMF_R(0.1) * (role[PMF_COULOMB_FORWARD] + role[PMF_COULOMB_BACKWARD]);
@@ -68,7 +70,7 @@ static real_t unknown_of(const pmf_config_t *config, const pmf_found_state_t *fo
     }
 }
 
-/* The place anywhere in its count, at the measured velocity. */
+/* Set the place to an arbitrary one within its count, at the measured velocity. */
 static void anchor(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_found_state_t *found = &state->found;
@@ -86,7 +88,7 @@ static void anchor(const pmf_config_t *config, pmf_state_t *state)
     found->covariance[SPEED][SPEED] = PMF_R(0.25) * step * step;
 }
 
-/* Starts from parameters by roles. */
+/* Start from parameters by roles. */
 static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_t *role, uint32_t looks)
 {
     pmf_found_state_t *found = &state->found;
@@ -110,8 +112,8 @@ static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_
     found->running = role[PMF_MASS] > PMF_R(0.0) ? 1U : 0U;
 }
 
-/* From what is believed. Before anything is, that is at the dead time of an estimate that hardly knows it: another one
- * is tried with every beginning. */
+/* Begin from the accepted dead time. Before one exists, begin at the dead time of an uncertain estimate: every
+ * beginning tries another one. */
 static void begin(const pmf_config_t *config, pmf_state_t *state)
 {
     const uint32_t *from = config->auxiliary.direct_index;
@@ -125,8 +127,8 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
     begin_at(config, state, role, 0U);
 }
 
-/* What led it here was linearised further away, and would stay: once more, from what it has found, until that stays
- * where it is. Till then it is good enough for the auxiliary model. */
+/* The data so far were linearised further away, and their error would stay. So begin once more from the result, until
+ * the result stays. Until then it suffices for the auxiliary model. */
 static void look_again(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_found_state_t *found = &state->found;
@@ -143,8 +145,7 @@ static void look_again(const pmf_config_t *config, pmf_state_t *state)
     }
 }
 
-/* A dead time that moves as its own variance does not allow was linearised too far away: what was learned counts less.
- */
+/* A dead time that moves beyond its own variance was linearised too far away: the sums so far have less weight. */
 static void doubt(const pmf_config_t *config, pmf_found_state_t *found)
 {
     uint32_t late = config->auxiliary.index[PMF_DELAY], i, j, n = FIRST + parameters_of(config);
@@ -223,7 +224,7 @@ static void one_sample(const pmf_config_t *config, pmf_state_t *state, const act
     } else if (found->looks < PMF_LOOKS && is_known(config, found, &variance) != 0U) {
         look_again(config, state);
     } else {
-        /* it goes on */
+        /* the motion goes on */
     }
 }
 

@@ -1,9 +1,8 @@
-/* A block of numbered samples as bytes: docs/wire.md. The order of the machine's own bytes does not matter.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* A block of numbered samples as bytes: docs/wire.md. The byte order of the machine does not matter.
+ * SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_block.h"
 
-#define POLYNOMIAL 0xedb88320U /* CRC-32 of ISO 3309, bits reversed, as zlib has it */
+#define POLYNOMIAL 0xedb88320U /* CRC-32 of ISO 3309, bits reversed, as in zlib */
 
 typedef union {
     double number;
@@ -15,7 +14,7 @@ typedef union {
     uint32_t bits;
 } narrow_t;
 
-/* The lowest bytes of a value, the last one first; returns where the next goes. */
+/* Write the lowest bytes of a value, the last one first; return the next position. */
 static uint8_t *put(uint8_t *out, uint64_t value, uint32_t bytes)
 {
     for (; bytes > 0U; --bytes, value >>= 8) {
