@@ -6,11 +6,10 @@
  *
  *   counts, input -> encoder -> network of first-order stages -> columns -> recursion -> estimate
  *
- * The kernel knows no equation: the configuration lists the stages, and the sums of their outputs that are regressors,
- * target and instruments. Only the optional auxiliary model knows a body with friction, and only the optional linear
- * model
- * knows a transfer function. The kernel uses no malloc, no globals and no libc.
- * Compile with -std=c99 -ffp-contract=off and never with -ffast-math: then every target gives the same bits. */
+ * The kernel knows no equation: the configuration lists the stages, and the sums of their outputs that are
+ * regressors, target and instruments. Only the optional auxiliary model knows a body with friction, and only the
+ * optional linear model knows a transfer function. The kernel uses no malloc, no globals and no libc. Compile with
+ * -std=c99 -ffp-contract=off and never with -ffast-math: then every target gives the same bits. */
 #ifndef PMF_H
 #define PMF_H
 

@@ -1,10 +1,9 @@
 /* Alarm on a parameter: two-sided cumulative sum of its estimate's log-likelihood ratio (Page 1954).
  * SPDX-License-Identifier: Apache-2.0
  *
- * The sums use one value of the estimate in `interval` samples, so that its errors are nearly independent. With
- * x = theta - nominal of variance v, the ratio of a shift by s is s (x - s / 2) / v. The sums stay if the status marks
- * the
- * estimate as unreliable or if the variance is large: without excitation no alarm is raised. */
+ * The sums use one value of the estimate in `interval` samples, so that its errors are nearly independent. With x =
+ * theta - nominal of variance v, the ratio of a shift by s is s (x - s / 2) / v. The sums stay if the status marks
+ * the estimate as unreliable or if the variance is large: without excitation no alarm is raised. */
 #include "pmf_internal.h"
 
 #define UNTRUSTED (PMF_NOT_AN_ESTIMATE | PMF_UNMODELLED)

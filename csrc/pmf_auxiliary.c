@@ -2,12 +2,10 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * The model supplies instruments without the encoder's noise, and the direction and the moving fractions of every
- * interval.
- * Between events the motion is linear. exp() is replaced by its diagonal Pade approximant of order 3, because the exp
- * of C
- * libraries differ in their last bits; the relative error is below 1e-9 for damping * dt <= 0.15, and 1e-5 at 1. A
- * constant force allows at most one stop in an interval, so that two phases suffice and every sample takes the same
- * work. */
+ * interval. Between events the motion is linear. exp() is replaced by its diagonal Pade approximant of order 3,
+ * because the exp of C libraries differ in their last bits; the relative error is below 1e-9 for damping * dt <=
+ * 0.15, and 1e-5 at 1. A constant force allows at most one stop in an interval, so that two phases suffice and every
+ * sample takes the same work. */
 #include "pmf_shapes.h"
 
 #if PMF_WITH_AUXILIARY

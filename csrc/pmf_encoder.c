@@ -1,13 +1,10 @@
 /* Counts to velocity, direction and standstill.
  * SPDX-License-Identifier: Apache-2.0
  *
- * With several counts per sample, the velocities at both ends of an interval give the instant of a reversal inside it.
- * A
- * tracker of piecewise constant acceleration estimates these velocities (Kalata 1984, fixed gains, smoothed by one
- * step).
- * With less than two counts per sample the tracker would only follow the staircase: the direction is then that of the
- * last
- * count. */
+ * With several counts per sample, the velocities at both ends of an interval give the instant of a reversal inside
+ * it. A tracker of piecewise constant acceleration estimates these velocities (Kalata 1984, fixed gains, smoothed by
+ * one step). With less than two counts per sample the tracker would only follow the staircase: the direction is then
+ * that of the last count. */
 #include "pmf_guard.h"
 
 /* The code has branches but no loop: on a microcontroller the smaller code is also faster. */

@@ -2,36 +2,26 @@
  * this file. SPDX-License-Identifier: Apache-2.0
  *
  * The guard predicts a change of the counts from the last change, from the change of that, and from the input. A
- * leaking
- * maximum of the prediction errors is the limit of the motion. At rest, and with an input larger than the recent ones,
- * the
- * limit grows in proportion to the input. A change beyond the limit is left out, and the predicted change replaces it.
+ * leaking maximum of the prediction errors is the limit of the motion. At rest, and with an input larger than the
+ * recent ones, the limit grows in proportion to the input. A change beyond the limit is left out, and the predicted
+ * change replaces it.
  *
  * The next sample decides. If it changes as predicted, the counter was reset: its zero has moved and the motion goes
- * on.
- * If it returns, the reading was wrong: the missed travel is spread evenly over the samples since the last good one. If
- * it
- * continues from the suspicious sample, and the third does too, it is a blow: the held-back travel is added, no count
- * is
- * lost, and the filters settle again. An input far beyond the largest recent one is judged two samples later, before
- * the
- * filters receive it. By then the counts have responded, or the input has stayed; otherwise the last input replaces it.
- * A
- * sample without a suspicion is never changed.
+ * on. If it returns, the reading was wrong: the missed travel is spread evenly over the samples since the last good
+ * one. If it continues from the suspicious sample, and the third does too, it is a blow: the held-back travel is
+ * added, no count is lost, and the filters settle again. An input far beyond the largest recent one is judged two
+ * samples later, before the filters receive it. By then the counts have responded, or the input has stayed;
+ * otherwise the last input replaces it. A sample without a suspicion is never changed.
  *
  * A wrong count below the limit is accepted. The next one then misses by three times as much in the other direction,
- * and
- * returns to the earlier motion: the prediction removes the first one, and the filters settle. Wrong counts must not
- * widen
- * the limit, because each would let a larger one in. So the guard does not learn from a swing back, nor within CALM
- * samples
- * after a suspicious one, and it withdraws a lesson that a suspicion follows.
+ * and returns to the earlier motion: the prediction removes the first one, and the filters settle. Wrong counts must
+ * not widen the limit, because each would let a larger one in. So the guard does not learn from a swing back, nor
+ * within CALM samples after a suspicious one, and it withdraws a lesson that a suspicion follows.
  *
  * While the guard learns, it accepts all but the wildest counts. A motion is missed with the same sign, sample after
  * sample, until the prediction follows it. A wrong count gives the errors J, -3 J, 3 J, -J. So motion alone explains
- * the
- * largest error without a neighbour of the other sign. If the limit is far beyond that, or an accepted count is found
- * wrong, the estimator begins again. */
+ * the largest error without a neighbour of the other sign. If the limit is far beyond that, or an accepted count is
+ * found wrong, the estimator begins again. */
 #ifndef PMF_GUARD_H
 #define PMF_GUARD_H
 

@@ -7,11 +7,9 @@
  * A(s_T) F_T y = sum b_j ZOH{s^j / A} u has no error of the discretisation at the true A.
  *
  * The equation also holds after any other filters. If 1 / A rings for too long, data pass fixed filters of a more
- * damped
- * polynomial, and only the instruments keep 1 / A. For a resonance this costs at most a factor 2 of the variance,
- * however
- * fast the filters are. These filters, and a step of the copy, cause no transient in the data. After them the equation
- * holds exactly with the coefficients of the copy's sampled form (`bend`).
+ * damped polynomial, and only the instruments keep 1 / A. For a resonance this costs at most a factor 2 of the
+ * variance, however fast the filters are. These filters, and a step of the copy, cause no transient in the data.
+ * After them the equation holds exactly with the coefficients of the copy's sampled form (`bend`).
  *
  * Time counts in samples: state j is dt^(j-n) s^j / A(s) of its signal, and A has the coefficients a_i dt^(n-i). States
  * move by increments, which keeps float32 accurate for slow poles. The states are converted when A moves. The matrix

@@ -1,9 +1,8 @@
 /* A network of first-order stages, and the columns tapped from it.
  * SPDX-License-Identifier: Apache-2.0
  *
- * A chain of first-order stages keeps float32 accurate, while direct-form sections of the same filter lose three digits
- * at
- * small pole * dt. */
+ * A chain of first-order stages keeps float32 accurate, while direct-form sections of the same filter lose three
+ * digits at small pole * dt. */
 #include "pmf_internal.h"
 
 #define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];

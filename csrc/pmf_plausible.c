@@ -1,12 +1,10 @@
 /* Check whether numbers can be a state of this configuration.
  * SPDX-License-Identifier: Apache-2.0
  *
- * A checksum shows that a state was not damaged, not that it is valid: any writer of the bytes can compute it. So every
- * whole number is compared to its limits by the configuration before a state is accepted (one of them is an index).
- * Every
- * real number must be finite and have its sign. An accepted state may still be wrong. It cannot write outside its
- * memory,
- * block the estimator, or hold a value that is no number. */
+ * A checksum shows that a state was not damaged, not that it is valid: any writer of the bytes can compute it. So
+ * every whole number is compared to its limits by the configuration before a state is accepted (one of them is an
+ * index). Every real number must be finite and have its sign. An accepted state may still be wrong. It cannot write
+ * outside its memory, block the estimator, or hold a value that is no number. */
 #include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32

@@ -3,14 +3,12 @@
  *
  * The recursion keeps the sums that define the estimate, discounted by the forgetting factor,
  *     W = sum zeta phi^T,  Z = sum zeta zeta^T,  v = sum zeta z          (least squares: zeta = phi, Z = W)
- * and moves theta by  theta += R^-1 W^T Z^-1 zeta (z - phi^T theta),  R = W^T Z^-1 W + regularisation.
- * Without the regularisation this is exactly theta = W^-1 v. Sums cannot lose their symmetry or wind up: without
- * excitation W decays. The regularisation is a small fraction of the largest information so far (Levenberg-Marquardt
- * recursive least squares, Ljung and Soderstrom 1983). It slows theta in hardly excited directions. If a direction has
- * only
+ * and moves theta by  theta += R^-1 W^T Z^-1 zeta (z - phi^T theta),  R = W^T Z^-1 W + regularisation. Without the
+ * regularisation this is exactly theta = W^-1 v. Sums cannot lose their symmetry or wind up: without excitation W
+ * decays. The regularisation is a small fraction of the largest information so far (Levenberg-Marquardt recursive
+ * least squares, Ljung and Soderstrom 1983). It slows theta in hardly excited directions. If a direction has only
  * the regularisation, theta is held and the status says so. With forgetting = 1 no regularisation is used, and theta
- * equals
- * the batch solution.
+ * equals the batch solution.
  *
  * Every loop has a fixed number of turns: n_parameters is a constant of the configuration. */
 #include "pmf_innovations.h"

@@ -1,13 +1,10 @@
 /* Shapes: forces of a given form and an unknown size, only in the auxiliary model (for pmf_auxiliary.c).
  * SPDX-License-Identifier: Apache-2.0
  *
- * A shape is friction at a speed, friction at a place, or a force at a place. Its form is a sine, a square, or a table
- * of
- * the configuration with straight lines between its knots. In an interval a shape acts with its mean along the motion.
- * The
- * mean over the speeds is exact for a constant acceleration. So friction that falls within a fraction of a sample's
- * speed
- * change needs no smaller steps. */
+ * A shape is friction at a speed, friction at a place, or a force at a place. Its form is a sine, a square, or a
+ * table of the configuration with straight lines between its knots. In an interval a shape acts with its mean along
+ * the motion. The mean over the speeds is exact for a constant acceleration. So friction that falls within a
+ * fraction of a sample's speed change needs no smaller steps. */
 #ifndef PMF_SHAPES_H
 #define PMF_SHAPES_H
 

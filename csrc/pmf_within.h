@@ -2,18 +2,14 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Under control through a coarse encoder the input follows the encoder's error, so that instruments from the input
- * fail.
- * The likelihood of the counts does not suffer: a body moved by the input alone lies between two edges at every sample.
- * Its
- * place, velocity and parameters have a normal distribution. The model carries this distribution from sample to sample,
- * and each count cuts it off at its nearest edge; mean and covariance of the rest are kept (assumed density filtering).
- * A
- * count far from an edge has no information, a count near an edge more than a variance of a twelfth. So standard errors
- * shrink with the number of edges and not with its root.
+ * fail. The likelihood of the counts does not suffer: a body moved by the input alone lies between two edges at
+ * every sample. Its place, velocity and parameters have a normal distribution. The model carries this distribution
+ * from sample to sample, and each count cuts it off at its nearest edge; mean and covariance of the rest are kept
+ * (assumed density filtering). A count far from an edge has no information, a count near an edge more than a
+ * variance of a twelfth. So standard errors shrink with the number of edges and not with its root.
  *
- * This assumes a right model. The distance of the place beyond an edge is compared to its own deviation, and if it is
- * too
- * large too often, the motion begins again. */
+ * This assumes a right model. The distance of the place beyond an edge is compared to its own deviation, and if it
+ * is too large too often, the motion begins again. */
 #ifndef PMF_WITHIN_H
 #define PMF_WITHIN_H
 

@@ -46,8 +46,7 @@ class Watched:
     """A machine under the monitor.
 
     With `volt` = 0, position control (`kp`, `kd`, `u_max`) makes moves of `stroke` [m or rad] in `move` [s], with
-    dwells of
-    `dwell` [s]. With `volt` > 0, the input is binary with this amplitude, held for `clock` samples.
+    dwells of `dwell` [s]. With `volt` > 0, the input is binary with this amplitude, held for `clock` samples.
     """
 
     drive: DriveParameters

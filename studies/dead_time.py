@@ -90,10 +90,8 @@ class Estimated:
     """The outcome of an estimate.
 
     `late` is the estimated dead time minus the true one [samples]. `errors` (3,) are the relative errors of mass,
-    viscous
-    and Coulomb friction. `bars` (3,) are the standard deviations, divided by those of the method that knows the dead
-    time.
-    `inside` is the fraction of the four numbers within 3 of their standard deviations.
+    viscous and Coulomb friction. `bars` (3,) are the standard deviations, divided by those of the method that knows the
+    dead time. `inside` is the fraction of the four numbers within 3 of their standard deviations.
     """
 
     late: float

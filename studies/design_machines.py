@@ -130,8 +130,7 @@ def honesty(runs: int) -> Iterator[list[str]]:
     """Yield rows on each machine and input; each figure is for m, d, F_c.
 
     The figures are: truth in the claimed interval, within 1.96 deviations, error over claimed deviation, deviation [%],
-    and
-    observed gain over the trapezoid.
+    and observed gain over the trapezoid.
     """
     for name, problem in MACHINES.items():
         choice = chosen(problem)

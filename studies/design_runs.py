@@ -35,8 +35,7 @@ class Trial:
 
     `predicted` and `unknown_start` are standard deviations (p,) [%] for white noise, with a known and an unknown start
     position. `encoder` are those of `squares_covariance`, or for `commission` those of `encoder_covariance`. `errors`
-    are
-    (runs, p) [%], and `failures` counts the runs without an estimate.
+    are (runs, p) [%], and `failures` counts the runs without an estimate.
     """
 
     predicted: Floats
@@ -97,8 +96,7 @@ def squares_covariance(problem: Problem, u: Floats) -> Floats:
     """Return the mean square error (p, p) of least squares on the counts, linearised at the nominal values.
 
     The error of the counts along the simulated motion (paper eq. 3) passes through the estimate. All start phases have
-    the
-    same weight.
+    the same weight.
     """
     maps = affine(problem)
     s = centred_sensitivities(maps.weigh_sensitivities(u))

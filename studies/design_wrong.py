@@ -29,8 +29,7 @@ class Outcome:
     """A run on an axis.
 
     `information` is the information on the mass over the optimum. `end` and `highest` are positions [m]. `slowest` is
-    the
-    least velocity between the ends, and `end_velocity` the velocity at the end [m/s].
+    the least velocity between the ends, and `end_velocity` the velocity at the end [m/s].
     """
 
     information: float

@@ -100,9 +100,8 @@ class Found:
     """The comparison of a history to the truth.
 
     `right` counts the changed axes that are named, and `others` are further named axes. `causes` and `times` count
-    correct
-    ones among the right axes. `error` and `apart` are the root mean square error of the size, relative and in standard
-    deviations. `next` is the largest score of an unnamed axis; an axis with 1 would be named.
+    correct ones among the right axes. `error` and `apart` are the root mean square error of the size, relative and in
+    standard deviations. `next` is the largest score of an unnamed axis; an axis with 1 would be named.
     """
 
     changed: int

@@ -50,10 +50,8 @@ class Kind:
     """A kind of motion.
 
     `motion` and `effect` are named below, and `dt` is the period of the log [s]. `seconds` is the length of the
-    history,
-    and `dwell` the range of rests [s]. `period` is the length of an estimate, and `tick` the period of the controller
-    [s].
-    The machine is slower than NOMINAL by the factor `scale`.
+    history, and `dwell` the range of rests [s]. `period` is the length of an estimate, and `tick` the period of the
+    controller [s]. The machine is slower than NOMINAL by the factor `scale`.
     """
 
     motion: str
@@ -200,12 +198,9 @@ class Score:
     """The results for the axes of a kind.
 
     `good` counts good ones of `periods`, and `wrong` describes the good ones that are wrong. `axes_good` and
-    `axes_wrong`
-    are the same for axes. `steps` counts the steps: `named` of them were found, `said` were reported as beyond the
-    record.
-    `false` counts named axes without a step. `codes` lists findings with their periods, and `rate` is in million
-    samples
-    per second.
+    `axes_wrong` are the same for axes. `steps` counts the steps: `named` of them were found, `said` were reported as
+    beyond the record. `false` counts named axes without a step. `codes` lists findings with their periods, and `rate`
+    is in million samples per second.
     """
 
     kind: str

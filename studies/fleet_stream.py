@@ -47,8 +47,7 @@ class Run:
     `axes` and `seconds` give the data, and `done` counts the processed samples. `lag` is the delay at the end [s], and
     `batch` the median time between two batches [s]. `caught_up` lasts from the last sample until all are processed [s].
     `cpu` is the time of all processes in units of one processor. `memory` is the peak of all processes [byte], and
-    `state`
-    the size of all axes' states in a batch [byte].
+    `state` the size of all axes' states in a batch [byte].
     """
 
     axes: int

@@ -33,8 +33,7 @@ def bound(method: IV, theta: Floats, effects: Floats, there: Flags, unknown: Flo
     """Return the least relative standard deviations (p,).
 
     `effects` (p, n) are `sensitivities`. `there` (n,) marks the samples with a known count. `unknown` (n,) is the
-    standard
-    deviation of each input.
+    standard deviation of each input.
     """
     body, dt = _body(method, theta), method.dt
     push = method.equation.input_gain * dt / theta[method.equation.leading] / body.step

@@ -63,8 +63,7 @@ class Harm:
     """Deviation of the mass from the track without wrong counts, relative to the mass.
 
     `silent` is the largest deviation without a flag, `largest` the largest at all, and `after` the one two memories
-    after
-    the last wrong count. `flagged` is the fraction of flagged samples.
+    after the last wrong count. `flagged` is the fraction of flagged samples.
     """
 
     silent: float

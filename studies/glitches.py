@@ -59,10 +59,8 @@ class Effect:
     """The effect of faults.
 
     `missed` counts the faults without a flag at their sample. `largest` and `after` are the largest deviation of a
-    parameter
-    from the track without the faults: from the first fault on, and two memories after it. A deviation of 0.02 is 2 % of
-    the
-    parameter, or one standard deviation of either track if that is larger.
+    parameter from the track without the faults: from the first fault on, and two memories after it. A deviation of 0.02
+    is 2 % of the parameter, or one standard deviation of either track if that is larger.
     """
 
     missed: int

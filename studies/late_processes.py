@@ -19,8 +19,7 @@ def simulate_late(
     """Return the output (n,) from rest under the input u (n,) of `dead_time` [s] ago, which is 0 before the record.
 
     b and a are as in `simulate_process`, but the numerator may have the order of the denominator. Separate steps lead
-    from
-    each sample to the switch of the late input and on to the next sample.
+    from each sample to the switch of the late input and on to the next sample.
     """
     u, b, a = np.asarray(u, float), np.atleast_1d(np.asarray(b, float)), np.asarray(a, float)
     whole = int(np.floor(dead_time / dt + 1e-9))
@@ -71,8 +70,8 @@ def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt:
     """Return the output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
 
     `theta` maps the time [s] to a_0 to a_{n-1}, b_0 (n + 1,). The parameters are constant over each sample, with the
-    value
-    at its middle. The exponential is a power series to fifth order, for slow parameters and poles well below 1 / dt.
+    value at its middle. The exponential is a power series to fifth order, for slow parameters and poles well below 1 /
+    dt.
     """
     u = np.asarray(u, float)
     move, x, y = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(u.size)

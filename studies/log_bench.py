@@ -60,8 +60,7 @@ class Log:
     """A variant of a log: the file from a bench's columns t, u, y, and the keys of AXIS.toml of a typical user.
 
     The user knows the names of the columns and the numbers on the data sheet, but not this program. `units` are the
-    units
-    of the user's numbers, and decide between two remedies. `mend` applies a remedy in words to the file.
+    units of the user's numbers, and decide between two remedies. `mend` applies a remedy in words to the file.
     """
 
     name: str

@@ -37,8 +37,7 @@ class Outcome:
     """The outcome of a log.
 
     `error` is the largest relative deviation of a parameter from the clean log, or None without an estimate. `said` are
-    the
-    refusals on the way, and `followed` are the remedies that were applied.
+    the refusals on the way, and `followed` are the remedies that were applied.
     """
 
     error: float | None
@@ -119,8 +118,7 @@ def by_init(log: Log, folder: Path, reference: Floats) -> Outcome:
     """Return the outcome of a log with the unedited AXIS.toml of `pmfid init`.
 
     If asked for the gain and the travel of a count, the user gives those of the data sheet. Method and pole equal those
-    of
-    the other column.
+    of the other column.
     """
     bench, keys = BENCHES[log.bench], log.config()
     said = gain(keys["model"]["input_gain"])

@@ -36,10 +36,8 @@ class Axis:
     """A machine on its bench.
 
     `dt` is the sample period [s], and `volt` the input of the open loop [V] with its `clock` [samples]. Position
-    control
-    has `kp`, `kd` and `u_max`. Moves of `stroke` [m or rad] last `move`, rests `dwell` [s]. Further fields are the
-    travel
-    per count of 4096 increments, and the speed over which Stribeck friction falls.
+    control has `kp`, `kd` and `u_max`. Moves of `stroke` [m or rad] last `move`, rests `dwell` [s]. Further fields are
+    the travel per count of 4096 increments, and the speed over which Stribeck friction falls.
     """
 
     drive: DriveParameters

@@ -1,4 +1,4 @@
-"""Study of the monitor on machines whose friction the model lacks: false alarms, and friction that grows.
+"""Study of the monitor on machines with unmodelled friction: false alarms, and growing friction.
 
 `python -m studies.monitoring_wrong_models --out results/monitoring_wrong_models.md`
 """
@@ -27,12 +27,12 @@ from studies.sections import Page, by_name
 from studies.watched_machines import FRICTIONS, HELD_BACK, MACHINES, growing, learned, normal_work
 
 SEEDS = 40
-#: Hours of normal work for each run of growing friction, and the seed of the hour that is learned from.
+#: Hours of normal work for each run of growing friction, and the seed of the learning hour.
 HOURS_PER_SEED, REFERENCE = 4, 500
 FIRST_HOUR = 1000
-#: Runs of growing friction under `glr` for one under another detector.
+#: Runs of growing friction under `glr` for each run under another detector.
 OTHERS = 5
-#: Friction that grows: by which part, from when on and for how long [s], and the whole run.
+#: Growing friction: relative growth, its beginning and duration [s], and length of the run [s].
 GROWTH, BEGIN, RAMP, WHOLE = 0.2, 60.0, 180.0, 300.0
 FRICTION = ("viscous_friction", "coulomb_friction", "friction")
 MTBF_HOURS, TOLERANCE = 24.0, 0.02
@@ -43,7 +43,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work_hours(bench: str, friction: str, seeds: int) -> dict[str, Any]:
-    """One machine, learned from one hour: what `_hours` finds."""
+    """Return the results of `_hours` for one machine, learned from one hour."""
     axis, machine = BENCHES[bench], FRICTIONS[friction](BENCHES[bench])
     return _hours(
         axis, machine, *learned(axis, machine, REFERENCE, simulated_hours(MTBF_HOURS)), HOURS_PER_SEED * seeds
@@ -51,15 +51,18 @@ def work_hours(bench: str, friction: str, seeds: int) -> dict[str, Any]:
 
 
 def work_growth(bench: str, friction: str, seeds: int) -> dict[str, list[dict[str, Any]]]:
-    """The same, what `_growth` finds, by detector."""
+    """Return the results of `_growth` for one machine, by detector."""
     axis, machine = BENCHES[bench], FRICTIONS[friction](BENCHES[bench])
     estimator, found = learned(axis, machine, REFERENCE, simulated_hours(MTBF_HOURS))
     return {name: _growth(axis, machine, estimator, found, name, seeds) for name in DETECTORS}
 
 
 def _hours(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, hours: int) -> dict[str, Any]:
-    """Alarms of every detector for every asked time in N hours, at tolerance 0; the hours; size of a unit of work
-    and its time [s]; by detector and asked time the standard error that the calibration expects."""
+    """Count the alarms of every detector for every requested time in `hours` hours, at tolerance 0.
+
+    Also returns the hours, and the size and time [s] of a unit of work. By detector and requested time, it returns the
+    standard error that the calibration expects.
+    """
     wait, parts = start_blocks(estimator, found.theta), []
     for seed in range(FIRST_HOUR, FIRST_HOUR + hours):
         blocks: Blocks = scores(estimator, found.theta, *normal_work(axis, machine, seed, 1.0), found.left_out)
@@ -80,7 +83,9 @@ def _hours(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, hou
 def _growth(
     axis: Axis, machine: Machine, estimator: RIV, found: Calibration, detector: str, seeds: int
 ) -> list[dict[str, Any]]:
-    """Of each run: names of all alarms, how many came before, delay of the first [s], and whether it says more."""
+    """Return for each run the names of all alarms, the number of early ones, the first delay [s], and further
+    content.
+    """
     runs = []
     for seed in range(seeds if detector == "glr" else max(1, seeds // OTHERS)):
         u, counts = growing(axis, machine, seed, WHOLE, GROWTH, BEGIN, RAMP)
@@ -183,7 +188,7 @@ PAGE = Page(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 

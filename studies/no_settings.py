@@ -1,4 +1,4 @@
-"""Study: fourteen real axes without a single setting of the estimator. Bias, coverage, and what is said.
+"""Study fourteen real axes without a setting of the estimator: bias, coverage, and status.
 
 `python -m studies.no_settings --out results/no_settings.md`
 """
@@ -22,13 +22,13 @@ from studies.real_axes import REAL
 from studies.sections import Page, by_name
 
 METHODS = ("auto", "iv", "output-error", "interval", "bcls", "ls", "riv", "bcrls")
-#: Increments of the encoder over those of the axis.
+#: Factors that make the axis's encoder coarser.
 COARSER = (1, 16)
 SEEDS = 4
 FIRST_SEED = 300
-#: An estimate is wrong beyond N of its error bars, both taken together.
+#: Number of combined error bars beyond which an estimate is wrong.
 WRONG = 3.0
-#: A relative error below which nobody minds how small the error bar is.
+#: Relative error below which a too small error bar does not matter.
 SMALL = 1e-3
 
 
@@ -37,7 +37,10 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, motion: str, coarser: int, seed: int) -> dict[str, Any]:
-    """Method -> errors, standard deviations and model spreads (3,) in parts of the truth, and flags; None: refused."""
+    """Return by method the errors, standard deviations and model spreads (3,), relative to the truth, and flags.
+
+    None means that the method refuses the record.
+    """
     axis = REAL[name]
     record, known = record_of(axis, Machine(axis.drive), motion, 4096 // coarser, seed), truth(axis)
     plant = {"model": pmfid.Drive(axis.drive.input_gain), "encoder": pmfid.Encoder(record.resolution), "dt": axis.dt}
@@ -119,7 +122,7 @@ PAGE = Page("no_settings", "Axes without settings", INTRODUCTION, by_name(Study(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 

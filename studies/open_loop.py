@@ -1,4 +1,4 @@
-"""Accuracy study: open loop, every method against its filters and the encoder, and against the Cramér-Rao bound."""
+"""Accuracy study in open loop: every method with several filters and encoders, against the Cramér-Rao bound."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(time_constant: int, increments: int, seed: int) -> dict[str, Floats]:
-    """theta of every method, and the bound's variances under "bound"; the slow methods with one filter only."""
+    """Return theta of every method, and the bound's variances under "bound"; slow methods have one filter only."""
     record = scenario_record("prbs", seed, increments)
     methods: tuple[str, ...] = OFF_LINE + ON_LINE
     if time_constant == TIME_CONSTANT and seed < 10:
@@ -77,7 +77,7 @@ def _spread(runs: list[dict[str, Floats]], method: str) -> str:
 
 
 def _bound(runs: list[dict[str, Floats]]) -> float:
-    """Variance of the mass [%^2]."""
+    """Return the variance of the mass [%^2]."""
     return float(np.mean([run["bound"][0] for run in runs])) * (100 / 1.07) ** 2
 
 
@@ -89,7 +89,7 @@ def _efficiencies(runs: list[dict[str, Floats]], methods: list[str]) -> list[str
 
 
 def _repeated(results: Mapping[Task, Any]) -> tuple[list[str], list[str]]:
-    """The on-line methods that repeat the off-line ones, and what to say of it."""
+    """Return the on-line methods that repeat the off-line ones, and the lines on this."""
     same, lines = [], []
     for off, on in zip(OFF_LINE, ON_LINE, strict=True):
         apart = max(float(np.max(np.abs(run[on] / run[off] - 1))) for run in results.values())

@@ -1,4 +1,4 @@
-"""One record to estimate from, another to predict: what the studies of prediction share."""
+"""Common parts of the studies of prediction: one record for the estimate, another for the prediction."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """A free run over the other record, the parameters (p,) it is of, what the method said, and the terms that were
-    searched for it."""
+    """A free run over the other record, its parameters (p,), the method's notes, and the terms that the search
+    found.
+    """
 
     run: FreeRun
     theta: Floats
@@ -57,7 +58,7 @@ class Predicted:
 
 
 def predicted(model: Drive, method: str, cutoff: float, train: Motion, test: Motion) -> Predicted | None:
-    """What a method of METHODS learns of one motion, on another; None where it has no answer."""
+    """Estimate from one motion by a method of METHODS and predict the other one; return None if the method fails."""
     cls, options = METHODS[method]
     own = {"model": model, "encoder": Encoder(train.resolution), "dt": train.dt, "cutoff": cutoff}
     estimator = construct_estimator(cls, own | options)
@@ -69,5 +70,5 @@ def predicted(model: Drive, method: str, cutoff: float, train: Motion, test: Mot
 
 
 def free_run(model: Drive, theta: Floats, cutoff: float, test: Motion) -> FreeRun:
-    """Parameters (p,) on a motion."""
+    """Return the free run of parameters (p,) on a motion."""
     return drive_run(OE(model, Encoder(test.resolution), test.dt, cutoff), theta, test.u, test.counts, "test")

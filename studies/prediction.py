@@ -1,4 +1,4 @@
-"""Study: what predicts a motion best? `python -m studies.prediction --out results/prediction.md`."""
+"""Study which method predicts a motion best: `python -m studies.prediction --out results/prediction.md`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PAGE = Page("prediction", "Prediction", INTRODUCTION, by_name(EMPS, CART, MACHIN
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 

@@ -1,4 +1,4 @@
-"""Study: a measured cart on a belt, its records predicted from others of them."""
+"""Study of a measured cart on a belt, whose records are predicted from others of them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,16 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def measured(name: str) -> Motion:
-    """A record; its first row comes a tenth of a millisecond before the second, and is left out."""
+    """Return a record without its first row, which precedes the second by a tenth of a millisecond."""
     t, current, position, _ = np.loadtxt(FOLDER / name, delimiter=",")[1:].T
     dt = float(t[-1] - t[0]) / (t.size - 1)
     return Motion(current, np.floor(position / RESOLUTION + 1e-6).astype(np.int64), RESOLUTION, dt)
 
 
 def work(name: str, model: str, method: str) -> list[list[float]]:
-    """Errors [m] over each of the other records: free, and restarted every 1, 2, 5, 10 s; none without an estimate."""
+    """Return the errors [m] over the other records: free, and restarted every 1, 2, 5, 10 s; none without an
+    estimate.
+    """
     train, others = measured(name), sorted(path.name for path in FOLDER.glob("*.csv") if path.name != name)
     rows = []
     for other in others:

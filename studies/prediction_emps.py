@@ -1,4 +1,4 @@
-"""Study: a measured drive predicted within one record, fitted on two thirds and simulated over the last."""
+"""Study of a measured drive within one record: fitted to two thirds and simulated over the last third."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from studies.predicted import EXPLAINED, METHODS, Motion, Predicted, free_run, p
 EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 CUTOFF, DT = 50.0, 1e-3
 RESOLUTIONS = (5e-8, 1e-3)
-#: A further friction model is a line here: whatever `METHODS` take, they predict.
+#: Friction models; all `METHODS` predict with each of them.
 MODELS: Mapping[str, Drive] = {
     "symmetric": Drive(1.0),
     "symmetric, offset": Drive(1.0, offset=True),
     "directional": Drive(1.0, friction="directional"),
 }
-#: The first of these with what `pmfid terms` finds in the first two thirds, by these methods.
+#: A model with the terms that `pmfid terms` finds in the first two thirds, and the methods that use it.
 SEARCHED, AFTERWARDS = "searched", ("output-error", "windows")
 #: Least squares of the authors on the whole record, the last third included (Janot, Gautier and Brunot 2019).
 PUBLISHED = {
@@ -56,7 +56,7 @@ def work(resolution: float, model: str, method: str) -> Predicted | None:
 
 
 def after_search(method: str, train: Motion, test: Motion) -> Predicted | None:
-    """The same with the terms that are found in `train`."""
+    """Return the prediction with the terms that a search finds in `train`."""
     first, encoder = next(iter(MODELS.values())), Encoder(train.resolution)
     try:
         terms = search_terms(
@@ -69,7 +69,7 @@ def after_search(method: str, train: Motion, test: Motion) -> Predicted | None:
 
 
 def measured(resolution: float) -> Motion:
-    """The whole record, seen through an encoder."""
+    """Return the whole record with the counts of an encoder."""
     from scipy.io import loadmat
 
     data = loadmat(EMPS)

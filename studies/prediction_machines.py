@@ -1,4 +1,4 @@
-"""Studies: machines whose friction the model lacks, predicted on another motion; error bars where it lacks nothing."""
+"""Studies of machines with unmodelled friction, predicted on another motion; and of error bars for right models."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from studies.predicted import EXPLAINED, METHODS, Motion, predicted
 LACKING = ("nothing", "Stribeck 30 %", "quadratic 15 %", "directional 15 %")
 MACHINES = ("rotary", "stage", "gantry")
 INCREMENTS = (512,)
-#: Seeds of the records that are predicted are this much on.
+#: Difference of the seeds between records for the estimate and for the prediction.
 OTHER = 500
 
 
@@ -30,8 +30,10 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, wrong: str, motion: str, increments: int, seed: int) -> dict[str, tuple[float, float]]:
-    """Method -> 100 less the fit [%] of the free run, and its error in parts of that of standstill when restarted at
-    the shortest horizon; infinite without an estimate."""
+    """Return for each method 100 less the fit [%] of the free run, and its error relative to standstill.
+
+    The error belongs to restarts at the shortest horizon; it is infinite without an estimate.
+    """
     axis, found = AXES[name], {}
     model, cutoff = Drive(axis.drive.input_gain), 1 / (3 * axis.dt)
     train, test = (_motion(name, wrong, motion, increments, number) for number in (seed, seed + OTHER))
@@ -70,7 +72,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
 
 
 def _cell(values: Floats) -> str:
-    """Geometric means of (runs, 2) values, and how many are missing."""
+    """Return the geometric means of values (runs, 2), and the number of missing values."""
     there = values[np.isfinite(values[:, 0])]
     if not there.size:
         return "no estimate"
@@ -92,8 +94,10 @@ def bar_tasks(seeds: int) -> list[Task]:
 
 
 def bar_work(window: float | str, seed: int) -> Floats | None:
-    """(3,) errors over error bars of windows of N filter time constants, on a machine drawn by the seed; None
-    without an estimate."""
+    """Return errors over error bars (3,) of a window on a random machine; None without an estimate.
+
+    `window` is in filter time constants.
+    """
     rng = np.random.default_rng([seed, 4])
     dt, mass, slow = 10 ** rng.uniform(-3.3, -1.9), 10 ** rng.uniform(-4, 2.5), rng.uniform(20.0, 120.0)
     clock, level = int(rng.integers(8, 30)), rng.uniform(0.1, 0.4)

@@ -1,4 +1,4 @@
-"""Study of what is said about transfer functions: do bars cover, are alarms right, does the search recommend well?"""
+"""Study of the verdicts on transfer functions: coverage of bars, right alarms, and recommendations of the search."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ from studies.process_records import (
 )
 
 QUANTILE = 1.96
-#: One search for N records.
+#: Number of records for each search.
 SEARCHES = 5
 SEARCHED = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Said:
-    """status; z: (1 + n,) errors of gain and poles over their bars."""
+    """The status, and the errors (1 + n,) of gain and poles over their bars."""
 
     status: tuple[str, ...]
     z: Floats
 
 
 def estimator_of(plant: RandomPlant, model: TransferFunction | None = None) -> SRIVC:
-    """What a person would take who knows how many poles and zeros there are."""
+    """Return the estimator that a user with known numbers of poles and zeros would take."""
     model = model or TransferFunction(plant.a.size - 1, plant.b.size - 1)
     return SRIVC(model, Encoder(1.0), plant.dt, min(2 * plant.bandwidth, 1.9 / plant.dt))
 
 
 def identified(estimator: SRIVC, record: Experiment) -> tuple[Process, Floats, tuple[str, ...]]:
-    """As `pmfid identify` does it: the process, theta (p,) and the status. Raises NotIdentifiableError."""
+    """Identify as `pmfid identify` does: return the process, theta (p,) and the status. Raises NotIdentifiableError."""
     fit, problem = estimator.fit_experiments([record]), make_problem(estimator, [record])
     theta = fit.theta / problem.structure.scale(problem.rate)
     checks = assess(problem, theta, estimator.equation.delay)
@@ -80,7 +80,7 @@ def _generator(kind: str, noise: str, seed: int) -> np.random.Generator:
 
 
 def _open(kind: str, noise: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
-    """right, wrong: what is said with the hold of the record and with the other."""
+    """Return the verdicts with the hold of the record (`right`) and with the other one (`wrong`)."""
     plant, hold = random_plant(rng), ("zoh", "foh")[int(rng.integers(2))]
     record = open_record(plant, kind, noise, LENGTHS[seed % len(LENGTHS)], hold, rng)
     other = {"zoh": "foh", "foh": "zoh"}[hold]
@@ -88,7 +88,7 @@ def _open(kind: str, noise: str, seed: int, rng: np.random.Generator) -> dict[st
 
 
 def _judged(plant: RandomPlant, record: Experiment) -> Said | None:
-    """None: refused."""
+    """Return the verdict, or None if the method refuses the record."""
     try:
         process, _, status = identified(estimator_of(plant), record)
     except NotIdentifiableError:
@@ -105,11 +105,12 @@ def _closed(kind: str, noise: str, seed: int, rng: np.random.Generator) -> Said 
 
 
 def _best_chance(noise: str, seed: int) -> float:
-    """Of the most powerful test to find a loop whose reference is white, with false alarms as rare as ours.
+    """Return the power of the best test for a loop whose reference is white, with false alarms as rare as in pmfid.
 
-    It knows all spectra and the controller (Neyman and Pearson 1933): its logarithm of the likelihood ratio is on
-    average half of what input and noise share, here N times the power of the noise over that of the reference, and
-    that is its variance."""
+    The test knows all spectra and the controller (Neyman and Pearson 1933). The mean of its log-likelihood ratio is
+    half of the information that input and noise share. Here that is the number of samples times the ratio of noise
+    power to reference power, which is also its variance.
+    """
     rng = _generator("white", noise, seed)
     plant, samples = random_plant(rng, 3), LENGTHS[seed % len(LENGTHS)]
     size = loop_noise(plant, "white", noise, samples, rng)
@@ -117,7 +118,7 @@ def _best_chance(noise: str, seed: int) -> float:
 
 
 def _order(kind: str, noise: str, seed: int, rng: np.random.Generator) -> tuple[bool, float, float]:
-    """Is the first fitted and accepted; its fit on fresh data [%], and the best of all that settled."""
+    """Return whether the first model is fitted and accepted, its fit on fresh data [%], and the best fit of all."""
     plant = random_plant(rng, 3)
     record, fresh = (open_record(plant, kind, noise, SEARCHED, "zoh", rng) for _ in range(2))
 
@@ -142,7 +143,7 @@ def _model(row: OrderCandidate) -> TransferFunction:
 
 
 def _fresh_fit(plant: RandomPlant, record: Experiment, row: OrderCandidate, theta: Floats) -> float:
-    """Percent of another record that theta (p,) explains, with initial conditions that fit it."""
+    """Return the percentage of another record that theta (p,) explains, with fitted initial conditions."""
     problem = make_problem(estimator_of(plant, _model(row)), [record])
     start = np.zeros((len(problem.stretches), problem.structure.n))
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Random linear processes, and records of them in open and in closed loop with noise of some colour."""
+"""Random linear processes, and their records in open and in closed loop with coloured noise."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from pmfid.types import Floats
 INPUTS = ("prbs", "steps", "sweep", "multisine", "white")
 NOISES = ("white", "AR(1) 0.9", "resonance")
 LENGTHS = (300, 1000, 3000, 10_000)
-#: Signal to noise [dB], evenly; in closed loop up to that of a fine encoder.
+#: Signal to noise [dB], uniform; in closed loop up to the noise of a fine encoder.
 OPEN_SNR, CLOSED_SNR = (15.0, 40.0), (20.0, 80.0)
-#: Gain of a controller times that of the process, at most, and what is left up to where the loop is unstable.
+#: Largest gain of a controller times the gain of the process, and the gain margin to instability.
 STRONG, MARGIN = 6.0, 2.0
 
 
 @dataclass(frozen=True)
 class RandomPlant:
-    """b, a in descending powers, a with its leading 1; dt [s]; bandwidth [rad/s], the mean magnitude of the poles."""
+    """Process with b, a in descending powers, a with its leading 1; dt [s]; bandwidth [rad/s], the mean pole
+    magnitude.
+    """
 
     b: Floats
     a: Floats
@@ -33,7 +35,7 @@ class RandomPlant:
 
     @property
     def poles(self) -> Floats:
-        """(n,) the slowest first, of a pair the one with the positive imaginary part: as `Process` has them."""
+        """The poles (n,), the slowest first; of a pair the one with the positive imaginary part, as in `Process`."""
         return np.array(sorted(np.roots(self.a), key=lambda p: (round(abs(p), 12), p.real, -p.imag)))
 
     @property
@@ -42,7 +44,10 @@ class RandomPlant:
 
 
 def random_plant(rng: np.random.Generator, most: int = 4) -> RandomPlant:
-    """1 to `most` poles within a decade, pairs with a damping of 0.1 to 0.9; fewer zeros, on either side."""
+    """Return a process of 1 to `most` poles within a decade, pairs with a damping of 0.1 to 0.9, and fewer zeros.
+
+    The zeros are on either side of the imaginary axis.
+    """
     n, dt = int(rng.integers(1, most + 1)), float(10 ** rng.uniform(-3, 0))
     bandwidth = float(10 ** rng.uniform(-1.3, -0.6)) / dt
     roots: list[complex] = []
@@ -58,7 +63,7 @@ def random_plant(rng: np.random.Generator, most: int = 4) -> RandomPlant:
 
 
 def make_input(kind: str, samples: int, plant: RandomPlant, rng: np.random.Generator) -> Floats:
-    """(samples,) of about one unit."""
+    """Return an input (samples,) with an amplitude of about one unit."""
     t, hold = np.arange(samples) * plant.dt, max(1, round(1 / (plant.bandwidth * plant.dt)))
     if kind == "prbs":
         return np.repeat(rng.choice([-1.0, 1.0], samples // hold + 1), hold)[:samples]
@@ -79,7 +84,7 @@ def make_input(kind: str, samples: int, plant: RandomPlant, rng: np.random.Gener
 
 
 def make_noise(kind: str, samples: int, rng: np.random.Generator) -> Floats:
-    """(samples,) of variance 1: white, AR(1) with 0.9, or a resonance of 2 % damping in white noise."""
+    """Return noise (samples,) of variance 1: white, AR(1) with 0.9, or a resonance of 2 % damping in white noise."""
     w = rng.standard_normal(samples + 1000)
     if kind == "AR(1) 0.9":
         return np.asarray(lfilter([np.sqrt(0.19)], [1.0, -0.9], w)[1000:])
@@ -93,7 +98,7 @@ def make_noise(kind: str, samples: int, rng: np.random.Generator) -> Floats:
 def open_record(
     plant: RandomPlant, kind: str, noise: str, samples: int, hold: str, rng: np.random.Generator
 ) -> Experiment:
-    """With the hold that it was made with."""
+    """Return a record with the hold that made it."""
     u = make_input(kind, samples, plant, rng)
     y = simulate_process(plant.b, plant.a, u, plant.dt, hold=hold)
     size = float(np.std(y)) * 10 ** (-rng.uniform(*OPEN_SNR) / 20)
@@ -101,12 +106,12 @@ def open_record(
 
 
 def closed_record(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> Experiment:
-    """Under proportional and integral control with a gain margin; the reference is not reported."""
+    """Return a record under proportional and integral control with a gain margin; it has no reference."""
     return _closed(plant, kind, noise, samples, rng)[0]
 
 
 def loop_noise(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> float:
-    """Standard deviation of the noise in that record; the reference has about one unit."""
+    """Return the standard deviation of the noise in that record; the reference has about one unit."""
     return _closed(plant, kind, noise, samples, rng)[1]
 
 
@@ -136,7 +141,7 @@ def _sampled(plant: RandomPlant) -> tuple[Floats, Floats]:
 
 
 def _loop(keep: Floats, move: Floats, row: Floats, strength: float, slow: float) -> Floats:
-    """Of the states and of the controller's integral."""
+    """Return the loop matrix of the states and of the controller's integral."""
     n = keep.shape[0]
     loop = np.zeros((n + 1, n + 1))
     loop[:n, :n], loop[:n, n] = keep - np.outer(move, strength * (1 + slow) * row), strength * move

@@ -24,7 +24,7 @@ from studies.paper.truth import Study, Task, table
 SNR = 10.0
 NOISES = ("white", "quantiser")
 METHODS = ("ls", "bcls", "bcrls", "known-step", "iv", "srivc", "output-error", "rsrivc")
-#: Bounds of the mean error of every parameter but b0 of the last plant [%].
+#: Bounds of the mean error of every parameter except b0 of the last plant [%].
 GOALS = {"white": 1.0, "quantiser": 2.0}
 HARD = ("rao-garnier", "b0")
 #: Relative step of the central differences for the bound.
@@ -33,7 +33,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class NoisyRecord:
-    """u, counts (n,) of an encoder; noise_std: of its position."""
+    """Input and counts (n,) of an encoder; `noise_std` belongs to its position."""
 
     u: Floats
     counts: NDArray[np.int64]
@@ -42,10 +42,11 @@ class NoisyRecord:
 
 
 def noisy_record(plant: SimulatedProcess, noise: str, seed: int) -> NoisyRecord:
-    """The plant's input from a random place in its period on, and its output with noise of 1/SNR of its power.
+    """Return the plant's input from a random place in its period, and its output with noise of 1/SNR of its power.
 
-    quantiser: rounds down to a step that has this variance, two or three levels in all, at a random
-    phase: the zero of the encoder is not known."""
+    The quantiser rounds down to a step of this variance, with two or three levels in all. Its phase is random, because
+    the zero of the encoder is unknown.
+    """
     rng = np.random.default_rng(seed)
     u = np.roll(plant.u, rng.integers(plant.u.size))
     y = simulate_process(plant.b, plant.a, u, plant.dt)
@@ -58,7 +59,7 @@ def noisy_record(plant: SimulatedProcess, noise: str, seed: int) -> NoisyRecord:
 
 
 def model_of(plant: SimulatedProcess, noise: str = NOISES[0]) -> TransferFunction:
-    """With a constant where the zero of the encoder is not known."""
+    """Return the model, with a constant if the zero of the encoder is unknown."""
     return TransferFunction(len(plant.a) - 1, len(plant.b) - 1, offset=noise == "quantiser")
 
 
@@ -67,7 +68,9 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, noise: str, seed: int) -> dict[str, Floats]:
-    """theta of every method, nan where it has none; "bound": least variances of an unbiased estimate."""
+    """Return theta of every method, nan without an estimate; "bound" has the least variances of an unbiased
+    estimate.
+    """
     plant = PLANTS[name]
     record = noisy_record(plant, noise, seed)
     found = {method: last_estimate(method, model_of(plant, noise), plant, record) for method in METHODS}
@@ -75,7 +78,7 @@ def work(name: str, noise: str, seed: int) -> dict[str, Floats]:
 
 
 def last_estimate(method: str, model: TransferFunction, plant: SimulatedProcess, record: NoisyRecord) -> Floats:
-    """(p,) of the plant at the end of a record; nan where there is none."""
+    """Return the estimate (p,) at the end of a record; nan without an estimate."""
     cls = ESTIMATORS[method]
     options: dict[str, Any] = {"prefilter_zeros": plant.zeros} if cls.instrumental else {}
     if method == "known-step":
@@ -92,7 +95,7 @@ def last_estimate(method: str, model: TransferFunction, plant: SimulatedProcess,
 
 
 def cramer_rao(plant: SimulatedProcess, record: NoisyRecord) -> Floats:
-    """Least variances (p,) of an unbiased estimate from rest with white noise (Ljung 1999, section 7.4)."""
+    """Return the least variances (p,) of an unbiased estimate from rest with white noise (Ljung 1999, section 7.4)."""
     columns = []
     for j, size in enumerate(STEP * np.abs(plant.theta)):
         shift = size * np.eye(plant.theta.size)[j]
@@ -143,7 +146,7 @@ def _description(plant: SimulatedProcess) -> str:
 
 
 def errors(runs: list[dict[str, Floats]], method: str, plant: SimulatedProcess) -> Floats:
-    """(runs, p) percent, of those with an answer."""
+    """Return errors (runs, p) in percent, of the runs with an estimate."""
     found = np.array([run[method] for run in runs])
     found = found[np.all(np.isfinite(found), axis=1)]
     return np.asarray(100 * (found - plant.theta) / np.abs(plant.theta))
@@ -159,7 +162,7 @@ def _row(method: str, runs: list[dict[str, Floats]], plant: SimulatedProcess) ->
 
 
 def efficiencies(runs: list[dict[str, Floats]], method: str, plant: SimulatedProcess) -> Floats:
-    """(p,) bound over mean square error about the truth."""
+    """Return the ratios (p,) of the bound to the mean square error about the truth."""
     bound = np.mean([run["bound"] for run in runs], axis=0) * (100 / plant.theta) ** 2
     return np.asarray(bound / np.mean(errors(runs, method, plant) ** 2, axis=0))
 

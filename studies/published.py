@@ -19,8 +19,8 @@ from studies.paper.truth import Study, Task, table
 #: Ratio of the powers of signal and noise.
 SNR = 10.0
 PLANT = PLANTS["non-minimum-phase"]
-#: What the documentation of CONTSID prints for noise on output and input: a1, a2, b0, b1 of its numbering, which are
-#: a1, a0, b1, b0 of ours.
+#: Values that the documentation of CONTSID prints for noise on output and input: its a1, a2, b0, b1 are a1, a0, b1, b0
+#: here.
 PRINTED = {
     "CONTSID, IVSVF (printed)": (1.903, 0.974, 0.856, -0.970),
     "CONTSID, SRIVC (printed)": (1.967, 0.977, 0.905, -0.927),
@@ -36,7 +36,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(case: str, seed: int) -> dict[str, Floats]:
-    """theta (p,) of each method."""
+    """Return theta (p,) of each method."""
     rng = np.random.default_rng(seed)
     u = np.roll(PLANT.u, rng.integers(PLANT.u.size))
     y = simulate_process(PLANT.b, PLANT.a, u, PLANT.dt)

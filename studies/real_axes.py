@@ -1,4 +1,4 @@
-"""Axes as they are built, from a mirror to a crane: none of them is the cart, and no constant was chosen on them."""
+"""Axes of real machines, from a mirror to a crane; none is the cart, and no constant was chosen on them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from pmfid.simulation import DriveParameters
 from studies.machines import Axis
 
-#: Of position control: natural frequency over that of a move, damping, force over what a move needs.
+#: Position control: natural frequency over that of a move, damping, and force over the need of a move.
 STIFF, DAMPED, REACH = 4.0, 0.8, 4.0
-#: Force of the open loop over what the mean speed needs, and clock over the time constant that counts.
+#: Force of the open loop over the need of the mean speed, and clock over the dominant time constant.
 PUSH, CLOCK = 2.0, 0.3
 #: Length of a record in moves and rests.
 MOVES = 16
@@ -21,8 +21,11 @@ MOVES = 16
 def axis(
     parameters: tuple[float, float, float, float], dt: float, resolution: float, stroke: float, move: float
 ) -> Axis:
-    """An axis on its bench. parameters: mass [kg or kg m2], viscous and Coulomb friction, force per unit of input; dt
-    [s], resolution [m or rad], moves of a stroke [m or rad] in `move` [s], with rests of half as long."""
+    """Return an axis on its bench.
+
+    `parameters` are mass [kg or kg m2], viscous and Coulomb friction, and force per unit of input. dt is in s, and the
+    resolution in m or rad. Moves of a stroke [m or rad] last `move` [s], rests half as long.
+    """
     drive = DriveParameters(*parameters)
     mass, viscous, coulomb, gain = parameters
     peak, speed = 5.77 * mass * stroke / move**2, stroke / move

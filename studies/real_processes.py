@@ -1,4 +1,4 @@
-"""Study of what real records need of transfer functions: integrators, m = n, unstable poles, any dead time."""
+"""Study of transfer functions for real records: integrators, m = n, unstable poles, any dead time."""
 
 from __future__ import annotations
 
@@ -22,17 +22,21 @@ from studies.paper.truth import Study, Task, table
 #: Ratio of the powers of output and noise.
 SNR = 100.0
 DT, SAMPLES, CLOCK, CUTOFF = 0.1, 1500, 3, 3.0
-#: Every pole and zero of a run is off the nominal one by up to this part.
+#: Largest relative difference of the poles and zeros of a run from the nominal ones.
 SPREAD = 0.3
-#: Median of the error over that of a normal one at the Cramér-Rao bound; share of the truth within two bars; samples.
+#: Median of the error over that of a normal error at the Cramér-Rao bound; fraction of true values within two bars;
+#: samples.
 GOAL_ERROR, GOAL_COVERAGE, GOAL_DELAY = 1.5, (0.88, 0.98), 0.1
 NORMAL_MEDIAN = 0.6745
 
 
 @dataclass(frozen=True)
 class Case:
-    """gain (b_m), zeros and poles [rad/s] of a process, the model's further options, the controller that it is under,
-    if any, the dead time [samples] where there is one, and whether the input brings integrators back."""
+    """A process with its options.
+
+    It has the gain b_m, zeros and poles [rad/s], further options of the model, a controller or None, the dead time
+    [samples] if any, and whether the input returns integrators to zero.
+    """
 
     gain: float
     zeros: tuple[complex, ...]
@@ -77,7 +81,7 @@ def tasks(seeds: int) -> list[Task]:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One simulated record, the parameters (p,) it was made with and the standard deviation of its noise."""
+    """One simulated record, its true parameters (p,) and the standard deviation of its noise."""
 
     record: Experiment
     theta: Floats
@@ -85,7 +89,7 @@ class Run:
 
 
 def simulate_run(case: Case, seed: int) -> Run:
-    """A plant near that of the case, an input of random steps, and noise of 1/SNR of the output's power."""
+    """Simulate a plant near that of the case under random steps, with noise of 1/SNR of the output's power."""
     rng = np.random.default_rng(seed)
     zeros, poles = _near(case.zeros, rng), _near(case.poles, rng)
     b, a = case.gain * np.atleast_1d(np.poly(zeros).real), np.poly(poles).real
@@ -104,13 +108,13 @@ def simulate_run(case: Case, seed: int) -> Run:
 
 
 def _near(roots: tuple[complex, ...], rng: np.random.Generator) -> Floats:
-    """Each root, a pair together, times a number of its own; those at 0 stay."""
+    """Multiply each root, a pair together, by a random number; roots at 0 stay."""
     factors = {abs(root): 1 + SPREAD * rng.uniform(-1, 1) for root in dict.fromkeys(roots)}
     return np.array([root * factors[abs(root)] for root in roots])
 
 
 def work(name: str, seed: int) -> dict[str, Floats]:
-    """error (p,) over the standard deviation of the bound, and over its own bar; nan without an estimate."""
+    """Return the errors (p,) over the standard deviation of the bound, and over the bars; nan without an estimate."""
     case = CASES[name]
     run = simulate_run(case, seed)
     estimator = SRIVC(case.model(), Encoder(1.0), DT, CUTOFF)
@@ -124,8 +128,10 @@ def work(name: str, seed: int) -> dict[str, Floats]:
 
 
 def bound(estimator: SRIVC, run: Run) -> Floats:
-    """(p,) least standard deviations of an unbiased estimate with white noise, an unknown start and the input as it
-    was (Ljung 1999, section 7.4)."""
+    """Return the least standard deviations (p,) of an unbiased estimate (Ljung 1999, section 7.4).
+
+    The noise is white, the start unknown, and the input is that of the record.
+    """
     problem = make_problem(estimator, [replace(run.record, reference=None)])
     scale = problem.structure.scale(problem.rate)
     initial = np.zeros((len(problem.stretches), problem.structure.n))
@@ -173,7 +179,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
 
 
 def summary(runs: list[dict[str, Floats]]) -> tuple[float, float]:
-    """The largest median error over that at the bound, and the share within two bars."""
+    """Return the largest median error over that at the bound, and the fraction within two bars."""
     medians = np.median(np.abs([run["bound"] for run in runs]), axis=0) / NORMAL_MEDIAN
     return float(np.max(medians)), float(np.mean(np.abs([run["bar"] for run in runs]) < 2.0))
 

@@ -1,4 +1,4 @@
-"""Section: measured records cut in four. Do the estimates from the parts agree, and how long are their intervals?"""
+"""Section on measured records cut in four: agreement of the parts' estimates, and length of their intervals."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from studies.prediction_emps import EMPS, measured
 #: Logs of a cart under relay current: 150 Hz, travel per count [m], force per current [N/A].
 CART, CART_DT, STEP, FORCE = EMPS.parents[1] / "real" / "cart_relay", 1 / 150, 8.8e-5, 3.3357
 PARTS = 4
-#: Half of an interval is at most N times the scatter of the parts.
+#: Largest ratio of half an interval to the scatter of the parts.
 LONGEST = 4.0
-#: Value from each part that has one (k,), and half its interval (k,).
+#: Values (k,) from the parts with an estimate, and half of their intervals (k,).
 Parts = tuple[Floats, Floats]
 
 
 def tasks(seeds: int) -> list[Task]:
-    """One for each record that is there."""
+    """Return one task for each existing record."""
     emps = [("EMPS",)] if EMPS.exists() else []
     return [*emps, *((path.stem,) for path in sorted(CART.glob("*.csv")))]
 
 
 def _cart(name: str) -> Motion:
-    """On an even clock, without the first two rows."""
+    """Return a record on an even clock, without its first two rows."""
     time, current, position = np.loadtxt(CART / f"{name}.csv", delimiter=",", usecols=(0, 1, 2), skiprows=2).T
     even = np.arange(time[0], time[-1], CART_DT)
     last = np.searchsorted(time, even + CART_DT / 4) - 1
@@ -38,7 +38,7 @@ def _cart(name: str) -> Motion:
 
 
 def work(name: str) -> dict[str, Parts]:
-    """The parts' estimates, by parameter."""
+    """Return the parts' estimates, by parameter."""
     emps = name == "EMPS"
     whole = measured(5e-8) if emps else _cart(name)
     model = pmfid.Drive(1.0, offset=True) if emps else pmfid.Drive(FORCE)

@@ -1,5 +1,6 @@
-"""What a change of the input's amplitude leaves of a memory, as a page:
-`python -m studies.scale --out results/scale.md`."""
+"""Study the memory of an estimate after a change of the input's amplitude, as a page:
+`python -m studies.scale --out results/scale.md`.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +23,11 @@ from studies.paper.truth import CartRecord, table
 
 #: The new amplitude over the old one.
 FACTORS = (1 / 100, 1 / 30, 1 / 10, 1 / 3, 1.0, 3.0, 10.0, 30.0, 100.0)
-#: Memories at the old amplitude, at the new one, and at that with another mass.
+#: Memories at the old amplitude, at the new one, and at the new one with another mass.
 STRETCHES = (10, 2, 3)
-#: Of the estimators: at least N samples and time constants of the axis.
+#: Memory of the estimators: at least this many samples, and at least this many time constants of the axis.
 MEMORY, TIME_CONSTANTS = 500, 5
-#: The pole of their filters times the sample period.
+#: The pole of the filters times the sample period.
 CUTOFF = 1 / 3
 #: The force of the smaller input over the Coulomb friction.
 LEAST_FORCE = 4.0
@@ -36,14 +37,14 @@ PRECISIONS = ("float64", "float32")
 CLASSES: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"riv": RIV, "bcrls": BCRLS, "rls": RLS})
 BY_PARAMETER = "by parameter"
 SCHEMES = ("exponential", "constant-trace", "window", BY_PARAMETER, "directional")
-#: Nothing was chosen on these.
+#: Axes on which nothing was chosen.
 HELD_BACK = ("spindle", "gantry")
 LIMIT = 0.05
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is measured: estimator, forgetting scheme, precision."""
+    """The measured object: estimator, forgetting scheme, precision."""
 
     method: str
     scheme: str
@@ -52,8 +53,11 @@ class Setting:
 
 @dataclass(frozen=True)
 class Outcome:
-    """factor: of the amplitude; error: of the mass at the end, relative; for least squares against an estimator that
-    saw the last stretch alone; flagged: the status at the end is not empty."""
+    """The outcome of a run.
+
+    `factor` is the factor of the amplitude, and `error` the relative error of the mass at the end. Least squares is
+    compared to an estimator that sees only the last stretch. `flagged` means a status at the end.
+    """
 
     setting: Setting
     factor: float
@@ -62,7 +66,7 @@ class Outcome:
 
 
 def settings() -> list[Setting]:
-    """All that fit together: directional forgetting is for least squares."""
+    """Return all valid combinations: directional forgetting needs least squares."""
     return [
         Setting(method, scheme, precision)
         for method in CLASSES
@@ -73,13 +77,13 @@ def settings() -> list[Setting]:
 
 
 def memory(axis: Axis) -> int:
-    """Of the axis's estimators [samples]."""
+    """Return the memory of the axis's estimators [samples]."""
     drive = axis.drive
     return max(MEMORY, math.ceil(TIME_CONSTANTS * drive.mass / drive.viscous_friction / axis.dt))
 
 
 def make(setting: Setting, axis: Axis) -> RecursiveEstimator:
-    """The estimator of an axis."""
+    """Return the estimator of an axis."""
     by_parameter = setting.scheme == BY_PARAMETER
     return CLASSES[setting.method](
         Drive(axis.drive.input_gain),
@@ -94,7 +98,7 @@ def make(setting: Setting, axis: Axis) -> RecursiveEstimator:
 
 
 def amplitude_step(axis: Axis, factor: float, seed: int) -> CartRecord:
-    """A random binary input that changes its amplitude by `factor`, and two memories later another mass."""
+    """Return a random binary input that changes its amplitude by `factor`, with another mass two memories later."""
     rng = np.random.default_rng([seed, 13])
     ends = np.cumsum(STRETCHES) * memory(axis)
     least = LEAST_FORCE * axis.drive.coulomb_friction / axis.drive.input_gain
@@ -107,7 +111,7 @@ def amplitude_step(axis: Axis, factor: float, seed: int) -> CartRecord:
 
 
 def outcomes(name: str, factor: float, seeds: int) -> Iterator[Outcome]:
-    """Every setting on `seeds` records of an axis."""
+    """Yield the outcomes of every setting on `seeds` records of an axis."""
     axis = AXES[name]
     estimators = {setting: make(setting, axis) for setting in settings()}
     last = STRETCHES[-1] * memory(axis)
@@ -124,8 +128,10 @@ def outcomes(name: str, factor: float, seeds: int) -> Iterator[Outcome]:
 
 
 def row(found: Sequence[Outcome]) -> list[str]:
-    """Median, 99 % quantile and largest error [%], the factor of the largest, those beyond the limit, and of them
-    those without a flag."""
+    """Return the cells: median, 99 % quantile and largest error [%], and the factor of the largest.
+
+    Further cells count the errors beyond the limit, and those of them without a flag.
+    """
     errors = 100 * np.array([one.error for one in found])
     beyond = [one for one in found if not one.error <= LIMIT]
     silent = sum(not one.flagged for one in beyond)
@@ -135,7 +141,7 @@ def row(found: Sequence[Outcome]) -> list[str]:
 
 
 def rows(name: str, seeds: int, factors: Sequence[float]) -> list[list[str]]:
-    """The table's rows of one axis."""
+    """Return the table's rows of one axis."""
     found = [one for factor in factors for one in outcomes(name, factor, seeds)]
     held = " (held back)" if name in HELD_BACK else ""
     return [
@@ -145,7 +151,7 @@ def rows(name: str, seeds: int, factors: Sequence[float]) -> list[list[str]]:
 
 
 def page(axes: Sequence[str], seeds: int, factors: Sequence[float]) -> str:
-    """The page, with N records of each axis and factor."""
+    """Return the page with `seeds` records of each axis and factor."""
     lines = []
     for name in axes:
         for line in rows(name, seeds, factors):

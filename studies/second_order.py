@@ -1,4 +1,4 @@
-"""Writes the record of examples/second_order.toml: `python -m studies.second_order second_order.csv`."""
+"""Write the record of examples/second_order.toml: `python -m studies.second_order second_order.csv`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PLANT = PLANTS["second-order"]
 
 
 def write(path: Path, seed: int = 0) -> None:
-    """A CSV file with t [s], u and y of 3 / (s^2 + 4 s + 3), white noise at 20 dB."""
+    """Write a CSV file with t [s], u and y of 3 / (s^2 + 4 s + 3) with white noise at 20 dB."""
     rng = np.random.default_rng(seed)
     y = PLANT.y + NOISE * np.std(PLANT.y) * rng.standard_normal(PLANT.samples)
     t = np.arange(PLANT.samples) * PLANT.dt
@@ -26,7 +26,7 @@ def write(path: Path, seed: int = 0) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes the file; returns the exit code."""
+    """Write the file and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m studies.second_order", description=__doc__)
     parser.add_argument("path", type=Path, help="CSV file to write")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default: %(default)s)")

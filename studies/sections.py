@@ -18,8 +18,10 @@ from studies.paper.truth import Study, Task
 
 @dataclass(frozen=True)
 class Page:
-    """name: of the module that writes it, and of the page in docs/; seeds: of the largest tables; parts: of the seeds
-    for sections that need fewer or more."""
+    """A page: `name` is the name of its module and of the page in docs/, `seeds` the seeds of the largest tables.
+
+    `parts` is the factor of the seeds for sections that need fewer or more.
+    """
 
     name: str
     title: str
@@ -29,7 +31,7 @@ class Page:
     parts: Mapping[str, float] = field(default_factory=dict)
 
     def main(self, description: str | None, arguments: Sequence[str] | None) -> int:
-        """Runs the studies and writes the page; returns the exit code."""
+        """Run the studies, write the page, and return the exit code."""
         names = list(self.studies)
         parser = argparse.ArgumentParser(prog=f"python -m studies.{self.name}", description=description)
         parser.add_argument("--out", type=Path, required=True, help="Markdown page to write")
@@ -48,9 +50,9 @@ class Page:
         return 0
 
     def run(self, seeds: int, jobs: int, only: Sequence[str]) -> str:
-        """The page. seeds, jobs >= 1.
+        """Return the page for `seeds` and `jobs` >= 1.
 
-        The same seeds and sections give the same page, whatever the number of processes. Raises UsageError.
+        The same seeds and sections give the same page for any number of processes. Raises UsageError.
         """
         for name, value in (("seeds", seeds), ("jobs", jobs)):
             if value < 1:
@@ -77,7 +79,7 @@ class Page:
 
 
 def write_page(page: Callable[..., str], description: str | None) -> None:
-    """Writes the page to the file that --out names; an option for each parameter of `page`, typed as its default."""
+    """Write the page to the file of --out; each parameter of `page` is an option with the type of its default."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--out", type=Path, required=True, help="Markdown page to write")
     for name, parameter in inspect.signature(page).parameters.items():
@@ -89,12 +91,12 @@ def write_page(page: Callable[..., str], description: str | None) -> None:
 
 
 def by_name(*studies: Study) -> dict[str, Study]:
-    """Name -> study, in this order."""
+    """Return the studies by name, in this order."""
     return {study.name: study for study in studies}
 
 
 def _results(work: Sequence[tuple[Callable[..., Any], Task]], jobs: int, title: str) -> list[Any]:
-    """In processes that start afresh with one thread each: neither jobs nor threads change the last bit."""
+    """Return the results of new processes with one thread each, so that jobs and threads do not change a bit."""
     from rich.console import Console
     from rich.progress import track
 

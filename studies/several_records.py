@@ -1,4 +1,4 @@
-"""Three records of a minute of one axis against one of three minutes: a part of `studies.gaps`."""
+"""Compare three records of a minute of one axis to one of three minutes: a part of `studies.gaps`."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from studies.machines import AXES, truth
 from studies.paper.truth import CartRecord, table
 
 DT, SAMPLES, CLOCK, CUTOFF, RECORDS = 0.01, 18_000, 10, 20.0, 3
-#: Axis, method and runs, over those that are asked for.
+#: Axis, method and factor of the requested runs.
 COMPARED = (("cart", "iv", 6), ("stage", "iv", 4), ("cart", "output-error", 2), ("cart", "interval", 1))
 
 
 def compared_page(seeds: int) -> Iterator[str]:
-    """A row for each axis and method, of N runs times its own number."""
+    """Yield a row for each axis and method."""
     rows = []
     for axis, method, times in COMPARED:
         pairs = [_pair(axis, method, seed) for seed in range(seeds * times)]
@@ -56,7 +56,7 @@ def compared_page(seeds: int) -> Iterator[str]:
 
 
 def _pair(name: str, method: str, seed: int) -> tuple[Floats, Floats, Floats]:
-    """Relative errors, error bars and bounds, (2, 3) each, of the one record and of the three."""
+    """Return relative errors, error bars and bounds, (2, 3) each, of the one record and of the three."""
     axis, true = AXES[name], truth(AXES[name])
     rng, resolution = np.random.default_rng([seed, 7]), AXES[name].resolution
     whole = prbs(SAMPLES, clock=CLOCK, amplitude=axis.volt, rng=rng)
@@ -83,7 +83,7 @@ def _pair(name: str, method: str, seed: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _information(method: IV, true: Floats, u: Floats) -> Floats:
-    """(p, p) of the counts of one record, with a start that nobody knows."""
+    """Return the information (p, p) of the counts of one record with an unknown start."""
     effects, time = sensitivities(method, true, u), np.arange(u.size) * method.dt
     start = np.linalg.qr(np.column_stack([np.ones(u.size), -np.expm1(-true[1] / true[0] * time)]))[0]
     own = effects - (effects @ start) @ start.T

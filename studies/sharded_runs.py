@@ -1,4 +1,4 @@
-"""What a sharded fleet costs, measured: each size in a process of its own, so that its memory is its own."""
+"""Measure the cost of a sharded fleet; each size runs in a separate process with its own memory."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from pmfid.simulation import CART, CART_DT, prbs, quantize, simulate_drive
 __all__ = ["Cost", "Spent", "estimator", "in_a_process", "kills", "motion", "per_sample"]
 
 RESOLUTION, CUTOFF, FORGETTING = 9.1e-5, 50.0, 0.999
-#: Axes with a motion of their own, of which the others are copies: more than stand side by side in any vector.
+#: Axes with different motions, of which the others are copies: more than any vector holds.
 APART = 64
-#: Samples that an axis has had before anything is measured, and of a call that is.
+#: Samples of each axis before a measurement, and samples of a measured call.
 BEFORE, CALL = 60, 10
 
 
 def estimator(cls: type[RecursiveEstimator] = BCRLS, **options: object) -> RecursiveEstimator:
-    """Of the cart, with other options."""
+    """Return the estimator of the cart with other options."""
     settings = {"model": Drive(CART.input_gain), "encoder": Encoder(RESOLUTION), "dt": CART_DT, "cutoff": CUTOFF}
     return cls(**(settings | {"forgetting": FORGETTING} | options))  # type: ignore[arg-type]
 
@@ -53,7 +53,7 @@ def _apart(samples: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
 
 
 def motion(axes: int, first: int, samples: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """u, counts (axes, samples) of carts with masses of their own under random binary inputs, from a sample on."""
+    """Return u, counts (axes, samples) of carts with different masses under random binary inputs, from a sample on."""
     u, counts = _apart(first + samples)
     copies = (-(-axes // APART), 1)
     return np.tile(u[:, first:], copies)[:axes], np.tile(counts[:, first:], copies)[:axes]
@@ -61,7 +61,7 @@ def motion(axes: int, first: int, samples: int) -> tuple[NDArray[np.float32], ND
 
 @dataclass
 class Spent:
-    """wall, processor: time [s]."""
+    """Wall time and processor time [s]."""
 
     wall: float = 0.0
     processor: float = 0.0
@@ -69,23 +69,26 @@ class Spent:
 
 @contextmanager
 def spent() -> Iterator[Spent]:
-    """What is spent in a block."""
+    """Measure the time in a block."""
     found, wall, processor = Spent(), time.perf_counter(), time.process_time()
     yield found
     found.wall, found.processor = time.perf_counter() - wall, time.process_time() - processor
 
 
 def resident() -> float:
-    """Memory of this process now [MB]."""
+    """Return the present memory of this process [MB]."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Of a fleet of N axes. state: bytes of an axis; empty, stepped, restored: memory of the process before it,
-    after the calls and of another process after the restore [MB]; step: a call of `CALL` samples; first, again, few:
-    checkpoints of all, of all once more, and of one shard; disk: bytes of the folder."""
+    """The cost of a fleet.
+
+    `state` is the size of an axis [byte]. `empty`, `stepped` and `restored` are the memory of the process before it,
+    after the calls, and of another process after the restore [MB]. `step` is a call of `CALL` samples. `first`, `again`
+    and `few` are checkpoints of all axes, of all axes again, and of one shard. `disk` is the size of the folder [byte].
+    """
 
     axes: int
     state: int
@@ -102,9 +105,9 @@ class Cost:
 
 
 def _run_fleet(folder: Path, axes: int) -> dict[str, object]:
-    """All but the restore, in this process."""
+    """Measure everything except the restore in this process."""
     single = estimator()
-    Fleet(single, 8).run(*motion(8, 0, CALL))  # what is loaded at the first call
+    Fleet(single, 8).run(*motion(8, 0, CALL))  # loads the libraries of the first call
     empty = resident()
     with ShardedFleet(folder, [single]) as fleet:
         with spent() as add:
@@ -137,7 +140,7 @@ def _restore(folder: Path) -> dict[str, object]:
 
 
 def in_a_process(axes: int) -> Cost:
-    """Of a fleet of N, in processes of their own."""
+    """Return the cost of a fleet, measured in separate processes."""
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as name:
         found = _reported("run", name, axes) | _reported("restore", name, axes)
     times = {key: Spent(**value) for key, value in found.items() if isinstance(value, dict)}
@@ -154,12 +157,12 @@ def _reported(what: str, folder: str, axes: int) -> dict[str, object]:
 
 
 def _sums(fleet: ShardedFleet) -> list[int]:
-    """A checksum of the states of every shard."""
+    """Return a checksum of the states of every shard."""
     return [zlib.crc32(shard.used.reshape(-1).data) for shard in fleet._shards]
 
 
 def _child(folder: Path, axes: int) -> None:
-    """Steps and checkpoints without end; says before each what will be in it."""
+    """Run steps and checkpoints without end; print the content of each checkpoint before it."""
     with ShardedFleet(folder, [estimator()]) as fleet:
         handles = fleet.handles() if fleet.restored else fleet.add(estimator(), axes)
         mark = int(fleet.restored.mark) if fleet.restored else 0  # type: ignore[call-overload]
@@ -173,9 +176,12 @@ def _child(folder: Path, axes: int) -> None:
 
 @dataclass(frozen=True)
 class Kill:
-    """after: how long the checkpoint under way had taken [s]; within: it was not done yet; whole: the states are bit by
-    bit those of the last one that was done, or of the one under way; newer: of the one under way; damaged: files that
-    were set aside."""
+    """The outcome of a kill.
+
+    `after` is the time since the start of the current checkpoint [s], and `within` means that it was incomplete.
+    `whole` means that the states have the bits of the last complete checkpoint or of the current one, and `newer` those
+    of the current one. `damaged` counts files that were set aside.
+    """
 
     after: float
     within: bool
@@ -185,7 +191,7 @@ class Kill:
 
 
 def kills(axes: int, times: int, seed: int = 5) -> Iterator[Kill]:
-    """N SIGKILLs within a checkpoint of all axes, at random in equal parts of the time that one takes."""
+    """Yield SIGKILLs within a checkpoint of all axes, at random in equal parts of its duration."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as name:
         for part in range(times):
@@ -200,11 +206,13 @@ def kills(axes: int, times: int, seed: int = 5) -> Iterator[Kill]:
 
 
 def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str, Any]]]:
-    """A child that has its first checkpoint done and is killed in its second, after a part of the first one's time;
-    how long that was [s], and what it said."""
+    """Run a child and kill it in its second checkpoint, after a fraction of the first one's time.
+
+    Returns that time [s] and the child's output.
+    """
     command = [sys.executable, "-m", "studies.sharded_runs", "child", str(folder), str(axes)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
-        output = child.stdout or sys.stdin  # a pipe, always
+        output = child.stdout or sys.stdin  # always a pipe
         lines = [json.loads(output.readline())]
         begun = time.perf_counter()
         lines.append(json.loads(output.readline()))
@@ -221,8 +229,10 @@ def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str,
 def per_sample(
     single: RecursiveEstimator, axes: int, samples: int, workers: int | None = 1, quantile: float = 0.0
 ) -> tuple[float, int]:
-    """Processor time of a sample of an axis [s] in calls of N, after others: a quantile of five, 0: the least;
-    bytes of an axis."""
+    """Return the processor time of a sample of an axis [s], and the bytes of an axis.
+
+    The calls have `samples` samples. The time is a quantile of five calls; 0 means the least.
+    """
     fleet = Fleet(single, axes, workers=workers)
     fleet.run(*motion(axes, 0, BEFORE))
     times = [_timed(partial(fleet.run, *motion(axes, BEFORE + k * samples, samples))) for k in range(5)]

@@ -1,4 +1,4 @@
-"""Accuracy study: from how wrong a start the methods with an auxiliary model converge."""
+"""Accuracy study of wrong starts from which the methods with an auxiliary model converge."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ WRONG = (*NAMES, "all")
 STARTS = (("none given", 1.0), ("none wrong", 1.0), *((name, factor) for name in WRONG for factor in FACTORS))
 FORGETTING = 0.99
 MOST_SEEDS = 5
-WITHIN = np.array([1.0, 1.0, 4.0])  # %
-ASTRAY = np.array([5.0, 5.0, 20.0])  # %
-END = 10.0  # s
+WITHIN = np.array([1.0, 1.0, 4.0])  # [%]
+ASTRAY = np.array([5.0, 5.0, 20.0])  # [%]
+END = 10.0  # [s]
 
 
 def tasks(seeds: int) -> list[Task]:
@@ -40,7 +40,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(scenario: str, increments: int, wrong: str, factor: float, seed: int) -> dict[str, Any]:
-    """Where iv and riv end, and what the status of riv said until it was no more than 5, 5, 20 % wrong for good."""
+    """Return the ends of iv and riv, and the status of riv until it stayed within 5, 5, 20 %."""
     record = scenario_record(scenario, seed, increments)
     initial = start_of(wrong, factor)
     outcome = estimate("iv", record, initial=initial)
@@ -49,7 +49,7 @@ def work(scenario: str, increments: int, wrong: str, factor: float, seed: int) -
 
 
 def start_of(wrong: str, factor: float) -> dict[str, float] | None:
-    """The parameters to start from: the truth, with the wrong ones times the factor."""
+    """Return the start parameters: the truth, with the wrong ones multiplied by the factor."""
     if wrong == "none given":
         return None
     return {

@@ -17,7 +17,7 @@ INCREMENTS = (4096, 2048, 1024, 512, 256, 128, 64)
 METHODS = ("riv", "bcrls", "rls")
 START = {"mass": 0.8, "viscous_friction": 10.0, "coulomb_friction": 0.3}
 FORGETTING = 0.99
-AFTER = 10.0  # s
+AFTER = 10.0  # [s]
 MOST_SEEDS = 20
 SLOW_SEEDS = 3
 
@@ -28,7 +28,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(time_constant: int, increments: int, seed: int) -> dict[str, dict[str, Any]]:
-    """Errors in percent, (k, 3), and what part of the samples was fallback; k = 1 off-line."""
+    """Return errors in percent (k, 3) and the fraction of fallback samples; k = 1 off-line."""
     record = scenario_record("stop-and-go", seed, increments)
     result: dict[str, dict[str, Any]] = {}
     slow = SLOW if seed < SLOW_SEEDS and time_constant == TIME_CONSTANTS[0] else ()

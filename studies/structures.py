@@ -22,8 +22,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, seed: int) -> tuple[tuple[int, int, int], tuple[int, int, int], float, int]:
-    """Structures of the best and of the second best candidate, how far their criteria are apart, and how many were
-    fitted."""
+    """Return the structures of the two best candidates, the difference of their criteria, and the number of fits."""
     plant, rng = PLANTS[name], np.random.default_rng(seed)
     u = np.roll(plant.u, rng.integers(plant.u.size))
     y = simulate_process(plant.b, plant.a, u, plant.dt)

@@ -22,14 +22,17 @@ from studies.paper.truth import CartRecord
 
 MOTIONS = ("prbs", "stop-and-go", "multisine")
 SAMPLES = (3000, 4500)
-#: Of the reference, over the bandwidth of the controller.
+#: Tones of the reference over the bandwidth of the controller.
 TONES = np.array([0.05, 0.12, 0.21, 0.33])
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Machines of one kind: mass [kg or kg m2], about; sample period [s]; ranges of Coulomb and viscous friction as
-    parts of the motor's force, and of the counts per sample at the usual speed."""
+    """Machines of one kind: approximate mass [kg or kg m2] and sample period [s].
+
+    Further fields are the ranges of Coulomb and viscous friction, as fractions of the motor's force, and of the counts
+    per sample at the usual speed.
+    """
 
     mass: float
     dt: float
@@ -52,9 +55,9 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "arm": Kind(3.0, 0.002, (0.1, 0.4), (0.05, 0.2), (1, 10)),
     }
 )
-#: No rule of the search was chosen on these.
+#: Kinds on which no rule of the search was chosen.
 HELD_BACK = ("table", "slide", "spindle", "press", "arm")
-#: Keys of [model] -> fields of the machine, drawn about the usual motion.
+#: Keys of [model] -> fields of the machine, drawn around the usual motion.
 Draw = Callable[["Bench", np.random.Generator], dict[str, float]]
 TERMS: Mapping[str, Draw] = MappingProxyType(
     {
@@ -75,10 +78,10 @@ TERMS: Mapping[str, Draw] = MappingProxyType(
         },
     }
 )
-#: No record tells the first apart, a spring brings an offset, and of the others the machine scales all friction by the
-#: direction, the model viscous and Coulomb friction alone.
+#: Pairs that are left out. No record separates the first pair, and a spring brings an offset. In the other pairs, the
+#: machine scales all friction by the direction, the model only viscous and Coulomb friction.
 SAME = ({"offset", "friction"}, {"offset", "spring"}, {"friction", "quadratic"}, {"friction", "stribeck"})
-#: Of the integration in each sample: coarser ones move the frictions by several error bars.
+#: Steps of the integration in each sample: fewer steps move the frictions by several error bars.
 STEPS = 50
 PAIRS = tuple(pair for pair in combinations(TERMS, 2) if set(pair) not in SAME)
 NONE, ONE, TWO = 12, 24, 24
@@ -87,7 +90,8 @@ NONE, ONE, TWO = 12, 24, 24
 @dataclass(frozen=True)
 class Bench:
     """A drive and its motion: sample period dt [s], samples, motor's force, usual speed, stroke, clock [samples],
-    resolution."""
+    resolution.
+    """
 
     drive: DriveParameters
     dt: float
@@ -100,14 +104,14 @@ class Bench:
 
 
 def truths() -> list[tuple[str, ...]]:
-    """The terms of each machine of the study."""
+    """Return the terms of each machine of the study."""
     names, order = list(TERMS), np.random.default_rng(29).permutation(len(PAIRS))
     ones = [(names[k % len(names)],) for k in range(ONE)]
     return [*[()] * NONE, *ones, *(PAIRS[k] for k in order[:TWO])]
 
 
 def kind_of(number: int) -> str:
-    """One kind after the other, and of the next round each with another term."""
+    """Return the kind of a machine: all kinds by turns, in the next round with other terms."""
     return list(KINDS)[(number + number // len(KINDS)) % len(KINDS)]
 
 
@@ -126,7 +130,7 @@ def bench_of(kind: Kind, motion: str, rng: np.random.Generator) -> Bench:
 def machine_of(number: int, seed: int) -> tuple[Bench, Machine, CartRecord, str]:
     """One machine of the study, its record and the kind of its motion."""
     rng = np.random.default_rng([29, seed, number])
-    # of a random walk of thousands of pitches the pitch is not looked for
+    # the search for a pitch does not cover a random walk over thousands of pitches
     motions = MOTIONS[1:] if "cogging" in truths()[number] else MOTIONS
     motion = motions[int(rng.integers(len(motions)))]
     bench = bench_of(KINDS[kind_of(number)], motion, rng)

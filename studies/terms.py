@@ -1,4 +1,4 @@
-"""Study: does the search name the terms that a drive has? `python -m studies.terms --out results/terms.md`."""
+"""Study whether the search names the terms of a drive: `python -m studies.terms --out results/terms.md`."""
 
 from __future__ import annotations
 
@@ -18,20 +18,24 @@ from studies.paper.truth import Study, Task, table
 from studies.sections import Page, by_name
 from studies.term_machines import HELD_BACK, KINDS, MOTIONS, SAMPLES, Bench, kind_of, machine_of, truths
 
-#: Seed of the halves: the first whose halves have as many machines without, with one and with two terms.
+#: Seed of the halves: the first whose halves have equally many machines with none, one and two terms.
 DRAWN = 16
-#: Searches after each other, each from the model that the last one has found.
+#: Successive searches, each from the model of the last one.
 MOST_SEARCHES = 3
-#: Error bars within which the truth is to be, and the part of a value below which an error does not matter.
+#: Error bars within which the truth must lie, and relative error that does not matter.
 BARS, SMALL = 3.0, 1e-3
 
 
 @dataclass(frozen=True)
 class Named:
-    """What the searches have named. wrong: terms that the machine has not; missing: those that it has; searches: until
-    one adds nothing, 0: none did; bars, worst: the largest error in its error bars and relative; outside: parameters
-    beyond BARS and SMALL; worse: terms kept although the held-out error is larger with them; sizeless: terms kept
-    without a value or an error bar; status; seconds: of the first search."""
+    """The result of the searches.
+
+    `wrong` are terms that the machine lacks, and `missing` terms that were not found. `searches` counts the searches
+    until one adds nothing; 0 means that each added a term. `bars` and `worst` are the largest error in its error bars
+    and relative to the value. `outside` counts parameters beyond BARS and SMALL. `worse` are terms kept in spite of a
+    larger held-out error, and `sizeless` terms without a value or an error bar. `seconds` is the time of the first
+    search.
+    """
 
     motion: str
     wrong: tuple[str, ...]
@@ -51,13 +55,13 @@ class Named:
 
 
 def tasks(seeds: int) -> list[Task]:
-    """Half of the machines with each of two seeds, drawn so that each half has all kinds and as many terms."""
+    """Return half of the machines with each of two seeds; each half has all kinds and equally many terms."""
     order = np.random.default_rng(DRAWN).permutation(len(truths())).tolist()
     return [(number, 0) for number in order[: seeds * len(order) // 2]]
 
 
 def work(number: int, seed: int) -> Named | str:
-    """The error's text where the search is refused."""
+    """Return the result, or the error's text if the search is refused."""
     from time import process_time
 
     bench, machine, record, motion = machine_of(number, seed)
@@ -93,7 +97,7 @@ def work(number: int, seed: int) -> Named | str:
 
 
 def true_values(machine: Machine) -> dict[str, float]:
-    """By the names of parameters, those that the machine has; of waves their size."""
+    """Return the machine's true values by parameter name; waves have their size."""
     drive, more = machine.drive, machine.asymmetry
     known = {"mass": drive.mass, "viscous_friction": drive.viscous_friction, "offset": drive.offset}
     known |= {"coulomb_friction": drive.coulomb_friction, "stribeck_friction": machine.stribeck}
@@ -106,8 +110,10 @@ def true_values(machine: Machine) -> dict[str, float]:
 
 
 def _errors(found: TermSearch, bench: Bench, machine: Machine) -> Iterator[tuple[str, float, float, float]]:
-    """Name, error, error bar and size of each parameter. The load of a spring has no truth: its length counts from the
-    first count, which is known to a count."""
+    """Yield name, error, error bar and size of each parameter.
+
+    The load of a spring has no truth: its length counts from the first count, which is known to a count.
+    """
     trial, fit, known = found.chosen.trial, found.chosen.fit, true_values(machine)
     equation = trial.model.equation
     names = [*equation.names, *dict(equation.further)]
@@ -226,7 +232,7 @@ PAGE = Page("terms", "Which terms does a drive have?", INTRODUCTION, by_name(STU
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 

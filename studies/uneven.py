@@ -1,4 +1,4 @@
-"""Study of records as they come: uneven spacing, missing samples, several records."""
+"""Study of real records: uneven spacing, missing samples, several records."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from studies.paper.truth import Study, Task, table
 
 SNR = 10.0
 JITTER, MISSING, RECORDS, BURSTS = 0.3, 0.1, 3, 10
-#: Root mean square error over that of the clean record, at most.
+#: Largest allowed root mean square error over that of the clean record.
 GOAL = 1.5
 CASES = ("clean", "jitter", "missing", "rows lost", "three records", "all")
 
@@ -27,7 +27,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, seed: int) -> dict[str, Floats]:
-    """theta (p,) of each case; all cases have the same number of instants."""
+    """Return theta (p,) of each case; all cases have the same number of instants."""
     plant, rng = PLANTS[name], np.random.default_rng(seed)
     std = float(np.std(plant.y)) / np.sqrt(SNR)
     n = plant.samples
@@ -44,7 +44,7 @@ def work(name: str, seed: int) -> dict[str, Floats]:
 def _record(
     plant: SimulatedProcess, samples: int, jitter: float, missing: float, std: float, rng: np.random.Generator
 ) -> Experiment:
-    """A part of the plant's input from a random place on; each instant is off by up to `jitter` periods."""
+    """Return a part of the plant's input from a random place; each instant is off by up to `jitter` periods."""
     u = np.roll(plant.u, rng.integers(plant.u.size))[:samples]
     t = (np.arange(samples) + rng.uniform(-jitter, jitter, samples)) * plant.dt
     y = simulate_process(plant.b, plant.a, u, np.diff(t)) + std * rng.standard_normal(samples)
@@ -53,7 +53,7 @@ def _record(
 
 
 def _with_rows_lost(record: Experiment, rng: np.random.Generator) -> Experiment:
-    """The logger lost rows, in a few bursts: what the input did in between is not known."""
+    """Return the record with rows lost in a few bursts; the input in between is unknown."""
     kept, length = np.ones(record.u.size, bool), round(MISSING * record.u.size / BURSTS)
     for start in rng.integers(0, record.u.size - length, BURSTS):
         kept[start : start + length] = False

@@ -1,5 +1,7 @@
-"""Every method on clocks that are not even, at true stamps, against an even clock of the same mean rate: errors and
-coverage. `python -m studies.uneven_clocks --seeds 3 [--held-back] [--judged]`."""
+"""Compare every method on uneven clocks with true stamps to an even clock of the same mean rate: errors, coverage.
+
+`python -m studies.uneven_clocks --seeds 3 [--held-back] [--judged]`
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,14 @@ METHODS: Mapping[str, type[Estimator]] = {
 }  # fmt: skip
 INCREMENTS, MOTIONS, SAMPLES = (1024, 128), ("prbs", "stop-and-go"), 3000
 TOLERANCE = 0.01  # of a parameter, as [estimator] tolerance
-#: The bench of each machine, and the gravity of a pendulum on top of it [N m].
+#: The bench of each machine, and the additional gravity of a pendulum [N m].
 MACHINES = {"cart": ("cart", 0.0), "rotary": ("rotary", 0.0), "40 kg": ("gantry", 0.0), "pendulum": ("rotary", 0.15)}
-#: On which nothing was tuned.
+#: Machines on which nothing was tuned.
 HELD_BACK = {"spindle": ("spindle", 0.0), "stage": ("stage", 0.0), "500 kg": ("heavy", 0.0)}
 
 
 def jitter(part: float) -> Callable[[np.random.Generator], Floats]:
-    """Instants that are off an even grid by up to this part of a period."""
+    """Return a clock whose instants deviate from an even grid by up to this fraction of a period."""
     return lambda rng: np.diff(np.arange(SAMPLES + 1) + part * rng.uniform(-1, 1, SAMPLES + 1))
 
 
@@ -65,7 +67,7 @@ def make_plant(bench: str, gravity: float) -> Plant:
 
 
 def move(plant: Plant, motion: str, resolution: float, steps: Floats, seed: int) -> tuple[Floats, Counts]:
-    """Input and counts (n,) at samples that are steps (n,) [s] apart; the motion is exact between them."""
+    """Return input and counts (n,) at samples with steps (n,) [s]; the motion is exact between them."""
     axis, rng = plant.axis, np.random.default_rng([seed, 11])
     phase, (kp, kd, most) = rng.random(), (axis.control[name] for name in ("kp", "kd", "u_max"))
     u = prbs(SAMPLES, clock=axis.clock, amplitude=axis.volt, rng=rng)
@@ -77,7 +79,9 @@ def move(plant: Plant, motion: str, resolution: float, steps: Floats, seed: int)
     for k, step in enumerate(steps.tolist()):
         counts[k] = math.floor(x / resolution + phase)
         if motion == "stop-and-go":
-            last = max(axis.dt if k == 0 else steps[k - 1], 0.5 * axis.dt)  # as one who knows of bursts
+            last = max(
+                axis.dt if k == 0 else steps[k - 1], 0.5 * axis.dt
+            )  # the controller of an engineer who knows of bursts
             speed = (counts[k] - before) * resolution / last
             u[k] = np.clip(kp * (reference[k] - counts[k] * resolution) - kd * speed, -most, most)
         mean, v = simulate_motion(plant.model.equation, plant.truth, np.array([step]), u[k : k + 1], v, x, 16)
@@ -132,7 +136,7 @@ def measure(machines: Mapping[str, tuple[str, float]], seeds: range, judged: boo
 def report(
     found: Mapping[tuple[str, ...], list[Floats]], method: str, clock: str, refused: Mapping[tuple[str, str], int]
 ) -> None:
-    """One line: the geometric mean of the ratios of the cells, each over all parameters."""
+    """Print one line: the geometric mean of the cells' ratios, each over all parameters."""
     size = {key: np.sqrt(np.mean(np.square(np.array(one)[:, 0]), axis=0)) for key, one in found.items()}
     keys = [key for key in size if key[0] == clock and ("even", *key[1:]) in size]
     if not keys:

@@ -1,4 +1,4 @@
-"""Study of a process that changes all the time: recursive methods next to each other."""
+"""Study of a process that changes all the time, which compares recursive methods."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOISE_VARIANCE = 0.1
 #: Seconds at the start that do not count.
 START = 50.0
 GOAL = 5.0
-#: Method, memory [s], and that of b0.
+#: Method, memory [s], and memory of b0 [s].
 CASES: dict[str, tuple[type[RLS | BCRLS | RSRIVC], float, float]] = {
     "`rls`, 12 s": (RLS, 12.0, 12.0),
     "`bcrls`, 12 s": (BCRLS, 12.0, 12.0),
@@ -35,7 +35,7 @@ JUDGED = ("`rsrivc`, 12 s", "`rsrivc`, 4 s, b0 40 s")
 
 
 def truth(t: Floats) -> Floats:
-    """(n, 3): a0, a1, b0 at the times t (n,)."""
+    """Return a0, a1, b0 (n, 3) at the times t (n,)."""
     return np.column_stack([160 - 90 * np.cos(2 * np.pi * t / SECONDS), 5 + 40 * t / SECONDS, np.full(t.size, 200.0)])
 
 
@@ -44,7 +44,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(seed: int) -> dict[str, Floats]:
-    """For each case (2, 3): root mean square error in percent, of the value at each time and of its own RMS."""
+    """Return for each case the root mean square errors (2, 3) in percent of the present value and of the RMS value."""
     rng = np.random.default_rng(seed)
     t: Floats = np.arange(round(SECONDS / DT), dtype=float) * DT
     u = prbs(t.size, clock=CLOCK, amplitude=1.0, rng=rng)

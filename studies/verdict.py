@@ -1,6 +1,6 @@
-"""Study: is the status empty where the model is right, is it up where an error matters, and do the intervals cover?
+"""Study of the status and the intervals: empty for a right model, set for a relevant error, with coverage.
 
-Random machines, motions and encoders, each with one thing that the model lacks, two, or none.
+Random machines, motions and encoders have none, one or two unmodelled effects.
 `python -m studies.verdict --out results/verdict.md`
 """
 
@@ -33,8 +33,10 @@ Rng = np.random.Generator
 
 
 def random_axis(rng: Rng) -> Axis:
-    """A machine of 1e-5 to 500 kg or kg m2: friction from 5 to 60 % of the force of a move, 60 to 400 samples and 50
-    to 30 000 counts in a move."""
+    """Return a machine of 1e-5 to 500 kg or kg m2, with friction from 5 to 60 % of the force of a move.
+
+    A move has 60 to 400 samples and 50 to 30 000 counts.
+    """
     mass, move = 10 ** rng.uniform(-5, 2.7), 10 ** rng.uniform(-1, 0.5)
     stroke = 10 ** rng.uniform(-1.5, 1)
     force = 5.77 * mass * stroke / move**2
@@ -46,13 +48,13 @@ def random_axis(rng: Rng) -> Axis:
 
 
 def _bent(u: Floats, zone: float, most: float) -> Floats:
-    """The input that acts: none of it within a dead zone, and no more than the most."""
+    """Return the acting input: zero within a dead zone, and limited by `most`."""
     size = float(np.max(np.abs(u)))
     return np.sign(u) * np.clip(np.abs(u) - zone * size, 0.0, most * size)
 
 
 def _levels(axis: Axis, rng: Rng) -> Floats:
-    """Steps of random heights, held as those of `prbs`."""
+    """Return steps of random heights, held as in `prbs`."""
     heights = axis.volt * rng.uniform(-1.5, 1.5, axis.samples // axis.clock + 1)
     return np.asarray(np.repeat(heights, axis.clock)[: axis.samples])
 
@@ -78,8 +80,10 @@ BOTH = (*OPEN, *CLOSED)
 
 @dataclass(frozen=True)
 class Wrong:
-    """What the model lacks: further of the machine by name; zone, most: of the input, in parts of its largest; motions
-    under which it is seen."""
+    """An unmodelled effect: further terms of the machine by name, and `zone` and `most` of the input.
+
+    `zone` and `most` are fractions of the largest input, and `motions` are the motions that show the effect.
+    """
 
     further: Callable[[Axis, Rng], dict[str, float]]
     motions: tuple[str, ...] = BOTH
@@ -148,7 +152,7 @@ WRONG: Mapping[str, Wrong] = MappingProxyType(
 
 
 def run(wrong: str, seed: int) -> tuple[Axis, str, CartRecord]:
-    """A random machine, its motion and one record of it."""
+    """Return a random machine, its motion and one record of it."""
     rng = np.random.default_rng([seed, list(WRONG).index(wrong)])
     axis, what = random_axis(rng), WRONG[wrong]
     motion = what.motions[int(rng.integers(len(what.motions)))]
@@ -159,7 +163,7 @@ def run(wrong: str, seed: int) -> tuple[Axis, str, CartRecord]:
 
 
 def record(axis: Axis, machine: Machine, what: Wrong, motion: str, rng: Rng) -> CartRecord:
-    """One run."""
+    """Simulate one run."""
     resolution = axis.resolution
     phase = resolution * rng.random()
     if motion in OPEN:
@@ -171,8 +175,11 @@ def record(axis: Axis, machine: Machine, what: Wrong, motion: str, rng: Rng) -> 
 
 @dataclass(frozen=True)
 class Report:
-    """What `identify` says of a record. error, std, half: each (3,), in parts of the truth, half of the interval above
-    the value; None where it refuses; status: or the reason; shown: can this input show a dead zone?"""
+    """The result of `identify` on a record.
+
+    error, std and half are (3,), relative to the truth; `half` is half of the interval above the value. They are None
+    for a refusal, whose reason is the status. `shown` is whether the input can show a dead zone.
+    """
 
     status: tuple[str, ...]
     shown: bool
@@ -182,7 +189,7 @@ class Report:
 
     @property
     def matters(self) -> bool:
-        """Is a parameter off by more than its bars and the tolerance allow?"""
+        """Return whether the error of a parameter exceeds its bars and the tolerance."""
         if self.error is None or self.std is None:
             return False
         return bool(np.any(np.abs(self.error) > np.maximum(TUNING.noise_limit * self.std, TUNING.matter_tolerance)))
@@ -262,7 +269,7 @@ PAGE = Page("verdict", "Does the status mean something?", INTRODUCTION, by_name(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the study and writes the page; returns the exit code."""
+    """Run the study, write the page, and return the exit code."""
     return PAGE.main(__doc__, arguments)
 
 

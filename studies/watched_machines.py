@@ -1,5 +1,4 @@
-"""Machines that the monitor watches though its model lacks a part of their friction: normal work, and friction that
-grows."""
+"""Machines with partly unmodelled friction under the monitor: normal work, and growing friction."""
 
 from __future__ import annotations
 
@@ -21,15 +20,15 @@ from studies.friction_axes import stribeck
 from studies.machines import Axis
 from studies.monitoring.axis import random_stop_and_go
 
-#: The constants of the units of work were chosen on the first.
+#: Machines; the constants of the units of work were chosen on the first.
 MACHINES = ("cart", "slide", "heavy")
 HELD_BACK = ("slide", "heavy")
-#: Increments are a quarter of those that the resolution of an axis is given for: 1024.
+#: Factor to the axis's resolution, which gives 1024 increments.
 COARSER = 4
 #: Memory of the estimate [s].
 MEMORY = 1.0
 REFERENCE_HOURS = 1.0
-#: Friction grows in N steps, each while the axis rests.
+#: Number of steps in which friction grows, each while the axis rests.
 STEPS = 30
 
 FRICTIONS: Mapping[str, Callable[[Axis], Machine]] = MappingProxyType(
@@ -44,13 +43,13 @@ FRICTIONS: Mapping[str, Callable[[Axis], Machine]] = MappingProxyType(
 
 
 def usual_force(axis: Axis) -> float:
-    """Root mean square of the input's force in normal work [N]."""
+    """Return the root mean square of the input's force in normal work [N]."""
     u, _ = normal_work(axis, Machine(axis.drive), 99, 0.1)
     return axis.drive.input_gain * float(np.sqrt(np.mean(u**2)))
 
 
 def normal_work(axis: Axis, machine: Machine, seed: int, hours: float) -> tuple[Floats, Counts]:
-    """Input and counts (n,) of moves to and fro, each varied at random, under position control."""
+    """Return input and counts (n,) of moves in both directions, each varied at random, under position control."""
     rng, resolution = np.random.default_rng([seed, 5]), COARSER * axis.resolution
     reference = _reference(axis, hours * 3600, rng)
     run = control_machine(
@@ -62,7 +61,7 @@ def normal_work(axis: Axis, machine: Machine, seed: int, hours: float) -> tuple[
 def growing(
     axis: Axis, machine: Machine, seed: int, seconds: float, growth: float, begin: float, ramp: float
 ) -> tuple[Floats, Counts]:
-    """The same while all friction grows by the part `growth` from `begin` on in `ramp` [s]."""
+    """Return input and counts (n,) while all friction grows by the fraction `growth` from `begin` on in `ramp` [s]."""
     rng, resolution = np.random.default_rng([seed, 6]), COARSER * axis.resolution
     reference, phase = _reference(axis, seconds, rng), resolution * rng.random()
     cuts = [0, *(_rest(reference, round(time / axis.dt)) for time in begin + ramp * np.arange(STEPS) / STEPS)]
@@ -86,7 +85,7 @@ def growing(
 
 
 def _worn(machine: Machine, factor: float, place: float) -> Machine:
-    """With all friction larger by a factor, seen from where it rests [m]."""
+    """Return the machine with all friction larger by a factor, in coordinates from its place of rest [m]."""
     drive = machine.drive
     grown = replace(
         drive, viscous_friction=factor * drive.viscous_friction, coulomb_friction=factor * drive.coulomb_friction
@@ -96,7 +95,7 @@ def _worn(machine: Machine, factor: float, place: float) -> Machine:
 
 
 def _rest(reference: Floats, index: int) -> int:
-    """The last sample of the first rest of a reference after an index."""
+    """Return the last sample of the first rest of a reference after an index."""
     still = np.diff(reference[index:]) == 0
     return index + int(np.flatnonzero(still[:-1] & ~still[1:])[0]) + 1
 
@@ -106,7 +105,9 @@ def _reference(axis: Axis, seconds: float, rng: np.random.Generator) -> Floats:
 
 
 def learned(axis: Axis, machine: Machine, seed: int, hours: float) -> tuple[RIV, Calibration]:
-    """Estimator and calibration from an hour of normal work, its parameters by `iv`, as `pmfid monitor` does it."""
+    """Return estimator and calibration from an hour of normal work; the parameters come from `iv`, as in `pmfid
+    monitor`.
+    """
     u, counts = normal_work(axis, machine, seed, REFERENCE_HOURS)
     encoder, model = Encoder(COARSER * axis.resolution), Drive(axis.drive.input_gain)
     cutoff, forgetting = 0.5 / axis.dt, 1 - axis.dt / MEMORY

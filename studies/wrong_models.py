@@ -1,4 +1,4 @@
-"""Accuracy study: models wrong on purpose, and a creep too slow for the encoder."""
+"""Accuracy study of models that are wrong on purpose, and of a creep too slow for the encoder."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ METHODS = ("iv", "riv", "bcls", "ls", *SLOW)
 INCREMENTS = 1024
 FORGETTING = 0.99
 MOST_SEEDS = 5
-#: Outside these multiples of the truth an estimate has diverged.
+#: Multiples of the truth outside which an estimate has diverged.
 LOW, HIGH = 0.3, 3.0
-AFTER = 5.0  # s
+AFTER = 5.0  # [s]
 ON_DRIVES = tuple(methods_for(Drive(1.0)))
-STEPS_OF_CREEP = (0.0, 0.001, 0.005)  # m
+STEPS_OF_CREEP = (0.0, 0.001, 0.005)  # [m]
 SAMPLES_PER_COUNT = 20
 
 
@@ -62,7 +62,7 @@ def work(scenario: str, wrong: str, seed: int) -> dict[str, Any]:
 
 
 def outcomes(record: CartRecord, methods: tuple[str, ...]) -> dict[str, Outcome]:
-    """Every method's judged result; forgetting 0.99 for the recursive ones."""
+    """Return every method's judged result; the recursive ones forget with 0.99."""
     options = {"forgetting": FORGETTING}
     recursive = ("rls", "bcrls", "rknown-step", "riv")
     return {m: estimate(m, record, judged=True, **(options if m in recursive else {})) for m in methods}
@@ -125,7 +125,9 @@ def creep_tasks(seeds: int) -> list[Task]:
 
 
 def creep(step: float, seed: int) -> dict[str, Outcome]:
-    """A ramp of one count per 20 samples, and a step to and fro every two seconds."""
+    """Return the outcomes for a ramp of one count per 20 samples with a step in alternating directions every two
+    seconds.
+    """
     resolution = resolution_of(INCREMENTS)
     k = np.arange(3000)
     reference = resolution * k / SAMPLES_PER_COUNT + step * (k // 200 % 2)

@@ -1,4 +1,4 @@
-"""Plants that the drive's model does not describe: the cart, and what the model lacks."""
+"""Plants that the drive's model does not describe: the cart with unmodelled effects."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from pmfid.simulation import (
 )
 from studies.paper.truth import CartRecord
 
-KP, KD, U_MAX = 200.0, 5.0, 6.0  # those of the scenario "stop-and-go"
-#: What is wrong -> the plant; the first is right, so that the simulation itself can be judged.
+KP, KD, U_MAX = 200.0, 5.0, 6.0  # control of the scenario "stop-and-go"
+#: Unmodelled effect -> the plant; the first plant has none, so that the simulation itself can be judged.
 PLANTS: Mapping[str, Machine] = MappingProxyType(
     {
         "nothing": Machine(CART),
@@ -47,7 +47,7 @@ DESCRIPTIONS: Mapping[str, str] = MappingProxyType(
 
 
 def wrong_record(plant: Machine, scenario: str, seed: int, increments: int, samples: int = 3000) -> CartRecord:
-    """The scenario "prbs" or "stop-and-go" with another plant; the same random numbers in the same order."""
+    """Return the scenario "prbs" or "stop-and-go" with another plant and the same random numbers."""
     rng = np.random.default_rng(seed)
     resolution = resolution_of(increments)
     phase = resolution * rng.random()

@@ -31,8 +31,7 @@ class Fault:
     """A fault of a logger.
 
     `do` returns the lines with the fault from row k onwards. `lasts` is the number of wrong lines from row k. `first`
-    is the
-    first row at which the fault is possible. `said` is whether the totals of a run count the fault.
+    is the first row at which the fault is possible. `said` is whether the totals of a run count the fault.
     """
 
     do: Callable[[list[Row], int, np.random.Generator], Text]

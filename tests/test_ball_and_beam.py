@@ -21,8 +21,7 @@ def test_two_integrators_predict_better_than_the_last_slope():
     """The model is fitted to the first half and predicts 50 samples of the second half with known input.
 
     Each prediction starts from a free fit to the preceding 20 samples. The model's root mean square error must be less
-    than
-    the error of straight lines through the last 2 to 20 samples.
+    than the error of straight lines through the last 2 to 20 samples.
     """
     u, y = np.loadtxt(str(RECORD), delimiter=",", skiprows=1).T
     half, model = u.size // 2, TransferFunction(2, 0, integrators=2)

@@ -149,8 +149,7 @@ def in_ways(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> lis
     """Return number, precision and way of the cases.
 
     `make test` has the methods in both precisions and their options in one by turns. Each case has the widest way and,
-    by
-    turns, one of the others.
+    by turns, one of the others.
     """
     return [
         pytest.param(

@@ -91,8 +91,7 @@ def records() -> tuple[Floats, Counts]:
     """Return records (axes, n) of four axes.
 
     The mass of the first grows, and the second stops. The third has lost samples and glitches. The counter of the
-    fourth
-    wraps, and its friction grows.
+    fourth wraps, and its friction grows.
     """
     heavier = Schedule(((0.0, CART), (6.0, replace(CART, mass=1.3 * CART.mass))))
     rougher = Schedule(((0.0, CART), (9.0, replace(CART, coulomb_friction=1.8 * CART.coulomb_friction))))

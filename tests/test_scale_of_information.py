@@ -84,8 +84,7 @@ def test_an_hour_of_standstill_is_harmless_in_every_scheme(cls, scheme, precisio
     """The earlier estimate stays, and one memory later it equals the original.
 
     A window drops its older blocks until hardly any information remains, so that its estimate rests on fewer samples.
-    The
-    estimate of the mass stays, too.
+    The estimate of the mass stays, too.
     """
     head, still = 2000, 360_000
     wave = prbs(2 * head, clock=10, amplitude=6.0, rng=np.random.default_rng(6))

@@ -1,9 +1,8 @@
-/* Can these numbers be a configuration of this build?
+/* Check whether numbers can be a configuration of this build.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Python fills the structure and hands it over whole. What steers memory, as a number of turns or as an index, is
- * compared here with the room that there is, whoever filled it; an exported configuration has been through this.
- */
+ * Python fills the structure and passes it as a whole. Every value that steers memory, as a number of turns or as an
+ * index, is compared here to the available room, whoever filled it. An exported configuration has passed this check. */
 #include "pmf_many.h"
 
 #define NODES (PMF_SIGNALS + PMF_MAX_STAGES)
@@ -31,7 +30,7 @@ static uint32_t network_fits(const pmf_network_config_t *network)
     return fits;
 }
 
-/* Regressors, target and instruments from `first` on. */
+/* Regressors, target and instruments from column `first`. */
 static uint32_t columns_fit(uint32_t first, uint32_t parameters, uint32_t instrumental)
 {
     return parameters <= PMF_MAX_PARAMETERS && first < PMF_MAX_COLUMNS && instrumental <= 1U &&
@@ -40,7 +39,7 @@ static uint32_t columns_fit(uint32_t first, uint32_t parameters, uint32_t instru
                : 0U;
 }
 
-/* The constant and the coefficient that it is lifted by: both or none. */
+/* The constant needs the coefficient of its lift: both exist or none. */
 static uint32_t level_fits(const pmf_recursion_config_t *recursion)
 {
     uint32_t none = recursion->constant == PMF_NO_PARAMETER && recursion->lowest == PMF_NO_PARAMETER;
@@ -65,7 +64,7 @@ static uint32_t is_parameter(uint32_t index)
     return index < PMF_MAX_PARAMETERS || index == PMF_NO_PARAMETER ? 1U : 0U;
 }
 
-/* Whether a signal may be written to a node: none, or a node after the encoder's and the body's. */
+/* Return whether a signal may be written to a node: none, or a node after those of encoder and body. */
 static uint32_t may_be_written(uint32_t node)
 {
     return node == 0U || (node >= PMF_SIGNALS && node < NODES) ? 1U : 0U;
@@ -122,7 +121,7 @@ static uint32_t one_level(const pmf_config_t *config)
                : 0U;
 }
 
-/* A dead time that is estimated comes last, and is one. */
+/* An estimated dead time is the last parameter, and the only one. */
 static uint32_t late_fits(const pmf_config_t *config)
 {
     uint32_t last = config->instrument.n_parameters - 1U;

@@ -1,9 +1,8 @@
-/* The whole kernel once more, for some axes side by side: the same sources with vectors for numbers.
+/* The whole kernel for several axes at once: the same sources with vectors for numbers.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Compiled once for each width of a vector, PMF_LANE_BYTES, with the processor's option for it. What it gives is one
- * constant: pmf_lanes_16, pmf_lanes_32 or pmf_lanes_64.
- */
+ * This file is compiled once for each width of a vector, PMF_LANE_BYTES, with the processor's option for it. Its only
+ * export is one constant: pmf_lanes_16, pmf_lanes_32 or pmf_lanes_64. */
 #ifndef PMF_LANE_BYTES
 #define PMF_LANE_BYTES 16
 #endif
@@ -28,7 +27,7 @@
 #include "../pmf_recursion.c"
 #include "../pmf_step.c"
 
-#define TILE 32U /* samples that are brought into lanes at a time */
+#define TILE 32U /* number of samples that are moved into lanes at a time */
 
 typedef scalar_t lane_real_t __attribute__((may_alias));
 typedef lane_whole_t lane_word_t __attribute__((may_alias));
@@ -44,7 +43,7 @@ static uint32_t axis_of(uint32_t lane, uint32_t axes)
     return lane < axes ? lane : axes - 1U;
 }
 
-/* Word by word: all lanes of a vector one after the other. */
+/* Load word by word: all lanes of a vector follow one another. */
 static void load(const pmf_layout_t *layout, uint32_t axes, const unsigned char *packed, pmf_state_t *state)
 {
     const unsigned char *own[PMF_LANES];
@@ -128,7 +127,7 @@ static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, cons
     many->status[row] = (uint32_t)state->status[lane];
 }
 
-/* The next tile is fetched while this one is computed: rows of many axes are too many for the processor to foresee. */
+/* Fetch the next tile while this one is computed: the processor cannot predict rows of so different axes. */
 static void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint64_t samples)
 {
     uint64_t bytes = rows->sample == (int64_t)rows->size ? (samples - sample) * rows->size : 1U, at;
@@ -138,7 +137,7 @@ static void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint64
     }
 }
 
-/* How many axes the next group has; 0 where so few are left that they had better be computed one by one. */
+/* Return the number of axes in the next group; 0 if the rest is faster one by one. */
 static uint32_t group_of(uint64_t left)
 {
     return left >= PMF_LANES ? PMF_LANES : 4U * left >= PMF_LANES ? (uint32_t)left : 0U;
@@ -176,7 +175,7 @@ static void run_group(const pmf_config_t *config, const pmf_layout_t *layout, co
     store(layout, axes, state, packed);
 }
 
-/* What is not in use is cleared once: it is a good part of a state, and all groups leave it as it is. */
+/* The unused part of a state is cleared once: it is large, and no group changes it. */
 static uint64_t run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                     uint64_t end, unsigned char *packed)
 {
@@ -206,7 +205,7 @@ uint64_t JOIN(PMF_LANES_NAME, PMF_STRAIGHT)(const pmf_config_t *config, const pm
     return run(config, layout, many, first, end, packed);
 }
 #else
-/* A table without gaps. */
+/* Return a table without gaps. */
 static pmf_rows_t table_of(const void *start, uint64_t samples)
 {
     pmf_rows_t rows = {(const unsigned char *)start, 8 * (int64_t)samples, 8, 8U};
@@ -217,7 +216,7 @@ static pmf_rows_t table_of(const void *start, uint64_t samples)
 
 typedef int64_t sum_truth_t __attribute__((vector_size(PMF_LANES * 8)));
 
-/* The blocks of some axes under way. */
+/* The current blocks of some axes. */
 typedef struct {
     pmf_sum_t theta[PMF_MAX_PARAMETERS], sums[WIDTH];
 } scores_t;
@@ -236,7 +235,7 @@ static void load_scores(const pmf_scored_t *many, uint32_t p, uint64_t first, ui
     }
 }
 
-/* The axes for which the truth does not hold keep their sums. */
+/* Add samples; axes for which the truth does not hold keep their sums. */
 static void add_samples(uint32_t p, truth_t where, const real_t *phi, scores_t *scores)
 {
     pmf_sum_t kept[WIDTH];

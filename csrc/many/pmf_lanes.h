@@ -1,11 +1,11 @@
-/* Several axes side by side: the types and choices of pmf.h for vectors with one element per axis.
+/* Several axes at once: the types and choices of pmf.h for vectors with one element per axis.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Every operation on a vector is the same IEEE operation on each element, so each axis has the bits of the scalar
- * kernel. A branch that the axes take differently computes both sides and chooses. Needs the vector extensions of gcc
- * or clang. PMF_LANES is the number of axes, PMF_LANE_BYTES that of bytes. Whole numbers are as wide as the reals, so
- * that one kind of truth (all bits set or none) fits both; what counts modulo 2^32 is masked.
- */
+ * Every operation on a vector is the same IEEE operation on each element, so that each axis has the bits of the
+ * scalar kernel. If axes take different branches, both sides are computed and one is chosen. The file needs the
+ * vector extensions of gcc or clang. PMF_LANES is the number of axes, PMF_LANE_BYTES the number of bytes. Whole
+ * numbers are as wide as the reals, so that one kind of truth (all bits set or none) fits both. Values that count
+ * modulo 2^32 are masked. */
 #ifndef PMF_LANES_H
 #define PMF_LANES_H
 
@@ -26,11 +26,11 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 
 #define PMF_API static __attribute__((unused))
 
-/* x - 0 is x to the last bit; the compiler makes a copy in every lane of it. */
+/* x - 0 is x to the last bit, and the compiler copies it to every lane. */
 #define PMF_ALIKE(x) ((x) - (real_t){0})
 #define PMF_R(x) PMF_ALIKE(PMF_SCALAR(x))
 #define PMF_W(x) ((whole_t){0} + (x))
-/* All whole numbers that become real fit 32 bits, for which processors have the conversion. */
+/* All whole numbers that become real fit 32 bits, for which processors have a conversion. */
 #define PMF_TO_REAL(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), real_t)
 #define PMF_TO_INTEGER(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), integer_t)
 
@@ -53,8 +53,8 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
         }                                                      \
     } while (0)
 
-/* By the names that gcc and clang have for these instructions: to read immintrin.h, which has functions for them, takes
- * a compiler a fifth of its time here. */
+/* These are the names of the instructions in gcc and clang: reading immintrin.h, which has functions for them, would
+ * take a fifth of the compiler's time. */
 static inline int pmf_any(truth_t truth)
 {
 #if defined(__SSE4_1__)
@@ -77,7 +77,7 @@ static inline int pmf_any(truth_t truth)
 #endif
 }
 
-/* Of a table an element for each lane. */
+/* Return an element of a table for each lane. */
 static inline __attribute__((unused)) real_t pmf_read(const scalar_t *table, integer_t index)
 {
 #if defined(__AVX512F__) && !defined(PMF_FLOAT32)
@@ -102,7 +102,7 @@ static __attribute__((unused)) void pmf_clear(void *memory, uint32_t size)
     }
 }
 
-/* Gives the axes for which the truth does not hold their words back. */
+/* Restore the words of the axes for which the truth does not hold. */
 static inline void pmf_restore(truth_t truth, void *object, const void *kept, uint64_t size)
 {
     word_t *now = (word_t *)object;

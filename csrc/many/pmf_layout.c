@@ -1,8 +1,7 @@
-/* Which words of a state a configuration uses, and how they are packed.
+/* Words of a state that a configuration uses, and their packing.
  * SPDX-License-Identifier: Apache-2.0
  *
- * The sizes in pmf.h are those of the largest model; a drive with three parameters uses a tenth of them.
- */
+ * The sizes in pmf.h are those of the largest model; a drive with three parameters uses a tenth of them. */
 #include "pmf_many.h"
 
 #include <stddef.h>
@@ -15,7 +14,7 @@
 typedef struct {
     uint32_t from, to;
 } range_t;
-/* Bytes that are not in use. */
+/* Ranges of unused bytes. */
 typedef struct {
     range_t range[MAX_RANGES];
     uint32_t ranges;
@@ -30,13 +29,15 @@ static void leave_out(unused_t *unused, uint32_t from, uint32_t to)
     }
 }
 
-/* Elements or rows from number `p` on of an array at `at` with PMF_MAX_PARAMETERS of them, `size` bytes each. */
+/* Mark elements or rows from number `p` of an array at `at` as unused; it has PMF_MAX_PARAMETERS of `size` bytes each.
+ */
 static void leave_tail(unused_t *unused, uint32_t at, uint32_t p, size_t size)
 {
     leave_out(unused, at + p * (uint32_t)size, at + PMF_MAX_PARAMETERS * (uint32_t)size);
 }
 
-/* A matrix of p rows and columns; lower: nothing above the diagonal is used, and the diagonal only where it is 1. */
+/* Mark the unused part of a matrix with p rows and columns; `lower` means that only the lower half is used, with the
+ * diagonal only if it is 1. */
 static void leave_matrix(unused_t *unused, uint32_t at, uint32_t p, uint32_t lower, uint32_t diagonal)
 {
     uint32_t row = PMF_MAX_PARAMETERS * (uint32_t)sizeof(scalar_t), i;
@@ -53,7 +54,7 @@ static void leave_estimate(unused_t *unused, uint32_t at, uint32_t p)
     leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, inflation), p, sizeof(scalar_t));
 }
 
-/* What other configurations have. */
+/* Mark the parts that only other configurations use. */
 static void leave_idle(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
 {
     if (config->scheme != PMF_CONSTANT_TRACE) {
@@ -88,7 +89,8 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
 static void find_unused(const pmf_config_t *config, unused_t *unused)
 {
     const pmf_network_config_t *network = &config->network;
-    uint32_t columns = config->linear.enabled != 0U ? PMF_MAX_COLUMNS : network->n_columns; /* the model has its own */
+    uint32_t columns =
+        config->linear.enabled != 0U ? PMF_MAX_COLUMNS : network->n_columns; /* the model has its own filters */
     unused->ranges = 0U;
     leave_out(unused, IN_STATE(network.node) + (PMF_SIGNALS + network->n_stages) * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.node));
@@ -162,7 +164,7 @@ static uint32_t has_lane(uint32_t offset)
                : 1U;
 }
 
-/* No byte of it is zero. */
+/* Fill a state without a zero byte. */
 static void fill_state(pmf_state_t *state)
 {
     unsigned char *byte = (unsigned char *)state;
@@ -172,7 +174,7 @@ static void fill_state(pmf_state_t *state)
     }
 }
 
-/* One pass over all words; adds the reals in use, of a state that is not zero where a packed one has something, or the
+/* Pass over all words once; add the reals in use, in a state that is nonzero where a packed one has content, or the
  * whole numbers. */
 static void add_words(pmf_layout_t *layout, const unused_t *unused, const pmf_state_t *filled,
                       const unsigned char *is_whole, uint32_t whole)

@@ -1,11 +1,9 @@
-/* Many axes, in groups as wide as the processor's vectors.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* Many axes, in groups as wide as the processor's vectors. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_many.h"
 #include "pmf_motions.h"
 #include "pmf_straight.h"
 
-#define FEW_SAMPLES 8U /* fewer are not worth the change into lanes and back */
+#define FEW_SAMPLES 8U /* with fewer samples, the change into lanes and back costs too much */
 
 #if defined(__x86_64__) || defined(__i386__)
 #define HAS(feature) __builtin_cpu_supports(feature)
@@ -13,7 +11,7 @@
 #define HAS(feature) 1
 #endif
 
-/* Null where this build has no such way, or the processor has not. */
+/* Return the lanes, or null if this build or the processor does not have them. */
 static const pmf_lanes_t *lanes_of(uint32_t way)
 {
 #ifdef PMF_HAVE_LANES_16

@@ -1,9 +1,9 @@
 /* Many axes with one configuration: for fleets and simulations on a computer, not needed on a drive.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Every axis has the bits that pmf_step() gives for it alone. Where compiler and processor have vectors, some axes are
- * computed side by side (pmf_lanes.c). Between two calls a state is packed: only the words that the configuration uses.
- */
+ * Every axis has the bits of pmf_step() for it alone. If compiler and processor have vectors, several axes are
+ * computed at once (pmf_lanes.c). Between two calls a state is packed: it has only the words that the configuration
+ * uses. */
 #ifndef PMF_MANY_H
 #define PMF_MANY_H
 
@@ -12,7 +12,8 @@
 /* Ways to compute: one axis after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
 enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
 
-/* Where a word of a state is: byte offsets in pmf_state_t and in the packed state, and its number among the vectors. */
+/* The place of a word of a state: byte offsets in pmf_state_t and in the packed state, and its number among the
+ * vectors. */
 typedef struct {
     uint32_t offset, packed, lane;
 } pmf_word_t;
@@ -30,7 +31,7 @@ typedef struct {
 /* A table of numbers of 4 or 8 bytes, one row per axis. */
 typedef struct {
     const unsigned char *start;
-    int64_t axis, sample; /* bytes from one to the next */
+    int64_t axis, sample; /* bytes between two rows */
     uint32_t size;
 } pmf_rows_t;
 
@@ -39,41 +40,42 @@ typedef struct {
     pmf_rows_t input; /* float or double */
     pmf_rows_t counts; /* int32_t or int64_t */
     uint64_t samples;
-    uint64_t every; /* samples from one kept estimate to the next; the last estimate is always kept; 0: it alone */
+    uint64_t every; /* samples between two kept estimates; the last estimate is always kept; 0: only the last */
     uint64_t kept; /* estimates of each axis: */
     double *theta, *variance_factor, *inflation; /* axes x kept x parameters */
     double *innovation, *innovation_variance; /* axes x kept */
     uint32_t *status; /* axes x kept */
 } pmf_many_t;
 
-/* Scores of blocks of `size` samples for a deviation from reference parameters, after the filters: with
- * e = z - phi^T theta the sums of zeta e, zeta phi^T and zeta zeta^T, p + 2 p^2 numbers. first: of the columns phi, z,
- * zeta; left_out, disturbed: status of the samples that do not count, and of those that a block must not have alone. */
+/* Scores of blocks of `size` samples for a deviation from reference parameters, after the filters. With e = z - phi^T
+ * theta they are the sums of zeta e, zeta phi^T and zeta zeta^T, p + 2 p^2 numbers. `first` is the first of the columns
+ * phi, z, zeta. `left_out` is the status of samples that do not count, and `disturbed` that of samples that must not
+ * fill a block alone. */
 typedef struct {
     uint32_t first, parameters, size, left_out, disturbed;
 } pmf_scoring_t;
 
-/* Many axes: tables of a row for each, without gaps. */
+/* Many axes: tables of one row each, without gaps. */
 typedef struct {
     const double *input, *theta;
     const int64_t *counts;
     uint32_t way;
     uint64_t samples;
-    double *sums; /* of the block under way */
-    uint32_t *progress; /* its samples, and how many were disturbed */
+    double *sums; /* sums of the current block */
+    uint32_t *progress; /* samples of the current block, and the number of disturbed ones */
     uint64_t kept; /* most blocks of an axis */
     double *blocks;
-    unsigned char *lost; /* 1: the block had none but disturbed samples */
+    unsigned char *lost; /* 1: the block had only disturbed samples */
 } pmf_scored_t;
 
-/* What is compiled for one method alone (pmf_straight.h), and what does everything. */
+/* Code for one method alone (pmf_straight.h), and general code. */
 enum { PMF_GENERAL = 0, PMF_RLS, PMF_BCRLS, PMF_RIV, PMF_METHODS };
 
-/* Axes `first` to `end` through all samples, in groups; packed: the states of all axes. Returns the axis after the last
- * group: the remaining axes are too few for a group. */
+/* Run axes `first` to `end` through all samples, in groups; `packed` holds the states of all axes. Returns the axis
+ * after the last group: the remaining axes are too few for a group. */
 typedef uint64_t pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
                                  uint64_t first, uint64_t end, unsigned char *packed);
-/* The same for block scores, of axes 0 to `end`. */
+/* Compute block scores in groups, of axes 0 to `end`. */
 typedef uint64_t pmf_lanes_score_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
                                    const pmf_scored_t *many, uint64_t end, unsigned char *packed);
 typedef struct {
@@ -81,36 +83,36 @@ typedef struct {
     pmf_lanes_run_t *run[PMF_METHODS]; /* by pmf_method_of() */
     pmf_lanes_score_t *score;
 } pmf_lanes_t;
-/* Null where this build has no such way, the processor has not, or it does not pay for so few samples. */
+/* Return null if this build or the processor has no such way, or if it does not pay for so few samples. */
 const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples);
 
-/* A sample more in the block of an axis; 1: the block has all its samples. */
+/* Count a sample of a block of an axis; return 1 if the block has all its samples. */
 uint32_t pmf_count_sample(const pmf_scoring_t *scoring, uint32_t status, uint32_t *progress);
-/* The block, and the next one begins; 1: all its samples were disturbed. */
+/* Write the block and begin the next one; return 1 if all its samples were disturbed. */
 uint32_t pmf_end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *progress, double *block);
 
 extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 
 #ifndef PMF_LANES
-/* 1: these can be the numbers of a configuration of this build, 0: they would lead beyond its memory. */
+/* Return 1 if these can be the numbers of a configuration of this build, 0 if they would lead beyond its memory. */
 uint32_t pmf_fits(const pmf_config_t *config);
 uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
-/* is_whole: for every four bytes of a pmf_state_t 1 where they are a whole number, else 0; version: of packed states.
- * Returns 0 where the words are more than a layout holds. */
-#define PMF_WITHOUT_COMPUTED 3U /* from this version on nothing is packed that each step computes again */
+/* Compute the layout. `is_whole` has, for every four bytes of a pmf_state_t, 1 for a whole number, otherwise 0.
+ * `version` is that of packed states. Returns 0 if the words exceed a layout. */
+#define PMF_WITHOUT_COMPUTED 3U /* from this version on, values that each step computes again are not packed */
 uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, uint32_t version, pmf_layout_t *layout);
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
-/* What is not in use is left as it is: zero, in a state that pmf_init() or pmf_clear() has made. */
+/* Unpack a state; its unused part stays as it is, which is zero after pmf_init() or pmf_clear(). */
 void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state);
-/* The fastest way of this build on this processor. */
+/* Return the fastest way of this build on this processor. */
 uint32_t pmf_many_way(void);
-/* Axes `first` to `end` through all samples; packed: the states of all axes. */
+/* Run axes `first` to `end` through all samples; `packed` holds the states of all axes. */
 void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                   uint64_t end, unsigned char *packed);
-/* One sample of a block of an axis; 1: the block has all its samples. */
+/* Process one sample of a block of an axis; return 1 if the block has all its samples. */
 uint32_t pmf_score(const pmf_config_t *config, const pmf_scoring_t *scoring, pmf_state_t *state, scalar_t input,
                    uint32_t count, const double *theta, double *sums, uint32_t *progress);
-/* All samples of all axes; packed: their states. */
+/* Process all samples of all axes; `packed` holds their states. */
 void pmf_many_scores(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
                      const pmf_scored_t *many, uint64_t axes, unsigned char *packed);
 #endif

@@ -1,8 +1,7 @@
-/* What a drive with mass, viscous and Coulomb friction needs of the kernel, by the recursive method, whose name is
- * PMF_STRAIGHT: without tests for parts that it has not, loops over parameters unrolled, the network as straight code.
- * Of `plain`, for every equation and method, the tests for parts that few have are left out, and nothing else.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* The parts of the kernel that a drive with mass, viscous and Coulomb friction needs, by the recursive method whose
+ * name is PMF_STRAIGHT. The code has no tests for absent parts, unrolled loops over parameters, and the network as
+ * straight code. The method `plain`, for every equation and method, only leaves out the tests for rare parts.
+ * SPDX-License-Identifier: Apache-2.0 */
 #define METHOD_plain 0
 #define METHOD_rls 1
 #define METHOD_bcrls 2

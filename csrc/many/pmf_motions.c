@@ -1,8 +1,7 @@
-/* Motions of the auxiliary model under one input, for several parameters side by side.
+/* Motions of the auxiliary model under one input, for several parameters at once.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Compiled as pmf_lanes.c is, and once without vectors: then one motion follows the other.
- */
+ * This file is compiled like pmf_lanes.c, and once without vectors: then one motion follows the other. */
 #ifdef PMF_LANE_BYTES
 #define PMF_LANES (PMF_LANE_BYTES / 8)
 #define PMF_MOTIONS
@@ -18,7 +17,7 @@
 #define LANE(x, lane) (x)
 #endif
 
-/* In lanes each motion has a lag of its own. */
+/* In lanes each motion has its own lag. */
 typedef struct {
     real_t rest, mean, moment;
 } lag_decay_t;
@@ -30,9 +29,9 @@ typedef struct {
     pmf_auxiliary_state_t state;
     pmf_late_state_t late;
     lag_decay_t decay[2];
-    int64_t at[PMF_LANES]; /* sample of the input that acts, and steps of it that are gone */
+    int64_t at[PMF_LANES]; /* sample of the input that acts, and its elapsed steps */
     uint64_t gone[PMF_LANES];
-    real_t part; /* of a step in which the one before still acts */
+    real_t part; /* fraction of a step in which the preceding input still acts */
     real_t acting, sum[3];
 } run_t;
 
@@ -74,7 +73,7 @@ static double input_at(const pmf_motions_t *motions, int64_t sample)
     return sample >= 0 ? motions->input[sample] : motions->before[past > 0 ? past : 0];
 }
 
-/* Before step `step`: the input that acts in the one before; whole (PMF_LANES): steps by which the input is late. */
+/* Find the input that acts before step `step`; whole (PMF_LANES) are the steps by which the input is late. */
 static void find_input(const pmf_motions_t *motions, int64_t step, const int64_t *whole, run_t *run)
 {
     int64_t hold = (int64_t)motions->hold;
@@ -87,7 +86,7 @@ static void find_input(const pmf_motions_t *motions, int64_t step, const int64_t
     }
 }
 
-/* row: of the force on top, from 0 on */
+/* row of the additional force, from 0 */
 static void take_inputs(const pmf_motions_t *motions, uint64_t first, int64_t row, run_t *run)
 {
     pmf_late_state_t *late = &run->late;
@@ -101,7 +100,7 @@ static void take_inputs(const pmf_motions_t *motions, uint64_t first, int64_t ro
     }
     late->newer = run->acting;
     late->part = run->part;
-    if (motions->config->shapes.n != 0U && motions->decay == 0) { /* two phases are twice the work */
+    if (motions->config->shapes.n != 0U && motions->decay == 0) { /* two phases take twice the work */
         late->part = PMF_IF(late->older == late->newer, PMF_R(0.0), late->part);
     }
     if (motions->decay != 0) {
@@ -131,7 +130,7 @@ static void keep(const pmf_motions_t *motions, uint64_t first, uint64_t row, run
     }
 }
 
-/* From one group of lanes; returns the first motion of the next. */
+/* Run the motions of one group of lanes; return the first motion of the next group. */
 static uint64_t run_motions(const pmf_motions_t *motions, uint64_t first)
 {
     pmf_auxiliary_config_t config = *motions->config;
@@ -198,7 +197,7 @@ void pmf_move_all(const pmf_motions_t *motions)
     const pmf_motions_run_t *wide = pmf_motions_widest();
     uint64_t first = 0;
     while (first < motions->motions) {
-        /* lanes without a motion are not worth it for one or two alone */
+        /* lanes without a motion do not pay for only one or two motions */
         const pmf_motions_run_t *run = motions->motions - first > 1U && wide != 0 ? wide : &pmf_motions_1;
         first = run->run(motions, first);
     }

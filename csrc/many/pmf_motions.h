@@ -1,27 +1,27 @@
-/* Motions of the auxiliary model for several parameters: for estimators off-line, not needed on a drive.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* Motions of the auxiliary model for several parameters: for off-line estimators, not needed on a drive.
+ * SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_MOTIONS_H
 #define PMF_MOTIONS_H
 
 #include "../pmf_internal.h"
 
-/* hold: steps of the simulation for each sample of the input; parts: for each kept mean; both lengths are those of the
- * samples of the input (samples) and of the means (samples hold / parts). config: dt is that of a step. */
+/* Arguments of the motions. `hold` is the number of simulation steps for each sample of the input, `parts` for each
+ * kept mean. The lengths are `samples` for the input and samples hold / parts for the means. The dt of `config` is that
+ * of a step. */
 typedef struct {
     const pmf_auxiliary_config_t *config;
     uint64_t motions, samples, hold, parts;
     const double *parameter; /* motions x PMF_ROLES */
     const double *velocity, *position; /* at the start: motions */
     const double *input; /* samples */
-    const double *span; /* of each sample [s], if nothing acts late; null: hold dt */
-    const double *before; /* n_before >= 1 inputs before the first; the oldest has been there for ever */
+    const double *span; /* length of each sample [s], if nothing acts late; null: hold dt */
+    const double *before; /* n_before >= 1 inputs before the first; the oldest has acted for ever */
     uint64_t n_before;
-    const double *decay; /* motions x 2 x 3, of a lag after the dead time; null: none */
+    const double *decay; /* motions x 2 x 3, for a lag after the dead time; null: no lag */
     const double
-        *on_top; /* a row, or one for each motion (own_force), as fine as the means: acts at once; null: none */
+        *on_top; /* one row, or one for each motion (own_force), as fine as the means; it acts at once; null: none */
     uint32_t own_force;
-    double *mean, *direction, *moving; /* motions x means; null: not asked for */
+    double *mean, *direction, *moving; /* motions x means; null: not requested */
     double *end; /* velocities: motions */
 } pmf_motions_t;
 
@@ -32,7 +32,7 @@ typedef struct {
 
 extern const pmf_motions_run_t pmf_motions_1, pmf_motions_16, pmf_motions_32, pmf_motions_64;
 
-/* Null where this build or the processor has no vectors. */
+/* Return null if this build or the processor has no vectors. */
 const pmf_motions_run_t *pmf_motions_widest(void);
 void pmf_move_all(const pmf_motions_t *motions);
 

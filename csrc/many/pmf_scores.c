@@ -1,9 +1,8 @@
-/* Block scores: what some samples together say of a deviation from reference parameters.
+/* Block scores: the joint information of several samples on a deviation from reference parameters.
  * SPDX-License-Identifier: Apache-2.0
  *
- * The sums are double whatever the kernel's numbers are, and each is made in one order, so that an axis has the same
- * bits alone and among others.
- */
+ * The sums are double for any type of the kernel's numbers. Each sum has one order, so that an axis has the same
+ * bits alone and among others. */
 #include "pmf_scores.h"
 
 uint32_t pmf_count_sample(const pmf_scoring_t *scoring, uint32_t status, uint32_t *progress)

@@ -1,6 +1,5 @@
-/* One sample of block scores, for one axis or for some side by side: pmf_sum_t is a double, or a vector of them.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* One sample of block scores, for one axis or for several at once: pmf_sum_t is a double, or a vector of doubles.
+ * SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_SCORES_H
 #define PMF_SCORES_H
 
@@ -14,7 +13,7 @@ typedef double pmf_sum_t;
 #define PMF_TO_SUM(x) ((double)(x))
 #endif
 
-/* phi: followed by z and zeta. */
+/* z and zeta follow phi in memory. */
 static inline void pmf_add_sample(uint32_t p, const pmf_sum_t *theta, const real_t *phi, pmf_sum_t *sums)
 {
     uint32_t i, j;

@@ -1,6 +1,5 @@
-/* The step of one axis, once more for each recursive method, and for all that is plain.
- * SPDX-License-Identifier: Apache-2.0
- */
+/* The step of one axis, compiled again for each recursive method and for all plain configurations.
+ * SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_method.h"
 #define PMF_API static __attribute__((unused))
 

@@ -58,11 +58,9 @@ class DemoRow:
     """The result of one method with one encoder.
 
     `errors_old` and `errors_new` are the errors of the mean estimate by parameter name [%]: over the last 5 s before
-    the
-    mass changes, and over the last 5 s of the run. `std_old` and `std_new` are the standard deviations of the mass over
-    the
-    same windows [kg]. `settling_time` lasts from the step until the mass stays within 5 % of the new one [s]; inf means
-    never. `outside` counts the samples with a mass outside 0.8 to 1.7 kg after the first second.
+    the mass changes, and over the last 5 s of the run. `std_old` and `std_new` are the standard deviations of the mass
+    over the same windows [kg]. `settling_time` lasts from the step until the mass stays within 5 % of the new one [s];
+    inf means never. `outside` counts the samples with a mass outside 0.8 to 1.7 kg after the first second.
     """
 
     increments: int
@@ -93,8 +91,7 @@ class DemoResult:
     """Records by increments per turn, tracks by method and increments, and a row for each combination.
 
     `t` holds the times of the samples (n,) [s]. `truth` holds the true parameters by name, each (n,). The mass changes
-    at
-    `step_time` [s].
+    at `step_time` [s].
     """
 
     seed: int

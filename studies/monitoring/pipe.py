@@ -46,8 +46,7 @@ class PipeFigures:
 
     The delays are from input line to estimate [s]. Further fields count sent lines and received estimates, and give the
     resident memory [MiB] after a tenth of the long run and at its end. The samples of the long run, its rate [1/s], and
-    the
-    lines of a short run follow.
+    the lines of a short run follow.
     """
 
     median: float

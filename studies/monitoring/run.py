@@ -1,4 +1,4 @@
-"""Runs the study: `python -m studies.monitoring --out results/monitoring.md`.
+"""Run the study: `python -m studies.monitoring --out results/monitoring.md`.
 
 The page up to its heading "Figures" is written by hand and stays.
 """
@@ -25,7 +25,7 @@ HOURS, SEEDS, PIPE_SECONDS, LONG_SAMPLES = 512.5, 100, 60.0, 1_000_000
 
 
 def tasks(hours: float, seeds: int) -> dict[str, list[tuple[Any, ...]]]:
-    """Arguments of the work of every section."""
+    """Return the arguments of the work of every section."""
     per_task = false_alarms.RUN_HOURS * false_alarms.RUNS_PER_TASK
     mass = [("mass +10 %", detector, 0.02) for detector in DETECTORS]
     others = [(change, "glr", 0.02) for change in detection.CHANGES]
@@ -56,7 +56,7 @@ def _work(task: tuple[str, tuple[Any, ...]]) -> Any:
 
 
 def results_of(every: dict[str, list[tuple[Any, ...]]], jobs: int) -> dict[str, list[Any]]:
-    """In processes that start afresh with one thread each."""
+    """Compute the results in new processes with one thread each."""
     from rich.console import Console
     from rich.progress import track
 
@@ -78,7 +78,6 @@ def results_of(every: dict[str, list[tuple[Any, ...]]], jobs: int) -> dict[str, 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="the page")
     parser.add_argument("--hours", type=float, default=HOURS, help="of normal work (default: %(default)s)")

@@ -30,7 +30,7 @@ from studies.paper.run import reproduce
 @click.option("--seeds", type=int, default=200, show_default=True, help="Runs of each row of the table.")
 @click.option("--jobs", type=int, help="Processes; as many as there are cores where not given.")
 def main(figures: tuple[str, ...], out: Path, seeds: int, jobs: int | None) -> None:
-    """Reproduce the figures of the paper: FIG is 2, 3, 4, 5 or encoders; all of them where none is given.
+    """Reproduce the figures of the paper: FIG is 2, 3, 4, 5 or encoders; without FIG, all of them.
 
     Writes a picture and a CSV of what is drawn for each figure, and table.csv with the figures of merit over many
     seeded runs of the simulated cart.
@@ -44,7 +44,7 @@ def main(figures: tuple[str, ...], out: Path, seeds: int, jobs: int | None) -> N
 
 
 def print_merits(rows: Sequence[Merit], out: Path) -> None:
-    """The figures of merit, a table for each figure and condition; columns without a number are left out."""
+    """Print the figures of merit in a table for each figure and condition, without empty columns."""
     console = Console()
     for (figure, condition), group in groupby(rows, key=lambda row: (row.figure, row.condition)):
         texts = [cells(row)[2:] for row in group]

@@ -1,4 +1,4 @@
-"""What a figure of the paper draws: curves over time in panels, as a picture and as a CSV."""
+"""The content of a figure of the paper: curves over time in panels, as a picture and as a CSV."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """Curves over time. name: of the files; t: (n,) [s]; truth: label and the (n,) nominal values;
-    panels: title -> label -> (n,) values, nan where there are none; axis: label of the values with its unit;
-    limits: of the values; columns: of panels; marks: times of vertical lines [s]."""
+    """Curves over time.
+
+    `name` names the files, and `t` (n,) holds the times [s]. `truth` is the label and the nominal values (n,). `panels`
+    maps title and label to values (n,), nan if missing. `axis` labels the values with their unit, and `limits` bounds
+    them. `columns` is the number of columns of panels, and `marks` are times of vertical lines [s].
+    """
 
     name: str
     t: Floats
@@ -33,7 +36,7 @@ class Drawing:
 
 
 def write_drawing(drawing: Drawing, out: Path) -> list[Path]:
-    """Write name.png and name.csv into the folder `out`; returns their paths. Raises OSError."""
+    """Write name.png and name.csv into the folder `out`; return their paths. Raises OSError."""
     from pmfid.report.figures import save_png
 
     picture, data = out / f"{drawing.name}.png", out / f"{drawing.name}.csv"
@@ -46,7 +49,7 @@ def write_drawing(drawing: Drawing, out: Path) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """Inputs and the motion under each. name: of the files; t: (n,) [s]; u [V], x [m]: label -> (n,)."""
+    """Inputs with their motions: `name` names the files, t (n,) [s]; u [V] and x [m] map labels to values (n,)."""
 
     name: str
     t: Floats
@@ -55,7 +58,7 @@ class Motions:
 
 
 def write_motions(motions: Motions, out: Path) -> list[Path]:
-    """Write name.png and name.csv into the folder `out`; returns their paths. Raises OSError."""
+    """Write name.png and name.csv into the folder `out`; return their paths. Raises OSError."""
     from pmfid.report.figures import save_png
 
     picture, data = out / f"{motions.name}.png", out / f"{motions.name}.csv"
@@ -67,7 +70,7 @@ def write_motions(motions: Motions, out: Path) -> list[Path]:
 
 
 def draw_motions(motions: Motions) -> Figure:
-    """The inputs above, the positions below; the first solid, the others dashed."""
+    """Draw the inputs above the positions; the first curve is solid, the others are dashed."""
     from matplotlib.figure import Figure
 
     from pmfid.report.figures import COLOURS, figure_style
@@ -89,7 +92,7 @@ def draw_motions(motions: Motions) -> Figure:
 
 
 def write_columns(columns: Mapping[str, Floats], path: Path) -> None:
-    """Columns (n,) as CSV, nine digits, empty where there is no value. Raises OSError."""
+    """Write columns (n,) as CSV with nine digits, empty if a value is missing. Raises OSError."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
@@ -98,7 +101,7 @@ def write_columns(columns: Mapping[str, Floats], path: Path) -> None:
 
 
 def draw(drawing: Drawing) -> Figure:
-    """The picture: blue, red, green in the order of the curves, the nominal value in magenta, as in the paper."""
+    """Draw the curves in blue, red and green in their order, and the nominal value in magenta, as in the paper."""
     from matplotlib.figure import Figure
 
     from pmfid.report.figures import COLOURS, GREY, MAGENTA, decimation, figure_style

@@ -1,4 +1,4 @@
-"""How coarse may the encoder be? The mass by every method, open loop and under position control."""
+"""The mass by every method with coarser and coarser encoders, in open loop and under position control."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from studies.paper.merit import Merit, Score, merit
 RUNS = {"prbs": (4096, 1024, 512, 256), "stop-and-go": (4096, 1024, 512, 256, 128, 64), "moves": (256,)}
 DIRECT = ("rls", "bcrls")
 TIME_CONSTANT = 3  # samples: 30 ms
-DURATION = 20.0  # s
-#: Of riv; the others never forget.
+DURATION = 20.0  # [s]
+#: Forgetting of riv; the other methods never forget.
 FORGETTING = 0.99
-AFTER = 10.0  # s
+AFTER = 10.0  # [s]
 
 
 def off_line(name: str) -> tuple[str, ...]:
-    """The off-line methods for a scenario; open loop without the slow one, which is no worse there."""
+    """Return the off-line methods for a scenario; open loop leaves out the slow one, which is no worse there."""
     return tuple(m for m in OFF_LINE if m != AUTO or name != "prbs")
 
 
@@ -30,7 +30,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, increments: int, seed: int) -> dict[str, Score]:
-    """The last value of a method without forgetting; of riv all samples after the first ones."""
+    """Score the last value of a method without forgetting, and all later samples of riv."""
     record = record_of(make_scenario(name, seed=seed, increments=increments, duration=DURATION))
     last, late = slice(-1, None), slice(round(AFTER / CART_DT), None)
     scores = {m: track_score(track_of(m, record, TIME_CONSTANT, 1.0), last, CART.mass) for m in DIRECT}
@@ -39,7 +39,7 @@ def work(name: str, increments: int, seed: int) -> dict[str, Score]:
 
 
 def without_encoder() -> dict[str, float]:
-    """Error of the mass [%] under stop-and-go with an encoder so fine that it adds nothing, by method."""
+    """Return the error of the mass [%] under stop-and-go with a nearly exact encoder, by method."""
     record = record_of(make_scenario("stop-and-go", increments=2**24, duration=DURATION))
     scores = {m: track_score(track_of(m, record, TIME_CONSTANT, 1.0), slice(-1, None), CART.mass) for m in DIRECT}
     scores["iv"] = mass_score(mass_of("iv", record, TIME_CONSTANT), CART.mass)
@@ -56,7 +56,7 @@ def rows(results: Results) -> list[Merit]:
 
 
 def draw(out: Path) -> list[Path]:
-    """Nothing: it is a table."""
+    """Draw nothing, because the result is a table."""
     return []
 
 

@@ -1,4 +1,4 @@
-"""One estimate of one simulated run by name, as the figures need it."""
+"""One estimate of one simulated run by name, in the form that the figures need."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pmfid.types import Floats
 from studies.paper.merit import NO_ANSWER, Score, score
 from studies.paper.truth import CartRecord, make_estimator
 
-#: RLS of the extended model, before its bias is compensated (paper eq. 19 to 21): where BCRLS starts from.
+#: RLS of the extended model, from which BCRLS starts: its bias is not compensated (paper eq. 19 to 21).
 EXTENDED = "extended rls"
 ON_LINE = ("rls", EXTENDED, "bcrls", "rknown-step", "riv")
 OFF_LINE = ("known-step", "iv", AUTO)
@@ -35,12 +35,12 @@ TITLES = {
 
 
 def record_of(scenario: Scenario) -> CartRecord:
-    """What an estimator may see of a run."""
+    """Return the part of a run that an estimator may see."""
     return CartRecord(scenario.motion.u, scenario.counts, scenario.resolution)
 
 
 def track_of(method: str, record: CartRecord, time_constant: float, forgetting: float) -> Track:
-    """The estimates of a recursive method; time_constant: of the filters, in samples."""
+    """Return the estimates of a recursive method; `time_constant` of the filters is in samples."""
     if method == EXTENDED:
         zeros = default_zeros(1 / (time_constant * CART_DT))
         estimator = make_estimator("rls", record, time_constant, forgetting=forgetting, prefilter_zeros=zeros)
@@ -55,7 +55,7 @@ def track_of(method: str, record: CartRecord, time_constant: float, forgetting: 
 
 
 def mass_of(method: str, record: CartRecord, time_constant: float) -> tuple[float, float]:
-    """The mass and its standard deviation by an off-line method over a record; nan where it gives no answer."""
+    """Return the mass and its standard deviation by an off-line method over a record; nan if the method fails."""
     estimator = make_estimator("ls" if method == AUTO else method, record, time_constant)
     try:
         if method == AUTO:
@@ -70,18 +70,18 @@ def mass_of(method: str, record: CartRecord, time_constant: float) -> tuple[floa
 
 
 def known_mass(track: Track) -> Floats:
-    """The mass over time, nan where there is no estimate yet."""
+    """Return the mass over time, nan before the first estimate."""
     return np.where(track.has_status(Status.STARTING), np.nan, track["mass"])
 
 
 def track_score(track: Track, window: slice, truth: float, settled: float = math.nan) -> Score:
-    """The score of the samples in the window."""
+    """Return the score of the samples in the window."""
     if track.has_status(Status.STARTING)[window].any():
         return NO_ANSWER
     return score(track["mass"][window], track.theta_std[window, 0], truth, settled)
 
 
 def mass_score(found: tuple[float, float], truth: float) -> Score:
-    """The score of an off-line estimate and its standard deviation."""
+    """Return the score of an off-line estimate and its standard deviation."""
     mass, std = found
     return NO_ANSWER if math.isnan(mass) else score(np.array([mass]), np.array([std]), truth)

@@ -1,4 +1,4 @@
-"""What a figure of the paper is to the program that reproduces it."""
+"""The interface of a figure of the paper to the program that reproduces it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from typing import Any
 
 from studies.paper.merit import Merit
 
-#: The arguments of one work, and what each of them gave: the figure's own `rows` knows what that is.
+#: The arguments of one work, and the results by task; the figure's own `rows` knows their types.
 Task = tuple[Any, ...]
 Results = Mapping[Task, Any]
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """name: as on the command line; caption: what it shows.
+    """A figure of the paper.
 
-    tasks: what is to be computed with N seeds; work: one of them, in a process of its own; rows: of the table,
-    from the results by task; draw: the pictures and their data in a folder, returns what it has written.
+    `name` is its name on the command line, and `caption` describes it. `tasks` returns the tasks for a number of seeds,
+    and `work` computes one of them in a separate process. `rows` returns the rows of the table from the results by
+    task. `draw` writes the pictures and their data into a folder, and returns the paths.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Figure 2: the designed input, and the one designed with a mass that is 20 % wrong."""
+"""Figure 2: the designed input, and inputs that are designed with a mass that is 20 % wrong."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from studies.paper.figure import PaperFigure, Results, Task
 from studies.paper.inputs import STROKE, designed, information, problem
 from studies.paper.merit import Merit
 
-#: What the design takes the mass for -> over its true value.
+#: Assumption on the mass -> assumed mass over its true value.
 GUESSES = {"nominal mass": 1.0, "mass 20 % too large": 1.2, "mass 20 % too small": 0.8}
 
 
 def tasks(seeds: int) -> list[Task]:
-    """One for each guess: there is nothing random."""
+    """Return one task for each guess, because nothing is random."""
     return [(label,) for label in GUESSES]
 
 
 def work(label: str) -> tuple[float, float, float]:
-    """Information of the design on the true plant [1/kg^2], and by how much it misses the end [m]."""
+    """Return the information of the design on the true plant [1/kg^2], and its error at the end [m]."""
     u = designed(GUESSES[label] * CART.mass)
     return *information(u), float(simulate(problem(), u).x[-1]) - STROKE
 
 
 def rows(results: Results) -> list[Merit]:
-    """The loss is that against the design for the nominal mass; below zero where the wrong one goes past the end."""
+    """Return the rows; the loss is relative to the design for the nominal mass, and negative beyond the end."""
     nominal = results["nominal mass",][0]
     return [
         Merit(
@@ -48,7 +48,7 @@ def rows(results: Results) -> list[Merit]:
 
 
 def draw(out: Path) -> list[Path]:
-    """The inputs and the motion of the true plant under each."""
+    """Draw the inputs and the motion of the true plant under each."""
     inputs = {label: designed(guess * CART.mass) for label, guess in GUESSES.items()}
     each = problem().samples_per_interval
     held = {label: np.append(np.repeat(u, each), u[-1]) for label, u in inputs.items()}

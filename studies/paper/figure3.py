@@ -27,13 +27,13 @@ from studies.paper.merit import Merit, Score, merit
 INCREMENTS = (4096, 1024, 512)
 LOADS = {"1.07 kg": CART, "1.44 kg": CART_LOADED}
 TIME_CONSTANT = 3  # samples: 30 ms
-DURATION = 10.0  # s, of each run
-AFTER = 2.0  # s: twice what the paper calls the transient
-LIMITS = (0.6, 1.6)  # kg
+DURATION = 10.0  # [s], length of each run
+AFTER = 2.0  # [s]: twice the transient of the paper
+LIMITS = (0.6, 1.6)  # [kg]
 
 
 def scenario_of(load: str, increments: int, seed: int) -> Scenario:
-    """Stop-and-go under position control with one of the loads."""
+    """Return stop-and-go under position control with one of the loads."""
     schedule = Schedule(((0.0, LOADS[load]),))
     return make_scenario("stop-and-go", seed=seed, increments=increments, duration=DURATION, schedule=schedule)
 
@@ -59,7 +59,7 @@ def rows(results: Results) -> list[Merit]:
 
 
 def draw(out: Path) -> list[Path]:
-    """The paper's two panels, and all methods; the run with the second load follows that with the first."""
+    """Draw the paper's two panels, and all methods; the run with the second load follows the run with the first."""
     runs = {inc: [scenario_of(load, inc, 0) for load in LOADS] for inc in INCREMENTS}
     samples = round(DURATION / CART_DT)
     t = sample_times(2 * samples, CART_DT)

@@ -1,4 +1,4 @@
-"""Figure 4: load monitoring with forgetting, the mass changes during the run."""
+"""Figure 4: load monitoring with forgetting, in which the mass changes during the run."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from studies.paper.figure import PaperFigure, Results, Task
 from studies.paper.merit import Merit, Score, merit
 
 INCREMENTS = (4096, 1024, 512)
-#: The extended model has too little excitation within this memory: what is not forgotten would decide.
+#: The extended model is left out: within this memory its excitation is too poor, and the regularisation would decide.
 METHODS = (*(m for m in ON_LINE if m != EXTENDED), AUTO)
 TIME_CONSTANT = 3  # samples: 30 ms
 FORGETTING = 0.99
-DURATION = 30.0  # s; the mass steps half-way
-SETTLED = 5.0  # s: five memories after the step, and what is looked at before it
-LIMITS = (0.9, 1.7)  # kg
+DURATION = 30.0  # [s]; the mass steps half-way
+SETTLED = 5.0  # [s]: five memories after the step, and the window before it
+LIMITS = (0.9, 1.7)  # [kg]
 
 
 def scenario_of(increments: int, seed: int) -> Scenario:
@@ -31,7 +31,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(increments: int, seed: int) -> dict[str, tuple[Score, Score]]:
-    """For each method the score before the step, and after it with the time to come within 5 %."""
+    """Return for each method the score before the step, and the score after it with the time to come within 5 %."""
     record = record_of(scenario_of(increments, seed))
     step, settled = round(DURATION / 2 / CART_DT), round(SETTLED / CART_DT)
     result = {}
@@ -55,7 +55,7 @@ def rows(results: Results) -> list[Merit]:
 
 
 def draw(out: Path) -> list[Path]:
-    """The paper's two panels, and all methods."""
+    """Draw the paper's two panels, and all methods."""
     runs = {inc: scenario_of(inc, 0) for inc in INCREMENTS}
     motion = runs[INCREMENTS[0]].motion
     truth = runs[INCREMENTS[0]].schedule.sample(motion.t, CART_DT)[0]

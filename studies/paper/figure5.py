@@ -21,16 +21,16 @@ from studies.paper.truth import CartRecord, make_estimator
 ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
 INCREMENTS = 4096
 TIME_CONSTANT = 10  # samples: 100 ms
-#: There and back; the way back has the input of the other sign.
+#: Number of strokes in both directions; the way back has the input of the other sign.
 ROUNDS = 3
 BAND = 0.02
-#: Inputs of the paper's picture; the off-line methods have these alone.
+#: Inputs of the paper's picture, which are the only inputs of the off-line methods.
 SHOWN = ("pulses", "designed")
 LIMITS = (0.9 * CART.mass, 1.1 * CART.mass)
 
 
 def record_of(name: str, seed: int) -> CartRecord:
-    """The cart under an input, to and fro; the seed draws the start phase on the encoder's lattice."""
+    """Return a record of the cart under an input in both directions; the seed draws the encoder's start phase."""
     stroke = np.repeat(experiments()[name], round(HORIZON / INTERVALS / CART_DT))
     u, resolution = np.tile(np.r_[stroke, -stroke], ROUNDS), resolution_of(INCREMENTS)
     phase = float(np.random.default_rng(seed).uniform(0.0, resolution))
@@ -42,7 +42,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, seed: int) -> dict[str, Score]:
-    """On-line the scores after the first stroke, and the time to come within 2 % and to stay."""
+    """Return the scores after the first stroke; on-line scores have the time to stay within 2 %."""
     record = record_of(name, seed)
     scores = {method: _score(method, record) for method in ON_LINE}
     off_line = OFF_LINE if name in SHOWN else ()
@@ -66,12 +66,12 @@ def rows(results: Results) -> list[Merit]:
 
 
 def settle_time() -> float:
-    """Until then the filters remember their start and no sample is used [s]."""
+    """Return the time [s] until the filters have forgotten their start; no earlier sample is used."""
     return CART_DT * make_estimator("rls", record_of("pulses", 0), TIME_CONSTANT).settle_samples
 
 
 def draw(out: Path) -> list[Path]:
-    """The paper's panel, all on-line methods, and the inputs."""
+    """Draw the paper's panel, all on-line methods, and the inputs."""
     records = {name: record_of(name, 0) for name in SHOWN}
     t = CART_DT * np.arange(records["pulses"].u.size, dtype=np.float64)
     panels = {TITLES[m]: {name: _curve(m, record) for name, record in records.items()} for m in ON_LINE}

@@ -1,4 +1,4 @@
-"""The inputs of figures 2 and 5: the designed one, and standard ones that do the same errand (paper section IV-A)."""
+"""The inputs of figures 2 and 5: the designed one, and standard inputs for the same move (paper section IV-A)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION
 from pmfid.types import Floats
 
-HORIZON, INTERVALS, STROKE, LARGEST = 2.0, 40, 0.4, 3.0  # s, -, m, V
-#: m/s; at v >= 0, as in the paper, the optimum parks at standstill, where friction hides what it counts on.
+HORIZON, INTERVALS, STROKE, LARGEST = 2.0, 40, 0.4, 3.0  # [s], -, [m], [V]
+#: Least speed [m/s]. For v >= 0, as in the paper, the optimum parks at standstill, where friction hides the
+#: information.
 LEAST_SPEED = 0.01
 STARTS = 20
 
 
 def problem(mass: float = CART.mass) -> Problem:
-    """The cart from rest at 0 to rest at 0.4 m in 2 s, the mass unknown; mass: what it is taken for [kg]."""
+    """Return the move of the cart from rest at 0 to rest at 0.4 m in 2 s with unknown mass; `mass` is assumed [kg]."""
     nominal = {"viscous_friction": CART.viscous_friction, "coulomb_friction": CART.coulomb_friction, "mass": mass}
     return Problem(
         Drive(CART.input_gain),
@@ -41,15 +42,15 @@ def problem(mass: float = CART.mass) -> Problem:
 
 @cache
 def designed(mass: float = CART.mass) -> Floats:
-    """The input (INTERVALS,) [V] with the most information on the mass, for what the mass is taken for [kg]."""
+    """Return the input (INTERVALS,) [V] with the most information on the mass, for an assumed mass [kg]."""
     return solve(problem(mass), "trace", starts=STARTS, seed=0).u
 
 
 @cache
 def pulse() -> Floats:
-    """One pulse of the largest voltage, then none: as long as takes the cart to 0.4 m; (INTERVALS,) [V].
+    """Return one pulse of the largest voltage, which takes the cart to 0.4 m, then zero; (INTERVALS,) [V].
 
-    The pulse ends inside an interval: that one has a part of the voltage.
+    The pulse ends inside an interval, which has a fraction of the voltage.
     """
 
     def lasting(intervals: float) -> Floats:
@@ -63,16 +64,16 @@ def pulse() -> Floats:
 
 @cache
 def experiments() -> dict[str, Floats]:
-    """Name -> input of one stroke (INTERVALS,) [V]. "pulse train": four pulses within the limits of the design."""
+    """Return the input of one stroke (INTERVALS,) [V] by name; "pulse train" is four pulses within the limits."""
     standard = standard_inputs(problem(), names=("pulses", "trapezoid"))
     others = {"pulse train": standard["pulses"].u, "trapezoid": standard["trapezoid"].u}
     return {"pulses": pulse(), "designed": designed(), **others}
 
 
 def information(u: Floats) -> tuple[float, float]:
-    """Fisher information of one stroke on the cart's mass [1/kg^2], stiction included.
+    """Return the Fisher information of one stroke on the cart's mass [1/kg^2], with stiction.
 
-    First with friction known (paper eq. 40), then with both frictions unknown, as they are to the estimators.
+    The first value is for known friction (paper eq. 40), the second for unknown friction, as the estimators have it.
     """
     joint = replace(problem(), nuisance=("viscous_friction", "coulomb_friction"))
     fisher = simulated_information(joint, u)

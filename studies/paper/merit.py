@@ -1,4 +1,4 @@
-"""Figures of merit of an estimate over many runs: how far off, how much scatter, how honest the error bars."""
+"""Figures of merit of an estimate over many runs: bias, scatter, and coverage of the error bars."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ import numpy as np
 
 from pmfid.types import Floats
 
-#: Of a normal variable: 95 % lie within.
+#: Quantile of a normal variable for 95 %.
 QUANTILE = 1.96
 
 
 @dataclass(frozen=True)
 class Score:
-    """One run. error: mean of (estimate/truth - 1) over its samples; square: mean of its square; covered: part of
-    the samples whose 95 % interval holds the truth; settled [s]: when the estimate came to stay near the truth,
-    inf: never, nan: not asked; information: of the input, nan: not asked. All nan but the last two: no estimate."""
+    """The score of one run.
+
+    `error` is the mean of (estimate/truth - 1) over its samples, and `square` the mean of its square. `covered` is the
+    fraction of samples whose 95 % interval holds the truth. `settled` is the time [s] after which the estimate stays
+    near the truth (inf: never, nan: not measured). `information` belongs to the input (nan: not measured). Without an
+    estimate the first three are nan.
+    """
 
     error: float
     square: float
@@ -32,7 +36,7 @@ NO_ANSWER = Score(math.nan, math.nan, math.nan)
 
 
 def score(values: Floats, std: Floats, truth: float, settled: float = math.nan) -> Score:
-    """The score of a run with estimates and standard deviations (n,) of one parameter."""
+    """Return the score of a run with estimates and standard deviations (n,) of one parameter."""
     error = values / truth - 1
     covered = np.abs(values - truth) < QUANTILE * std
     return Score(float(error.mean()), float(np.mean(error**2)), float(covered.mean()), settled)
@@ -40,12 +44,14 @@ def score(values: Floats, std: Floats, truth: float, settled: float = math.nan) 
 
 @dataclass(frozen=True)
 class Merit:
-    """A row of the table. figure; condition: of the runs; method; increments: of the encoder; runs, and those
-    `refused` without an estimate; of the mass: bias, std about it, rms and coverage of the 95 % intervals [%];
-    settled: median time to come to stay near the truth [s], inf: never in half of the runs; information: Fisher
-    information of the input on the mass with friction known (paper eq. 40) and `joint`: with friction unknown as well
-    [1/kg^2]; loss: what of the former a design loses for a wrong mass [%]; terminal: by how much it then misses its end
-    [mm]; nan where it does not apply."""
+    """A row of the table.
+
+    `condition` describes the runs, `increments` the encoder, and `refused` counts runs without an estimate. bias, std,
+    rms and coverage of the 95 % intervals belong to the mass [%]. `settled` is the median time to stay near the truth
+    [s]; inf means never in half of the runs. `information` is the Fisher information of the input on the mass with
+    known friction (paper eq. 40), and `joint` with unknown friction [1/kg^2]. `loss` is the fraction of it that a
+    design loses by a wrong mass [%], and `terminal` the error of its end [mm]. nan means that a figure does not apply.
+    """
 
     figure: str
     condition: str
@@ -65,7 +71,7 @@ class Merit:
 
 
 def merit(figure: str, condition: str, method: str, increments: int, scores: Sequence[Score]) -> Merit:
-    """The row of N runs, all with the same number of samples."""
+    """Return the row of runs that all have the same number of samples."""
     answered = [s for s in scores if not math.isnan(s.error)]
     bias, square, covered = np.mean([(s.error, s.square, s.covered) for s in answered] or [(math.nan,) * 3], axis=0)
     return Merit(
@@ -84,7 +90,7 @@ def merit(figure: str, condition: str, method: str, increments: int, scores: Seq
 
 
 def _median(times: Sequence[float]) -> float:
-    """The median; inf where that many never came, nan where nobody asked."""
+    """Return the median; inf if it is never reached, nan if it was not measured."""
     ordered = sorted(times)
     if not ordered or math.isnan(ordered[0]):
         return math.nan
@@ -122,7 +128,7 @@ _FORMS = {
 
 
 def cells(row: Merit) -> list[str]:
-    """The row as text, in the order of HEADER; "–" where a figure does not apply."""
+    """Return the row as text, in the order of HEADER; "–" means that a figure does not apply."""
     named = [row.figure, row.condition, row.method, str(row.increments), str(row.runs), str(row.refused)]
     return [*named, *(_text(getattr(row, name), form) for name, form in _FORMS.items())]
 
@@ -132,7 +138,7 @@ def _text(value: float, form: str) -> str:
 
 
 def write_table(rows: Sequence[Merit], path: Path) -> None:
-    """The rows as CSV, all digits; empty where a figure does not apply. Raises OSError."""
+    """Write the rows as CSV with all digits, empty if a figure does not apply. Raises OSError."""
     names = [field.name for field in fields(Merit)]
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""The reproduced figures as sections of a page: caption, pictures, tables, and what the numbers say."""
+"""The reproduced figures as sections of a page: caption, pictures, tables, and a text on the numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PICTURES: Mapping[str, tuple[str, ...]] = {
 
 
 def sections(rows: Sequence[Merit], images: str) -> list[str]:
-    """The lines of all figures that have rows; images: the folder of the pictures as seen from the page."""
+    """Return the lines of all figures that have rows; `images` is the relative folder of the pictures."""
     lines = []
     for name in PICTURES:
         mine = [row for row in rows if row.figure == name]
@@ -34,7 +34,7 @@ def sections(rows: Sequence[Merit], images: str) -> list[str]:
 
 
 def _by_encoder(rows: Sequence[Merit]) -> list[str]:
-    """One table for each condition: bias ± std and the coverage, of the mass in percent, by method and encoder."""
+    """Return one table for each condition: bias ± std and coverage of the mass [%], by method and encoder."""
     lines = []
     for condition in dict.fromkeys(row.condition for row in rows):
         mine = [row for row in rows if row.condition == condition]
@@ -63,7 +63,7 @@ def _settled(at: Mapping[tuple[str, int], Merit], methods: Sequence[str], encode
 
 
 def _plain(rows: Sequence[Merit]) -> list[str]:
-    """The rows as they are, without the columns that no row fills."""
+    """Return the rows without the columns that no row fills."""
     texts = [cells(row)[1:] for row in rows]
     kept = [i for i in range(len(HEADER) - 1) if any(row[i] not in ("–", "0") for row in texts)]
     return table([HEADER[1 + i] for i in kept], [[row[i] for i in kept] for row in texts])
@@ -96,7 +96,7 @@ def _verdict(met: bool) -> str:
     return "met" if met else "**not met**"
 
 
-#: Scenario, method, the encoders meant, and the largest bias of the mass that is asked for [%].
+#: Scenario, method, encoders, and largest allowed bias of the mass [%].
 GOALS: tuple[tuple[str, str, tuple[int, ...], float], ...] = (
     ("prbs", "bcrls", (4096, 1024, 512, 256), 0.5),
     ("prbs", "iv", (4096, 1024, 512, 256), 0.5),

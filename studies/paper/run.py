@@ -1,4 +1,4 @@
-"""Runs the figures on all cores and writes their pictures, their data and one table."""
+"""Run the figures on all cores; write their pictures, their data and one table."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def reproduce(
     jobs: int | None = None,
     done: Callable[[float], None] | None = None,
 ) -> list[Merit]:
-    """The rows of the table for the figures `names` (none: all); writes pictures, their data and table.csv into `out`.
+    """Return the table's rows for the figures `names` (none: all); write pictures, data and table.csv into `out`.
 
-    seeds: runs of each row, >= 1; jobs: processes, None: one for each core; done: called with the part that is done.
-    The same seeds give the same files, whatever the number of processes. Raises UsageError for an unknown figure, and
-    OSError.
+    `seeds` >= 1 is the number of runs of each row. `jobs` is the number of processes; None means one for each core.
+    `done` is called with the completed fraction. The same seeds give the same files for any number of processes. Raises
+    UsageError for an unknown figure, and OSError.
     """
     chosen = [_figure(name) for name in dict.fromkeys(names or FIGURES)]
     for name, value in (("seeds", seeds), ("jobs", 1 if jobs is None else jobs)):
@@ -45,7 +45,7 @@ def reproduce(
     results: dict[str, dict[Task, object]] = {figure.name: {} for figure in chosen}
     with _pool(jobs) as pool:
         found = pool.imap(_work, tasks, chunksize=8)
-        for figure in chosen:  # while the others work
+        for figure in chosen:  # while the other processes work
             figure.draw(out)
         for (name, task), result in zip(tasks, _counted(found, len(tasks), done), strict=True):
             results[name][task] = result
@@ -61,16 +61,16 @@ def _figure(name: str) -> PaperFigure:
 
 
 def _pool(jobs: int | None) -> Pool:
-    """Processes that start afresh with one thread each: neither jobs nor threads change the last bit."""
+    """Return a pool of new processes with one thread each, so that jobs and threads do not change a bit."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    # an interrupt is the parent's to answer: it ends the others
+    # only the parent handles an interrupt, and ends the others
     ignored = (signal.SIGINT, signal.SIG_IGN)
     return multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, signal.signal, ignored)
 
 
 def _counted(results: Iterable[T], total: int, done: Callable[[float], None] | None) -> Iterator[T]:
-    """The results as they come; `done` is called with the part of them that is there."""
+    """Yield the results; call `done` with the completed fraction."""
     for count, result in enumerate(results, 1):
         if done is not None:
             done(count / total)

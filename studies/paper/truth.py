@@ -1,4 +1,4 @@
-"""What the studies of accuracy share: the cart's truth, one estimate of one record, the Cramér-Rao bound, a table."""
+"""Common parts of the studies of accuracy: the cart's truth, an estimate of a record, the Cramér-Rao bound, a table."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from studies.paper.figure import Task as Task
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-#: Filter time constant in samples, where a table does not say otherwise.
+#: Filter time constant in samples, unless a table says otherwise.
 TIME_CONSTANT = 3
 #: Methods that simulate the whole record many times; they get fewer seeds.
 SLOW = tuple(name for name in ("output-error", "interval") if name in ESTIMATORS)
@@ -40,8 +40,8 @@ STEP = 1e-4
 class Study:
     """One section of the page.
 
-    tasks: what is to be computed with a number of seeds; work: one of them, in a process of its own;
-    write: the section's lines from the number of seeds and the results by task.
+    `tasks` returns the tasks for a number of seeds, and `work` computes one of them in a separate process. `write`
+    returns the section's lines from the number of seeds and the results by task.
     """
 
     name: str
@@ -61,8 +61,12 @@ class CartRecord:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One estimate: theta, std (3,), nan where there is none, and then `failure` says why; status bits of the whole
-    record or of the last sample; relative_error of an off-line fit; flags of `judge`, () where it was not asked."""
+    """One estimate.
+
+    theta and std are (3,), nan without an estimate; then `failure` gives the reason. The status bits are those of the
+    whole record or of the last sample. `relative_error` belongs to an off-line fit, and the flags come from `judge`, or
+    are ().
+    """
 
     theta: Floats
     std: Floats
@@ -73,7 +77,7 @@ class Outcome:
 
 
 def scenario_record(name: str, seed: int, increments: int) -> CartRecord:
-    """A scenario of 30 s as a record."""
+    """Return a scenario of 30 s as a record."""
     scenario = make_scenario(name, seed=seed, increments=increments)
     return CartRecord(scenario.motion.u, scenario.counts, scenario.resolution)
 
@@ -85,7 +89,7 @@ def make_estimator(
     input_gain: float = CART.input_gain,
     **options: object,
 ) -> Estimator:
-    """The method on the cart's model; time_constant: of the filters, in samples."""
+    """Return the method on the cart's model; `time_constant` of the filters is in samples."""
     cutoff = 1 / (time_constant * CART_DT)
     own = {"model": Drive(input_gain), "encoder": Encoder(record.resolution), "dt": CART_DT, "cutoff": cutoff}
     return construct_estimator(ESTIMATORS[method], own | options)
@@ -98,7 +102,7 @@ def track_of(
     input_gain: float = CART.input_gain,
     **options: object,
 ) -> Track:
-    """The estimates of a recursive method over a record."""
+    """Return the estimates of a recursive method over a record."""
     estimator = make_estimator(method, record, time_constant, input_gain, **options)
     if not isinstance(estimator, RecursiveEstimator):
         raise TypeError(f"{method} is not recursive")
@@ -114,9 +118,10 @@ def estimate(
     judged: bool = False,
     **options: object,
 ) -> Outcome:
-    """What a method says after the whole record; the last value of a recursive one. judged: with the flags.
+    """Return the estimate after the whole record; a recursive method gives its last value.
 
-    A method that gives no estimate, or that stops with an error of linear algebra, is an outcome, too.
+    `judged` includes the flags. A method without an estimate, or with an error of linear algebra, also gives an
+    outcome.
     """
     estimator = make_estimator(method, record, time_constant, input_gain, **options)
     try:
@@ -151,17 +156,17 @@ def _last(estimator: Estimator, record: CartRecord) -> Outcome:
 
 
 def percent(theta: Floats) -> Floats:
-    """Errors in percent of the truth; theta: (..., 3)."""
+    """Return the errors in percent of the truth; theta is (..., 3)."""
     return np.asarray(100 * (theta / TRUTH - 1))
 
 
 def vouched(track: Track) -> Flags:
-    """(n,) samples without a status bit that warns of the estimate as a whole."""
+    """Return the samples (n,) without a status bit that warns of the estimate as a whole."""
     return np.asarray((track.status & NOT_VOUCHED) == 0)
 
 
 def positions(u: Floats, theta: Floats, v0: float) -> Floats:
-    """Positions (n,) [m] from x = 0 under u (n,), from the kernel's own simulation with stiction."""
+    """Return positions (n,) [m] from x = 0 under u (n,), from the kernel's own simulation with stiction."""
     from pmfid import _kernel64
 
     mass, viscous, coulomb = theta.tolist()
@@ -171,8 +176,10 @@ def positions(u: Floats, theta: Floats, v0: float) -> Floats:
 
 
 def cramer_rao(u: Floats, resolution: float) -> Floats:
-    """Least variances (3,) of unbiased estimates under u (n,), for white noise of variance resolution^2/12 on every
-    position, with the start x0, v0 unknown (Ljung 1999, section 7.4)."""
+    """Return the least variances (3,) of unbiased estimates under u (n,), with an unknown start x0, v0.
+
+    The noise is white, with variance resolution^2/12 on every position (Ljung 1999, section 7.4).
+    """
     columns = [np.ones_like(u)]
     for j, size in enumerate(STEP * np.r_[TRUTH, 1.0]):
         step = size * np.eye(4)[j]
@@ -184,17 +191,17 @@ def cramer_rao(u: Floats, resolution: float) -> Floats:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table, and the empty line after it."""
+    """Return a Markdown table, and the empty line after it."""
     lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
     return [lines[0], "|" + "---|" * len(header), *lines[1:], ""]
 
 
 def triple(values: Floats, digits: Sequence[int] = (2, 2, 2), sign: str = "+") -> str:
-    """Three numbers, of mass, viscous and Coulomb friction, in one cell."""
+    """Return three numbers, of mass, viscous and Coulomb friction, as one cell."""
     return ", ".join(f"{value:{sign}.{n}f}" for value, n in zip(values, digits, strict=True))
 
 
 def tally(names: Sequence[Sequence[str]]) -> str:
-    """How often each name occurs in N runs: "feedback 3/5"."""
+    """Return how often each name occurs in the runs: "feedback 3/5"."""
     every = [name for run in names for name in run]
     return ", ".join(f"{name} {every.count(name)}/{len(names)}" for name in sorted(set(every))) or "–"

@@ -2,6 +2,6 @@
 
 import os
 
-# as the command does, before NumPy is there: another number of threads adds in another order
+# set before NumPy is loaded, as in the command: another number of threads adds in another order
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")

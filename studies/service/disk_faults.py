@@ -28,13 +28,13 @@ path = "state/rows.jsonl"
 
 
 def run(*command: str | Path) -> bool:
-    """Whether a command of the system could be done."""
+    """Return whether a command of the system succeeded."""
     return subprocess.run(command, capture_output=True).returncode == 0
 
 
 @contextmanager
 def mounted(place: Path, *how: str | Path) -> Iterator[bool]:
-    """A file system on a folder, whether root allows it."""
+    """Mount a file system on a folder; yield whether root permits it."""
     place.mkdir(parents=True, exist_ok=True)
     done = run("mount", *how, place)
     try:
@@ -50,8 +50,10 @@ def _small(place: Path) -> AbstractContextManager[bool]:
 
 @dataclass
 class Disk:
-    """A fault of the disk that holds state, database and table of a hall. how: in words; begin, end: the fault itself;
-    hits: counters of what it must stop."""
+    """A fault of the disk that holds state, database and table of a hall.
+
+    `how` describes the fault, `begin` and `end` cause and remove it, and `hits` are the counters that it must affect.
+    """
 
     how: str
     begin: Callable[[], object]
@@ -71,8 +73,10 @@ def full(state: Path) -> Disk:
 
 
 def read_only(state: Path) -> Disk:
-    """A mount over the folder: what is opened from now on is read-only, as after `mount -o remount,ro`, which itself
-    the kernel refuses while a file is open for writing."""
+    """Return the fault of a read-only mount over the folder: files that are opened later are read-only.
+
+    The kernel refuses `mount -o remount,ro` itself while a file is open for writing.
+    """
     if run("mount", "--bind", state, state):
         run("mount", "-o", "remount,ro,bind", state)
         how = "disk read-only (mounted over, `remount,ro,bind`)"
@@ -82,7 +86,7 @@ def read_only(state: Path) -> Disk:
 
 
 def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
-    """Before, during, and after the fault, without a restart."""
+    """Compare the service before, during and after the fault, without a restart."""
     with _small(place / "state"), hall(place, AXES, 60.0, SINKS) as there:
         there.play(BEFORE)
         there.through()
@@ -114,7 +118,7 @@ def _works(metrics: Metrics, what: str) -> bool:
 
 
 def _recovered(there: Hall, hits: tuple[str, ...]) -> Metrics:
-    """The metrics once all works again, or after a minute: pauses between attempts grow to that."""
+    """Return the metrics once all works again, or after a minute: pauses between attempts grow to a minute."""
     end = time.monotonic() + 1.2 * PATIENCE
     while True:
         metrics = there.served.metrics()
@@ -138,8 +142,10 @@ def _notices_in(database: Path) -> int:
 
 
 def forced_read_only(place: Path) -> Finding | None:
-    """An ext4 that the kernel makes read-only for an error, whatever is open; None where root has no loop device. It
-    stays so until it is mounted again: then the service starts again."""
+    """Test an ext4 that the kernel makes read-only after an error; return None if root has no loop device.
+
+    The disk stays read-only until it is mounted again; then the service starts again.
+    """
     place.mkdir(parents=True, exist_ok=True)
     image = place / "image"
     with image.open("wb") as file:
@@ -169,14 +175,14 @@ def forced_read_only(place: Path) -> Finding | None:
 
 
 def _error_of(place: Path) -> Path | None:
-    """Where an error of the file system on a folder is made."""
+    """Return the file that triggers an error of the file system on a folder."""
     named = subprocess.run(["findmnt", "-n", "-o", "SOURCE", place], capture_output=True, text=True).stdout.strip()
     found = Path("/sys/fs/ext4") / Path(named).name / "trigger_fs_error"
     return found if named and os.access(found, os.W_OK) else None
 
 
 def _again(place: Path, at: int) -> Iterator[tuple[str, bool]]:
-    """The service started again on the disk as it was left; its machines go on from sample `at`."""
+    """Start the service again on the same disk; its machines continue from sample `at`."""
     with hall(place, AXES, 60.0, SINKS) as there:
         (reported,) = [one for one in there.notices() if one["event"] == "checkpoint"]
         went_on = reported.get("restored") == AXES
@@ -196,7 +202,7 @@ RATE = 1e6
 
 @dataclass
 class Slow:
-    """Reads lines from a named pipe, RATE bytes a second, and counts those of rows."""
+    """A reader of a named pipe that takes RATE bytes a second and counts the rows."""
 
     path: Path
     rows: int = 0
@@ -217,7 +223,7 @@ class Slow:
 
 
 def slow_sink(place: Path) -> Finding:
-    """Every row of 12 axes ten times as fast as in reality, to a reader of 1 MB/s; its queue holds 20 000 rows."""
+    """Send every row of 12 axes, ten times as fast as real time, to a reader of 1 MB/s with a queue of 20 000 rows."""
     place.mkdir(parents=True, exist_ok=True)
     receiver = Slow(place / "slow")
     sink = f'\n[sinks.slow]\nkind = "file"\npath = "{receiver.path}"\nqueue_rows = 20000\n'

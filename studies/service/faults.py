@@ -1,5 +1,6 @@
-"""What a service does when something else fails, each fault played for real: `pmfid serve`, Mosquitto and machines as
-processes of one computer. For disks it wants root.
+"""Study the service during faults of other parts, each really caused: `pmfid serve`, Mosquitto and machines.
+
+The processes share one computer. Faults of disks need root.
 
     python -m studies.service.faults --out results/service_faults.md
 """
@@ -34,7 +35,7 @@ Part = Callable[[Path], Iterator[Finding]]
 
 
 def in_one_hall(place: Path) -> Iterator[Finding]:
-    """Faults one after the other of the same service, which must not mind."""
+    """Yield the findings of successive faults on one service, which must survive them."""
     with hall(place, 12, 360.0) as there:
         yield from message_faults(there)
         yield stuck_browser(there)

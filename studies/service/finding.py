@@ -1,4 +1,4 @@
-"""What a fault did: what the page and the metrics said, and whether that is what they should have said."""
+"""The effect of a fault: the messages of page and metrics, compared to the right ones."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ REPORTED = re.compile(
     r"pmfid_(unusable|samples_(missing|dropped|without)|lines_dropped|dropped_|refused|sink_(working|errors)|events"
     r"|checkpoint_(working|errors)|page_|paused_|deliveries_slower_total\{than=.5.\})"
 )
-#: Letters of a sentence that the table shows.
+#: Most letters of a sentence in the table.
 LONGEST = 240
 
 
 @dataclass(frozen=True)
 class Finding:
-    """fault: what happened; page: sentences of the notices; metrics: what changed; claims: what should hold, and
-    whether it does."""
+    """A fault with its effects: sentences of the notices, changed metrics, and claims with their truth."""
 
     fault: str
     page: Sequence[str]
@@ -35,7 +34,7 @@ class Finding:
         return all(holds for _, holds in self.claims)
 
     def row(self) -> str:
-        """Of the table."""
+        """Return a row of the table."""
         verdict = ["as it should be" if self.holds else "**NOT as it should be**"]
         verdict += [text if holds else f"**NOT: {text}**" for text, holds in self.claims]
         parts = (self.page or ["nothing"], [f"`{one}`" for one in self.metrics] or ["nothing"], verdict)
@@ -44,8 +43,9 @@ class Finding:
 
 
 def sentences(notices: Sequence[Report]) -> list[str]:
-    """As the log for people has them, those alike once; not what the motion itself does to the watch, and not the
-    start."""
+    """Return the sentences of the log, equal ones once; the start, and the motion's effects on the watch, are left
+    out.
+    """
     reported = Counter[str]()
     for one in notices:
         if one["event"] in ("state", "configuration", "serving"):
@@ -58,7 +58,7 @@ def sentences(notices: Sequence[Report]) -> list[str]:
 
 
 def changes(before: Metrics, after: Metrics) -> list[str]:
-    """Totals that grew, levels that changed."""
+    """Return the totals that grew, and the levels that changed."""
     found = []
     for name, value in sorted(after.items()):
         if REPORTED.match(name) and 'event="state"' not in name and value != before.get(name, 0.0):
@@ -68,7 +68,7 @@ def changes(before: Metrics, after: Metrics) -> list[str]:
 
 
 def others_unchanged(hall: Hall, since: int = 0) -> tuple[str, bool]:
-    """The first claim of all: nobody else's estimates are touched."""
+    """Return the first claim: the estimates of all other axes are unchanged."""
     rows, differ = hall.compared(since)
     return f"{rows} rows of the other axes to the last bit, {differ} differ", rows > 0 and differ == 0
 

@@ -1,5 +1,4 @@
-"""Many carts on a broker, what they are sent, what the page and the metrics say, and what the estimates should
-be."""
+"""Many carts on a broker: sent samples, the page, the metrics, and the expected estimates."""
 
 from __future__ import annotations
 
@@ -28,27 +27,31 @@ from pmfid.types import Floats
 from studies.service.machines import DT, NAME, write_plant
 from studies.service.processes import BROKER, Service, broker, free_port, service
 
-#: Samples of a block, and samples by which the place of an axis in the motion lags that of the one before.
+#: Samples of a block, and samples between the places of neighbouring axes in the motion.
 SAMPLES, APART = 25, 37
 PAGE = '\n[page]\nport = {port}\ntoken_env = "PMFID_TOKEN"\n'
-#: Seconds that what was sent may take until it is through.
+#: Longest time for the processing of all sent samples [s].
 PATIENCE = 60.0
 
-#: Bytes to send in place of a block; nothing: it is lost.
+#: Function that returns the bytes to send in place of a block; none means that the block is lost.
 Change = Callable[[Block], Sequence[bytes]]
 Metrics = dict[str, float]
 Report = dict[str, Any]
 
 
 def name_of(k: int) -> str:
-    """Of axis k."""
+    """Return the name of axis k."""
     return NAME.format(k)
 
 
 @dataclass
 class Hall:
-    """served: the service; client: what sends; u, counts: the motion that every axis runs along; axes: their number;
-    at: samples of each that were sent; sent: samples of all; struck: numbers of axes that something was done to."""
+    """A hall of machines.
+
+    `served` is the service, and `client` sends the samples. All axes run along the motion u, counts; `axes` is their
+    number. `at` counts the sent samples of each axis, and `sent` those of all. `struck` holds the numbers of changed
+    axes.
+    """
 
     folder: Path
     served: Service
@@ -61,11 +64,13 @@ class Hall:
     struck: set[int] = field(default_factory=set, init=False)
     _seen: set[int] = field(default_factory=set, init=False)
 
-    # --- what is sent -------------------------------------------------------------------------------------------------
+    # --- sending ------------------------------------------------------------------------------------------------------
 
     def play(self, seconds: float, speed: float = 5.0, changes: dict[int, Change] | None = None) -> None:
-        """So much of the motion of all axes, `speed` times as fast as in reality; changes: what is sent in place of
-        the blocks of some axes."""
+        """Play some seconds of the motion of all axes, `speed` times as fast as real time.
+
+        `changes` replaces the blocks of some axes.
+        """
         changes, begin, start = changes or {}, time.monotonic(), self.at
         self.struck |= changes.keys()
         while self.at < start + seconds / DT:
@@ -86,10 +91,10 @@ class Hall:
     def publish(self, data: bytes) -> None:
         self.last = self.client.publish("load/blocks", data, qos=1)
 
-    # --- what is said -------------------------------------------------------------------------------------------------
+    # --- reports ------------------------------------------------------------------------------------------------------
 
     def through(self, more: int = 0) -> Metrics:
-        """The metrics when all that was sent is through, but `more` samples: taken, missing or dropped."""
+        """Return the metrics when all sent samples, except `more`, are accounted for: taken, missing or dropped."""
         end = time.monotonic() + PATIENCE
         while True:
             metrics = self.served.metrics()
@@ -98,14 +103,14 @@ class Hall:
             time.sleep(0.5)
 
     def accounted(self, metrics: Metrics) -> float:
-        """Samples that became estimates, or that are said to be missing."""
+        """Return the number of samples that became estimates or are reported as missing."""
         return self.total("pmfid_samples_total", metrics) + self.total("pmfid_samples_missing_total", metrics)
 
     def total(self, name: str, metrics: Metrics | None = None) -> float:
         return self.served.total(name, metrics)
 
     def notices(self) -> list[Report]:
-        """Those that the page got since the last time, by its stream."""
+        """Return the new notices of the page's stream."""
         with self.open_stream() as answer:
             first = json.loads(answer.readline())
         fresh = [one for one in first["notices"] if one["number"] not in self._seen]
@@ -118,22 +123,24 @@ class Hall:
         return urllib.request.urlopen(request, timeout=30)
 
     def post(self, path: str) -> None:
-        """A write action of the page."""
+        """Send a write action to the page."""
         headers = {"Authorization": f"Bearer {self.served.token}", "Content-Type": "application/json"}
         address = f"http://127.0.0.1:{self.served.port}{path}"
         urllib.request.urlopen(urllib.request.Request(address, b"{}", headers), timeout=30).close()
 
     def rows(self, axis: str) -> tuple[NDArray[np.int64], Floats]:
-        """(numbers (m,), theta (m, p)) that the page has of an axis."""
+        """Return the page's numbers (m,) and theta (m, p) of an axis."""
         history = json.loads(self.served.get(f"/api/axis/{axis}/history"))
         theta = np.column_stack([_unpacked(column) for column in history["theta"]])
         return _unpacked(history["number"]).astype(np.int64), theta
 
-    # --- what should be said ------------------------------------------------------------------------------------------
+    # --- expected estimates -------------------------------------------------------------------------------------------
 
     def compared(self, since: int = 0, axes: Sequence[int] | None = None) -> tuple[int, int]:
-        """Rows of the page after sample `since`, and how many of them differ in a bit from those of `pmfid monitor` on
-        what was sent; axes: numbers of these, None: of all that nothing was done to."""
+        """Count the rows of the page after sample `since`, and those with another bit than `pmfid monitor`.
+
+        `axes` are the numbers of the compared axes; None means all unchanged axes.
+        """
         others = [k for k in range(self.axes) if k not in self.struck] if axes is None else list(axes)
         fleet = MonitorFleet(prepare(self.folder / "cell.toml").setup.monitor, len(others))
         places = np.array(others)[:, None] * APART + np.arange(self.at)
@@ -158,7 +165,7 @@ def _unpacked(text: str) -> Floats:
 
 
 def lost(block: Block, part: slice) -> Block:
-    """With the inputs of some samples lost."""
+    """Return the block with lost inputs for some samples."""
     u = block.u.copy()
     u[part] = math.nan
     return replace(block, u=u)
@@ -174,15 +181,18 @@ def hall(
     limits: str = BROKER,
     ready: Callable[[Path], object] = lambda place: None,
 ) -> Iterator[Hall]:
-    """A hall in a folder of its own, whose machines have `seconds` of motion. more: further sections of PLANT.toml;
-    settings: lines of [service]; limits: configuration of the broker; ready: called when its files are there."""
+    """Run a hall in its own folder, whose machines have `seconds` of motion.
+
+    `more` are further sections of PLANT.toml, and `settings` are lines of [service]. `limits` configures the broker,
+    and `ready` is called once the files exist.
+    """
     run = make_scenario("moves", seed=2, duration=seconds + axes * APART * DT + 1.0)
     place.mkdir(parents=True, exist_ok=True)
     with broker(place, limits) as (port, _):
         plant = write_plant(place, axes, port, settings)
         plant.write_text(plant.read_text() + more + PAGE.format(port=free_port()))
         ready(place)
-        prepare(place / "cell.toml")  # calibrated here, in the cache for the service
+        prepare(place / "cell.toml")  # calibrated here, with the result in the cache for the service
         with service(plant, place / "log.jsonl") as served:
             client = mqtt.Client(CallbackAPIVersion.VERSION2, "machines", protocol=mqtt.MQTTv5)
             client.max_inflight_messages_set(1000)
@@ -190,7 +200,7 @@ def hall(
             client.loop_start()
             while not served.total("pmfid_axes"):
                 time.sleep(0.1)
-            time.sleep(1.0)  # the source has subscribed
+            time.sleep(1.0)  # time for the source's subscription
             yield Hall(place, served, client, run.motion.u, run.counts.astype(np.int64), axes)
             client.disconnect()
             client.loop_stop()

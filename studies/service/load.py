@@ -1,4 +1,4 @@
-"""How many axes a service bears, and for how long: machines, broker and `pmfid serve` on one computer.
+"""Measure how many axes a service can process, and for how long: machines, broker and `pmfid serve` on one computer.
 
 python -m studies.service.load --out results/service_load.md --image results/images/service_load.png
 """
@@ -19,7 +19,7 @@ import numpy as np
 from studies.service.machines import write_plant
 from studies.service.processes import Service, Use, broker, free_port, service, use_of
 
-#: Seconds between two looks, and those at the beginning in which memory is still growing into its place.
+#: Seconds between two looks, and seconds at the beginning in which memory still grows.
 LOOK, GROWING = 5.0, 60.0
 PAGE = """
 [page]
@@ -32,8 +32,10 @@ TOTALS = ("samples_total", "samples_dropped_total", "samples_missing_total", "dr
 
 @dataclass(frozen=True)
 class Look:
-    """A moment of a run. time [s]; memory: of the service [MB]; files: that it has open; totals: by name; slower:
-    deliveries so far that took longer than each limit [s]; deliveries: so far."""
+    """A moment of a run: time [s], memory of the service [MB], open files, and totals by name.
+
+    `slower` counts deliveries beyond each limit [s], and `deliveries` counts all so far.
+    """
 
     time: float
     memory: float
@@ -45,7 +47,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Run:
-    """axes, seconds: what was asked for; sent: by the machines; cores: that each process used on average."""
+    """A run: requested axes and seconds, samples sent by the machines, and mean cores of each process."""
 
     axes: int
     seconds: float
@@ -55,7 +57,7 @@ class Run:
 
     @property
     def late(self) -> dict[float, float]:
-        """Part of the deliveries, after the start, whose estimates took longer than N seconds."""
+        """The fraction of the deliveries after the start whose estimates took longer than each limit [s]."""
         first = next((look for look in self.looks if look.time > GROWING), self.looks[0])
         last = self.looks[-1]
         n = max(1.0, last.deliveries - first.deliveries)
@@ -63,13 +65,13 @@ class Run:
 
     @property
     def memory(self) -> tuple[float, float]:
-        """Least and most after the start [MB]."""
+        """The least and the most memory after the start [MB]."""
         kept = [look.memory for look in self.looks if look.time > GROWING] or [self.looks[-1].memory]
         return min(kept), max(kept)
 
 
 def measure(axes: int, seconds: float) -> Run:
-    """One load."""
+    """Measure one load."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with broker(folder) as (port, broker_pid):
@@ -99,7 +101,7 @@ def _watched(served: Service, broker_pid: int, port: int, axes: int, seconds: fl
 
 
 def _drained(served: Service, samples: float) -> None:
-    """Waits until all is through, but not for ever."""
+    """Wait for a limited time until all samples are processed."""
     before = -1.0
     while (now := served.total("pmfid_samples_total")) < samples and now > before:
         before = now
@@ -119,7 +121,7 @@ def _look(served: Service, begin: float) -> Look:
 
 
 def row(run: Run) -> str:
-    """Of the table."""
+    """Return a row of the table."""
     last, late = run.looks[-1].totals, run.late
     lost = run.sent["samples"] - last["samples_total"]
     p99 = next((f"{limit:g} s" for limit in sorted(late) if late[limit] <= 0.01), "more")
@@ -165,7 +167,7 @@ that after the first minute.
 
 
 def write_figure(runs: list[Run], path: Path) -> None:
-    """Memory, open files, and the part of the estimates that were late, over time."""
+    """Draw memory, open files, and the fraction of late estimates over time."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,5 +1,7 @@
-"""Many machines that send blocks through a broker: every axis runs along the same long simulated record, each from a
-place of its own, so that to send costs little and every axis does real work.
+"""Simulate many machines that send blocks through a broker.
+
+All axes run along the same long simulated record from different places, so that sending is cheap and every axis does
+real work.
 
     python -m studies.service.machines --port 1883 --axes 10000 --seconds 600
 """
@@ -22,9 +24,9 @@ from pmfid.stream.blocks import MAGIC, VERSION, block_type
 
 #: Sample period of the machines [s], and samples of a block.
 DT, SAMPLES = 0.01, 50
-#: Messages of N axes; the axes take turns in N parts of the time of a block.
+#: Axes in a message, and number of parts of a block's time in which the axes send by turns.
 AXES_IN_MESSAGE, TURNS = 50, 25
-#: Samples by which the place of one axis in the record lags that of the one before.
+#: Samples between the places of neighbouring axes in the record.
 APART = 37
 
 NAME = "cell-{:06d}"
@@ -38,7 +40,7 @@ mtbf_hours = 24.0
 
 
 def write_plant(folder: Path, axes: int, port: int, service: str = "") -> Path:
-    """PLANT.toml, AXIS.toml and a record of normal work in a folder; service: further lines of [service]."""
+    """Write PLANT.toml, AXIS.toml and a record of normal work; `service` are further lines of [service]."""
     folder.mkdir(parents=True, exist_ok=True)
     normal = make_scenario("moves", seed=1, duration=600.0)
     write_csv(normal, folder / "normal.csv")
@@ -65,7 +67,7 @@ topics = ["load/blocks"]
 
 
 class Machines:
-    """axes: their number; seconds: of the record that they run along."""
+    """Make the given number of axes with a record of `seconds`."""
 
     def __init__(self, axes: int, seconds: float) -> None:
         run = make_scenario("moves", seed=2, duration=seconds + axes * APART * DT)
@@ -76,7 +78,7 @@ class Machines:
         self.blocks["letters"], self.blocks["dt"] = len(NAME.format(0)), DT
 
     def messages(self, which: NDArray[np.int64], turn: int) -> list[bytes]:
-        """Block number `turn` of some axes, several in a message."""
+        """Return block number `turn` of some axes, several in a message."""
         part = self.blocks[which]
         at = (which * APART + turn * SAMPLES)[:, None] + np.arange(SAMPLES)
         part["first"], part["time"] = turn * SAMPLES, turn * SAMPLES * DT
@@ -87,7 +89,7 @@ class Machines:
 
 
 def send(port: int, axes: int, seconds: float, topic: str = "load/blocks") -> dict[str, float]:
-    """Sends in real time at QoS 1; what was sent, and by how much the sender itself was late at most [s]."""
+    """Send in real time at QoS 1; return the sent amounts, and the sender's own largest delay [s]."""
     import paho.mqtt.client as mqtt
     from paho.mqtt.enums import CallbackAPIVersion
 

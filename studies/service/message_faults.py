@@ -1,4 +1,4 @@
-"""Faults of what comes: samples that are none, damaged and foreign messages, clocks, counters that wrap."""
+"""Faults of messages: invalid samples, damaged and foreign messages, clocks, counters that wrap."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from studies.service.finding import Finding, changes, others_unchanged, sentence
 from studies.service.hall import SAMPLES, Change, Hall, Metrics, hall, lost, name_of
 from studies.service.machines import DT
 
-#: Seconds of samples of each fault, before it, and after it.
+#: Seconds of samples before each fault, during it, and after it.
 BEFORE, DURING, AFTER = 5.0, 1.0, 4.0
 
 
@@ -26,7 +26,7 @@ def nan(block: Block) -> list[bytes]:
 
 
 def infinite(block: Block) -> list[bytes]:
-    """No encoder makes one: the bits of a u are replaced after the header, and the checksum made again."""
+    """Return a block with an infinite input, by new bits after the header and a new checksum: no encoder makes one."""
     data = bytearray(encode(replace(block, u=block.u.astype(np.float32).astype(np.float64))))
     at = 40 + len(block.axis) + -len(block.axis) % 8
     struct.pack_into("<f", data, at, math.inf)
@@ -40,12 +40,12 @@ def wrong_crc(block: Block) -> list[bytes]:
 
 
 def oversized(block: Block) -> list[bytes]:
-    """After the block, enough bytes that the message is more than `largest`, which the broker still delivers."""
+    """Return a block with enough further bytes to exceed `largest`; the broker still delivers it."""
     return [encode(block) + bytes(2**20)]
 
 
 def beyond(block: Block) -> list[bytes]:
-    """More than the service has asked the broker for."""
+    """Return a message beyond the size that the service has requested from the broker."""
     return [encode(block) + bytes(2**21)]
 
 
@@ -62,7 +62,7 @@ def hour_forward(block: Block) -> list[bytes]:
     return [encode(replace(block, time=block.time + 3600.0))]
 
 
-#: By what happens: the change, and whether a block is lost by it.
+#: Description -> the change, and whether it loses a block.
 FAULTS: dict[str, tuple[Change, bool]] = {
     "NaN: 10 of 25 inputs of each block": (nan, False),
     "Inf in each block": (infinite, True),
@@ -76,7 +76,7 @@ FAULTS: dict[str, tuple[Change, bool]] = {
 
 
 def message_faults(there: Hall) -> Iterator[Finding]:
-    """Each on an axis of its own."""
+    """Yield the findings of the faults, each on its own axis."""
     there.play(BEFORE)
     there.through()
     there.notices()
@@ -106,7 +106,7 @@ def message_faults(there: Hall) -> Iterator[Finding]:
 def _own_claims(
     there: Hall, k: int, change: Change, before: Metrics, after: Metrics, since: int
 ) -> Iterator[tuple[str, bool]]:
-    """What must hold for the axis itself."""
+    """Yield the claims on the axis itself."""
     if change in (hour_back, hour_forward):
         rows, differ = there.compared(since, [k])
         yield f"{rows} rows of the axis itself to the last bit, {differ} differ: numbers rule", rows > 0 and not differ
@@ -117,7 +117,7 @@ def _own_claims(
 
 
 def wrapped(bits: int) -> Change:
-    """The counter of an axis as one of N bits, which stands just before its wrap at first."""
+    """Return the change of an axis's counter to one of `bits` bits, which begins just before its wrap."""
 
     def change(block: Block) -> Sequence[bytes]:
         half = 2 ** (bits - 1)
@@ -131,7 +131,7 @@ BITS = (16, 24, 32)
 
 
 def wraps(place: Path) -> Finding:
-    """Axes with counters of 16, 24 and 32 bits next to one whose counter never wraps, all in the same motion."""
+    """Compare axes with counters of 16, 24 and 32 bits to one whose counter never wraps, all in the same motion."""
     seconds = 30.0
     more = "".join(f'\n[axes.w{bits}]\nconfig = "w{bits}.toml"\n' for bits in BITS)
     with hall(place, 1, seconds, more, ready=write_wrapping) as there:
@@ -162,7 +162,9 @@ def _play_twins(there: Hall, twins: dict[int, Change], seconds: float) -> None:
 
 
 def write_wrapping(place: Path) -> None:
-    """The AXIS.toml of each number of bits, as that of the others."""
-    text = (place / "cell.toml").read_text().replace("mtbf_hours = 24.0", "mtbf_hours = 5.0")  # calibrated sooner
+    """Write an equal AXIS.toml for each number of bits."""
+    text = (
+        (place / "cell.toml").read_text().replace("mtbf_hours = 24.0", "mtbf_hours = 5.0")
+    )  # for a faster calibration
     for bits in BITS:
         (place / f"w{bits}.toml").write_text(text.replace("[model]", f"bits = {bits}\n\n[model]", 1))

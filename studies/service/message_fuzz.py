@@ -1,4 +1,4 @@
-"""Random messages of up to 1 MB for one axis of a service with little memory, while the others send as ever.
+"""Send random messages of up to 1 MB for one axis to a service with little memory, while other axes send normally.
 
 python -m studies.service.message_fuzz --minutes 10
 """
@@ -23,11 +23,11 @@ from pmfid.stream.delivery import Block
 from studies.service.finding import Finding, others_unchanged
 from studies.service.hall import Hall, hall, name_of
 
-#: Bytes of the largest message and of the memory that the service may have, and what it may take beyond its start.
+#: Bytes of the largest message and of the service's memory, and its allowed growth.
 LARGEST, LIMIT, MORE = 1_000_000, 2**30, 0.5e9
-#: Axes, the one among them that is fuzzed, and random messages in place of each of its blocks.
+#: Number of axes, number of the fuzzed axis, and random messages in place of each of its blocks.
 AXES, FUZZED, AT_ONCE = 4, 3, 1
-#: Seconds within which the health check answers, and seconds of motion between two checks.
+#: Longest time of the health check [s], and motion between two checks [s].
 ANSWER, EVERY = 5.0, 5.0
 
 Value = Callable[[random.Random], str]
@@ -45,7 +45,7 @@ KEYS = ("t", "u", "counts", "axis", "time", "")
 
 
 def columns(draw: random.Random, axis: str) -> bytes:
-    """One object of columns, rows x keys x types."""
+    """Return one object of columns with random rows, keys and types."""
     rows = int(10 ** draw.uniform(0, 5.3))
     value = draw.choice(VALUES)
     one = "[" + ",".join(itertools.repeat(value(draw), rows)) + "]"
@@ -55,7 +55,7 @@ def columns(draw: random.Random, axis: str) -> bytes:
 
 
 def objects(draw: random.Random, axis: str) -> bytes:
-    """Objects in an array or a line each."""
+    """Return objects in an array, or one in each line."""
     value = draw.choice(VALUES)
     fields = "".join(f',"{draw.choice(KEYS)}{k}":{value(draw)}' for k in range(int(10 ** draw.uniform(0, 3))))
     one = f'{{"axis":"{axis}"{fields}}}'
@@ -64,7 +64,7 @@ def objects(draw: random.Random, axis: str) -> bytes:
 
 
 def many_axes(draw: random.Random, axis: str) -> bytes:
-    """An axis of its own in every object."""
+    """Return objects that each have another axis."""
     return "\n".join(f'{{"axis":"{axis}{k}","t":0}}' for k in range(draw.randrange(40_000))).encode()
 
 
@@ -93,7 +93,7 @@ KINDS = (columns, columns, objects, many_axes, line_protocol, brackets, noise)
 
 
 def fuzzed(draw: random.Random, sent: list[int]) -> Callable[[Block], list[bytes]]:
-    """Random messages in place of a block."""
+    """Return a change of a block to random messages."""
 
     def change(block: Block) -> list[bytes]:
         messages = [draw.choice(KINDS)(draw, block.axis)[:LARGEST] for _ in range(AT_ONCE)]
@@ -105,13 +105,13 @@ def fuzzed(draw: random.Random, sent: list[int]) -> Callable[[Block], list[bytes
 
 
 def peak(process: int) -> float:
-    """The most memory that a process had resident [bytes]."""
+    """Return the peak resident memory of a process [byte]."""
     status = Path(f"/proc/{process}/status").read_text()
     return 1024.0 * int(re.findall(r"VmHWM:\s+(\d+)", status)[0])
 
 
 def healthy(there: Hall) -> float:
-    """Seconds until the health check answers; infinite if it does not say ok."""
+    """Return the time of the health check [s], infinite if its answer is not ok."""
     begin = time.monotonic()
     with urllib.request.urlopen(f"http://127.0.0.1:{there.served.port}/healthz", timeout=60) as answer:
         well = answer.status == 200
@@ -119,7 +119,7 @@ def healthy(there: Hall) -> float:
 
 
 def attacked(there: Hall, minutes: float, seed: int) -> Iterator[tuple[str, bool]]:
-    """The claims after so much of fuzz."""
+    """Yield the claims after the given minutes of random messages."""
     process = there.served.process.pid
     resource.prlimit(process, resource.RLIMIT_DATA, (LIMIT, LIMIT))
     there.play(EVERY)

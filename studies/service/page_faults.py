@@ -1,4 +1,4 @@
-"""Faults of those who look, and of the process itself: a browser that stops reading, 200 of them, a process stopped."""
+"""Faults of browsers and of the process itself: a browser that stops reading, 200 browsers, a stopped process."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from studies.service.hall import Hall, Metrics, hall, name_of
 from studies.service.processes import BROKER, Use, use_of
 
 BROWSERS, LOOKING = 200, 20.0
-#: How long the process is stopped [s], in real time.
+#: Time for which the process is stopped [s], in real time.
 STOPPED = 60.0
-#: A broker that holds little for a service that is away.
+#: A broker with little room for an absent service.
 SMALL = """\
 listener {port} 127.0.0.1
 allow_anonymous true
@@ -29,17 +29,17 @@ max_queued_messages 500
 
 
 def _as_it_is(place: Path) -> None:
-    """The plant as it was written."""
+    """Leave the plant unchanged."""
 
 
 def _slower(metrics: Metrics) -> float:
-    """Part of the deliveries whose estimates took longer than 0.1 s."""
+    """Return the number of deliveries whose estimates took longer than 0.1 s."""
     return metrics.get('pmfid_deliveries_slower_total{than="0.1"}', 0.0)
 
 
 @dataclass(frozen=True)
 class Share:
-    """Of a stretch of time: cores of the service, and the part of the deliveries that took longer than 0.1 s."""
+    """Cores of the service in a stretch of time, and the fraction of deliveries that took longer than 0.1 s."""
 
     cores: float
     slow: float
@@ -47,7 +47,7 @@ class Share:
 
 @contextmanager
 def shared(there: Hall) -> Iterator[Callable[[], Share]]:
-    """What a stretch of time cost."""
+    """Yield a function that returns the cost of the time so far."""
     pid, begin, before = there.served.process.pid, time.monotonic(), there.served.metrics()
     use: Use = use_of(pid)
 
@@ -65,7 +65,7 @@ def _no_later(share: Share, alone: Share) -> tuple[str, bool]:
 
 
 def stuck_browser(there: Hall) -> Finding:
-    """It asks for the stream of an axis, reads nothing, and stays."""
+    """Test a browser that requests the stream of an axis, reads nothing, and stays."""
     before, since = there.served.metrics(), there.at
     there.notices()
     with shared(there) as share:
@@ -93,7 +93,7 @@ def stuck_browser(there: Hall) -> Finding:
 
 @dataclass
 class Looking:
-    """Browsers that read; lines: that came, by browser."""
+    """Browsers that read; `lines` counts the received lines by browser."""
 
     there: Hall
     lines: list[int] = field(default_factory=list)
@@ -104,7 +104,7 @@ class Looking:
 
 
 def many_browsers(there: Hall) -> Finding:
-    """BROWSERS streams, half of them of all axes, half of one axis."""
+    """Test BROWSERS streams, half of all axes and half of one axis."""
     before, since, looking = there.served.metrics(), there.at, Looking(there)
     there.notices()
     with shared(there) as share:
@@ -137,7 +137,7 @@ def many_browsers(there: Hall) -> Finding:
 
 
 def _quietly(action: Callable[..., None], *given: object) -> None:
-    """A stream that ends while someone reads it is no error here."""
+    """Run an action; a stream that ends during a read is no error here."""
     try:
         action(*given)
     except (OSError, ValueError, AttributeError):
@@ -145,13 +145,13 @@ def _quietly(action: Callable[..., None], *given: object) -> None:
 
 
 def _few_under_way(place: Path) -> None:
-    """The service asks for few messages at once, so that the others wait at the broker, not on the line."""
+    """Make the service request few messages at once, so that the others wait at the broker and not on the line."""
     plant = place / "plant.toml"
     plant.write_text(plant.read_text().replace('kind = "mqtt"', 'kind = "mqtt"\nreceive_maximum = 50'))
 
 
 def stopped(place: Path, fault: str, losing: bool) -> Finding:
-    """SIGSTOP, a minute of samples in real time, SIGCONT. losing: the broker holds less than that."""
+    """Stop the process for a minute of samples in real time; with `losing`, the broker has less room than that."""
     limits = SMALL if losing else BROKER
     with hall(place, 6, STOPPED + 40.0, limits=limits, ready=_few_under_way if losing else _as_it_is) as there:
         there.play(5.0)

@@ -1,4 +1,4 @@
-"""A broker, a service and machines as processes of their own, and what the system says of them."""
+"""A broker, a service and machines as separate processes, with their use of the system."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from pathlib import Path
 
 from pmfid.errors import UsageError
 
-#: Seconds until a process must be there, the calibration of a service included.
+#: Longest start of a process [s], with the calibration of a service.
 STARTING = 600.0
-#: Seconds until the page must answer: a service that was stopped for a minute goes on after it.
+#: Longest time for an answer of the page [s]: a service that was stopped for a minute continues after it.
 ANSWERING = 180.0
 TICKS, PAGE = os.sysconf("SC_CLK_TCK"), os.sysconf("SC_PAGE_SIZE")
 BROKER = """\
@@ -32,7 +32,7 @@ set_tcp_nodelay true
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
+    """Return a free port."""
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return int(one.getsockname()[1])
@@ -40,7 +40,7 @@ def free_port() -> int:
 
 @dataclass(frozen=True)
 class Use:
-    """cpu: time that a process has used [s]; memory: resident [MB]; files: open."""
+    """The use of a process: processor time [s], resident memory [MB], and open files."""
 
     cpu: float
     memory: float
@@ -48,7 +48,7 @@ class Use:
 
 
 def use_of(pid: int) -> Use:
-    """Of a process that runs."""
+    """Return the use of a running process."""
     place = Path("/proc") / str(pid)
     fields = (place / "stat").read_text().rpartition(")")[2].split()
     memory = int((place / "statm").read_text().split()[1]) * PAGE / 1e6
@@ -57,7 +57,7 @@ def use_of(pid: int) -> Use:
 
 @contextmanager
 def broker(folder: Path, limits: str = BROKER) -> Iterator[tuple[int, int]]:
-    """Mosquitto on a free port of this machine alone; port and number of the process. limits: its configuration."""
+    """Start Mosquitto with the configuration `limits` on a free local port; yield port and process number."""
     import shutil
 
     program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
@@ -89,33 +89,33 @@ def _until(there: object, process: subprocess.Popen[bytes]) -> None:
 
 @dataclass(frozen=True)
 class Service:
-    """A service that runs. port: of its page; token: that opens it."""
+    """A running service, with the port of its page and the token that opens it."""
 
     process: subprocess.Popen[bytes]
     port: int
     token: str
 
     def get(self, path: str) -> str:
-        """What the page answers."""
+        """Return the answer of the page."""
         address = f"http://127.0.0.1:{self.port}{path}"
         request = urllib.request.Request(address, headers={"Authorization": f"Bearer {self.token}"})
         with urllib.request.urlopen(request, timeout=ANSWERING) as answer:
             return str(answer.read().decode())
 
     def metrics(self) -> dict[str, float]:
-        """Of `/metrics`; labels stand in the names as they are written there."""
+        """Return the values of `/metrics`, with the labels in the names."""
         lines = (line for line in self.get("/metrics").splitlines() if line and not line.startswith("#"))
         return {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines)}
 
     def total(self, name: str, metrics: dict[str, float] | None = None) -> float:
-        """Of a name over all its labels."""
+        """Return the sum of a metric over all its labels."""
         found = self.metrics() if metrics is None else metrics
         return sum(value for key, value in found.items() if re.fullmatch(rf"{name}(\{{.*\}})?", key))
 
 
 @contextmanager
 def service(plant: Path, log: Path) -> Iterator[Service]:
-    """`pmfid serve` of a plant whose page has `token_env = "PMFID_TOKEN"` and the port that stands in it."""
+    """Run `pmfid serve` on a plant whose page has `token_env = "PMFID_TOKEN"` and a fixed port."""
     token = "0123456789abcdefghijklmn"
     port = int(re.findall(r"^port = (\d+)$", plant.read_text(), re.MULTILINE)[-1])
     environment = os.environ | {"PMFID_TOKEN": token, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

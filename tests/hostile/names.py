@@ -69,8 +69,7 @@ def faults_of_names(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
     """Yield the faults of the exports of these names and units.
 
     A name is refused alone, or its export compiles with -Werror to the C of a harmless unit. Several exports are
-    compiled
-    at a time, because the compiler takes most of the time.
+    compiled at a time, because the compiler takes most of the time.
     """
     waiting: dict[str, str] = {}
     for name, unit in pairs:

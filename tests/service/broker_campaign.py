@@ -178,8 +178,7 @@ def campaign(
     """Compare a run with kills, `apart` seconds apart on average, to a run without kills.
 
     Returns the number of kills of each kind and the number of repeated rows. Raises AssertionError if a kill changed
-    the
-    output.
+    the output.
     """
     rng = random.Random(seed)
     struck = strikes(kills, service_kills, rng)

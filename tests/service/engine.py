@@ -17,8 +17,7 @@ class FakeEngine:
     """A stand-in for the engine.
 
     `deliveries` are all deliveries so far, and `reported` are the notices. `reached` is the end of the latest block of
-    each
-    axis. After `ends` the engine accepts no more, and `slow` is the time of a delivery [s].
+    each axis. After `ends` the engine accepts no more, and `slow` is the time of a delivery [s].
     """
 
     deliveries: list[Delivery] = field(default_factory=list)

@@ -96,8 +96,7 @@ class Faulty:
     """A sink that keeps its input and can fail.
 
     `error` is raised while it is set, and `open_error` is raised by `open`. The number `poison` raises ValueError.
-    `put`
-    waits for the event `hold`.
+    `put` waits for the event `hold`.
     """
 
     name: str = "s"

@@ -25,8 +25,7 @@ class Sending:
     """Blocks of one axis as sent and as they arrive.
 
     `sent` are the blocks in order without the lost ones, each with its place on the axis of all samples. `arrived` are
-    the
-    blocks in order of arrival. `expected` are the samples of the sorted data without duplicates.
+    the blocks in order of arrival. `expected` are the samples of the sorted data without duplicates.
     """
 
     sent: tuple[tuple[int, Block], ...]

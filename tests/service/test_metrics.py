@@ -27,8 +27,7 @@ def parsed(text: str) -> tuple[Parsed, dict[str, str], dict[str, str]]:
     """Return samples, HELP and TYPE of the families.
 
     Raises AssertionError for a violation of the format: lines of a family that are apart or precede its TYPE, a sample
-    that
-    appears twice, or no line feed at the end.
+    that appears twice, or no line feed at the end.
     """
     assert text.endswith("\n")
     samples: Parsed = {}

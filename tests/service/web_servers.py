@@ -16,8 +16,7 @@ class Server:
     """The answers and the requests of a server.
 
     `answers` are the status codes of the next answers; the last one serves for all later answers. `got` holds headers
-    and
-    body of each request.
+    and body of each request.
     """
 
     answers: list[int] = field(default_factory=lambda: [200])
