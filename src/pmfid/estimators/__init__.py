@@ -1,8 +1,8 @@
-"""Estimators: one file per method, one protocol for all."""
+"""Estimators: one module per method, one protocol for all methods."""
 
 from typing import Literal, get_args
 
-#: Names of the methods, for those who must not import them yet; `registry.ESTIMATORS` has the classes.
+#: Names of the methods, for code that must not import the classes; `registry.ESTIMATORS` has the classes.
 Method = Literal[
     "auto",
     "ls",

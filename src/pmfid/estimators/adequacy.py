@@ -1,4 +1,4 @@
-"""Is the model enough? Score tests against candidate forces."""
+"""Adequacy of a model: score tests against candidate forces."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from pmfid.models.equation import (
 from pmfid.models.shapes import ESTIMATE, Square, Stribeck, Wave
 from pmfid.types import Floats
 
-#: What to set in [model], by key.
+#: Keys of [model] and the values to set.
 Change = Mapping[str, object]
 DIRECTIONAL: Change = {"friction": "directional", "offset": False}
 ACTING = "give the input that acts, as [record] input"
@@ -40,12 +40,12 @@ ACTING = "give the input that acts, as [record] input"
 
 @dataclass(frozen=True)
 class CandidateForce:
-    """One force that the model leaves out.
+    """A candidate for a force that the model leaves out.
 
-    name; says: description for people; cure: what to do about it; force: (n,) against the motion, or (k n,) over the k
-    equal parts of every sample, per unit of its coefficient; plausible: coefficient that a machine may have, 0: the
-    force is tested, but not assumed; changes: changes of [model], each of which adds the force; positive: no machine
-    has a negative coefficient.
+    `says` describes the force for people, and `cure` is the remedy. `force` is the force against the motion per unit of
+    its coefficient, (n,), or (k n,) for k equal parts of every sample. `plausible` is the coefficient that a machine
+    may have. If `plausible` is 0, the force is tested, but not assumed to exist. `changes` are changes of [model], each
+    of which adds the force. `positive` is True if no machine has a negative coefficient.
     """
 
     name: str
@@ -74,7 +74,7 @@ class PeriodicForce:
         return f"{what[self.key]} that comes again every {self.period:.4g} of the travel"
 
     def forces(self, x: Floats, v: Floats) -> Iterator[Floats]:
-        """(n,) each, of a unit of sin and of cos along the motion."""
+        """Yield the force (n,) along the motion for a unit of the sine and for a unit of the cosine."""
         side = np.sign(v) if self.key == "friction_period" else 1.0
         for wave in (Wave(self.period), Wave(self.period, True)):
             yield np.asarray(side * wave.evaluate(x))
@@ -83,7 +83,9 @@ class PeriodicForce:
 def list_candidate_forces(
     difference: Difference, q: Floats, places: Sequence[PeriodicForce] = ()
 ) -> list[CandidateForce]:
-    """Forces that may be missing, along the motion simulated at q (q,). places: forces periodic in the position."""
+    """Return the forces that may be missing along the motion simulated at q (q,). `places` are forces periodic in
+    the position.
+    """
     x, v = difference.motion(q)
     moving = v != 0
     if not np.any(moving):
@@ -135,16 +137,18 @@ def _cure(change: Change) -> str:
 
 
 def setting(key: str, value: object) -> str:
-    """A line of [model]."""
+    """Return one line of the table [model]."""
     if isinstance(value, bool):
         return f"{key} = {'true' if value else 'false'}"
     return f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value:.9g}"
 
 
 def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floats:
-    """(k n,): exp(-(v / fall)^2) against the motion, its mean over the k parts of every sample as the velocity goes on
-    straight from one to the next."""
-    from scipy.special import erf  # slow to import, and only this needs it
+    """Return exp(-(v / fall)^2) against the motion (k n,), as its mean over each of the k parts of every sample.
+
+    The velocity changes linearly from one part to the next.
+    """
+    from scipy.special import erf  # slow to import, and used here only
 
     change = float(np.max(np.abs(np.diff(v)), initial=0.0))
     parts = int(np.clip(np.ceil(change / (TUNING.adequacy_fine * fall)), 1, TUNING.most_parts))
@@ -199,7 +203,7 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
 
 
 def _places(difference: Difference, places: Sequence[PeriodicForce], v: Floats) -> Iterator[CandidateForce]:
-    """The measured places; the simulated motion may be off by more than a period."""
+    """Yield the periodic forces at the measured positions. The simulated motion may deviate by more than a period."""
     middle = difference.y - difference.slack
     middle = middle + np.diff(middle, append=middle[-1]) / 2
     for place in places:
@@ -210,16 +214,17 @@ def _places(difference: Difference, places: Sequence[PeriodicForce], v: Floats) 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """What the counts say on the model, at its best fit to them.
+    """Result of the score tests: evidence of the counts against the model, at the model's best fit.
 
-    difference, q: the fit; noise: standard deviation in addition to the encoder's step [counts], of a fit within the
-    counts, else None; forces: k candidates; z: (k,) their scores in standard deviations; size, size_std: (k,)
-    coefficients that the counts ask for, to first order, and their standard deviations; expected: (k,) the information
-    on each; moves: (p, k) by how much the parameters of that fit move for a unit of each; elsewhere: (k,) doubled gain
-    of the log-likelihood of parts of the record, each with the coefficient that the other parts ask for; unseen: (p,)
-    by how much plausible forces would move the parameters that no record of this input shows, as a dead zone under an
-    input of one size: it is an error of the gain; explained: part, root mean square, of the residual beyond the
-    encoder's own error that the best force explains.
+    `difference` and `q` are the fit. `noise` is the standard deviation [counts] in addition to the encoder's step if
+    the fit is within the counts, else None. `forces` are k candidates, and `z` (k,) are their scores in standard
+    deviations. `size` and `size_std` (k,) are the coefficients that the counts ask for, to first order, with their
+    standard deviations. `expected` (k,) is the information on each coefficient. `moves` (p, k) is the shift of the
+    fit's parameters for a unit of each force. `elsewhere` (k,) is the doubled gain of the log-likelihood over parts of
+    the record, each with the coefficient from the other parts. `unseen` (p,) is the shift of the parameters by
+    plausible forces that no record with this input shows. For example, a dead zone looks like an error of the gain if
+    the input has only one size. `explained` is the share (root mean square) of the residual beyond the encoder's error
+    that the best force explains.
     """
 
     difference: Difference
@@ -237,57 +242,61 @@ class Adequacy:
 
     @property
     def follows(self) -> bool:
-        """Is the fit within the counts?"""
+        """True if the fit is within the counts."""
         return self.noise is not None
 
     @property
     def adequate(self) -> bool:
-        """Is there no sign that the model is wrong?"""
+        """True if no test shows that the model is wrong."""
         return self.follows and not self.missed
 
     @cached_property
     def missed(self) -> tuple[int, ...]:
-        """The forces that the counts ask for, that which explains most of what is left first."""
+        """Indices of the forces that the counts ask for, in descending order of `gain`."""
         return tuple(int(k) for k in np.argsort(-self.gain) if abs(self.z[k]) > TUNING.adequacy_missed)
 
     @property
     def named(self) -> tuple[int, ...]:
-        """The missed forces that explain nearly as much as the best: each may be the unmodelled effect."""
+        """Indices of the missed forces that explain nearly as much as the best one. Each of them may be the
+        unmodelled effect.
+        """
         return tuple(k for k in self.missed if self.gain[k] > TUNING.adequacy_nearly * self.gain[self.missed[0]])
 
     @cached_property
     def gain(self) -> Floats:
-        """(k,) by how much each force alone would improve the log-likelihood, to first order, doubled: its score may
-        stand out clearly and yet leave most of what is wrong, where another one leaves nothing."""
+        """Doubled improvement of the log-likelihood (k,) by each force alone, to first order.
+
+        A force may have a high score and still explain little of the residual, while another force explains all of it.
+        """
         return np.asarray(self.size**2 * self.expected)
 
     @property
     def dead_time(self) -> float | None:
-        """Dead time [s] of the input that the counts ask for, to first order, if a dead time is among the named."""
+        """Dead time [s] of the input that the counts ask for, to first order; None if no dead time is among `named`."""
         found = [k for k in self.named if self.forces[k].name == "dead_time" and self.size[k] > 0]
         return float(self.size[found[0]]) if found else None
 
     @property
     def left(self) -> float:
-        """Part of the motion, 0 to about 1, that neither the model nor the encoder explains."""
+        """Share of the motion, 0 to about 1, that neither the model nor the encoder explains."""
         return self.difference.measure_misfit(self.q)
 
     @property
     def described(self) -> tuple[str, ...]:
-        """The forces that the motion asks for, for people, most important first."""
+        """Descriptions for people of the forces that the motion asks for, the most important first."""
         asked = (self._describe_force(k) for k in self.named) if self.missed else ()
         return tuple(dict.fromkeys(asked))[: TUNING.most_said]
 
     @property
     def cure(self) -> str:
-        """What to do about the most important of them; empty if there is none."""
+        """Remedy for the most important missed force; empty if no force is missed."""
         if not self.missed:
             return ""
         first = self.missed[0]
         return "move the input's column earlier by that time" if self._is_early(first) else self.forces[first].cure
 
     def _is_early(self, k: int) -> bool:
-        """Does force k stand for a negative dead time of a model without one?"""
+        """Return whether force k stands for a negative dead time of a model without a dead time."""
         none = self.difference.equation.dead_time == 0
         return bool(none and self.forces[k].name == "dead_time" and self.size[k] < 0)
 
@@ -299,37 +308,43 @@ class Adequacy:
 
     @cached_property
     def tolerated(self) -> Floats:
-        """(k,) coefficients, root mean square, that are plausible in a machine and not excluded by the counts: each
-        with a Gaussian prior of what is plausible."""
+        """Root mean square coefficients (k,) that are plausible in a machine and that the counts do not exclude.
+
+        Each coefficient has a Gaussian prior with the standard deviation `plausible`.
+        """
         prior = np.array([candidate.plausible for candidate in self.forces]) ** 2
         share = prior / (prior + self.size_std**2)
         return np.asarray(np.sqrt(share * self.size_std**2 + (share * self.size) ** 2))
 
     def spread(self, moves: Floats | None = None) -> Floats:
-        """(p,) by how much forces that the record tolerates would move the parameters; moves: (p, k) shifts of another
-        method's estimate per unit of each force, None: shifts of the best fit."""
+        """Return the shift (p,) of the parameters by the forces that the record tolerates.
+
+        `moves` (p, k) are the shifts of another method's estimate per unit of each force. None takes the shifts of the
+        best fit.
+        """
         moves = self.moves if moves is None else moves
         return np.asarray(np.sqrt(np.sum((moves * self.tolerated) ** 2, axis=1)))
 
 
 def examine(estimator: Estimator, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Adequacy:
-    """The model of an estimator on a record u, counts: (n,); nothing else of the estimator counts but the cutoff, for
-    records that drift away from the simulation. start: parameters (p,) to start from, None: those of `IV`.
+    """Test the model of an estimator on a record u, counts: (n,).
 
-    Raises NotIdentifiableError if no fit can be found at all.
+    Of the estimator's settings, only the cutoff matters, for records that drift away from the simulation. `start` (p,)
+    are the start values; None takes the estimate of `IV`. Raises NotIdentifiableError if no fit exists.
     """
     method = like(IntervalML, estimator, prefilter_zeros=None, precision="float64", drift_cutoff=None)
     return weigh(method.best(u, counts, start))
 
 
 def weigh(best: Best, places: Sequence[PeriodicForce] = ()) -> Adequacy:
-    """The same for the motion that fits best. places: what may come again along the travel, too."""
+    """Test the model at the motion that fits best. `places` are additional candidates, periodic in the position."""
     return _run_score_tests(best, *information_of(best), places)
 
 
 def information_of(best: Best) -> tuple[float, Floats]:
-    """Information [1/counts^2] of a sample at a fit, and the slopes (n,) of the negative log-likelihood by the
-    difference."""
+    """Return the information of a sample [1/counts^2] and the slopes (n,) of the negative log-likelihood with
+    respect to the difference.
+    """
     error = best.difference(best.q)
     if best.noise is None:
         information = 1 / max(float(np.mean(error**2)), 1 / 12)
@@ -338,8 +353,11 @@ def information_of(best: Best) -> tuple[float, Floats]:
 
 
 def score_variance(best: Best, effects: Floats, information: float, slope: Floats) -> Floats:
-    """(k,) variances of the scores of effects (n, k) [counts]: what independent samples have, or by how much they
-    scatter over blocks or with the place of the encoder's lattice."""
+    """Return the variances (k,) of the scores of effects (n, k) [counts].
+
+    Each variance is the largest of three: the variance for independent samples, the scatter over blocks, and the
+    scatter over positions of the encoder's lattice.
+    """
     difference, expected = best.difference, np.sum(effects**2, axis=0) * information
     variance = np.maximum(expected, block_scatter(effects * slope[:, None], difference.recovery))
     if best.noise is not None:
@@ -348,19 +366,25 @@ def score_variance(best: Best, effects: Floats, information: float, slope: Float
 
 
 def mean_information(noise: float) -> float:
-    """Information [1/counts^2] of a count on the position, mean over where the position lies in it."""
+    """Return the information of a count on the position [1/counts^2], as the mean over all positions within the
+    count.
+    """
     return float(np.mean(expected_information(np.linspace(-0.5, 0.5, 1001), noise)))
 
 
 def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequence[PeriodicForce]) -> Adequacy:
-    """The score tests; information: of a sample, slope (n,): of the negative log-likelihood by the difference."""
+    """Run the score tests.
+
+    `information` is the information of a sample, and `slope` (n,) the slope of the negative log-likelihood with respect
+    to the difference.
+    """
     difference, q = best.difference, best.q
     p = difference.parameters
     sensitivity = -difference.jacobian(q)
     own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:])
     candidates = list_candidate_forces(difference, q, places)
     effects = _effects(difference, q, candidates)
-    effects[:, ~np.all(np.isfinite(effects), axis=0)] = 0.0  # of next to nothing, beyond numbers
+    effects[:, ~np.all(np.isfinite(effects), axis=0)] = 0.0  # a force of almost 0 may overflow
     cleaned = difference.remove_nuisance(effects, sensitivity[:, p:])
     del effects  # of long records each of these takes some 100 MB
     scale = np.maximum(np.linalg.norm(own, axis=0), TUNING.tiny)
@@ -374,7 +398,8 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = score_variance(best, alone, information, slope)
     if best.noise is None and not np.any(np.abs(score) > TUNING.adequacy_missed * np.sqrt(variance)):
-        # something is missing, yet what it leaves hides it: chance is what a force leaves
+        # If a missing force is large, its residual hides the force. The variance then comes from the residual that each
+        # force leaves.
         left = slope[:, None] - information * alone * (score / expected)
         variance = np.minimum(variance, np.maximum(expected, block_scatter(alone * left, difference.recovery)))
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
@@ -388,8 +413,11 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
 
 
 def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
-    """(k,) doubled gain of the log-likelihood over adequacy_parts of the samples, to first order, with the
-    coefficient of the others; scores, informations: (n, k) of the samples on each coefficient."""
+    """Return the doubled gain of the log-likelihood (k,) over adequacy_parts parts of the samples, to first order.
+
+    The coefficient in each part comes from the other parts. `scores` and `informations` (n, k) are those of the samples
+    on each coefficient.
+    """
     parts = [
         np.array([part.sum(axis=0) for part in np.array_split(a, TUNING.adequacy_parts)])
         for a in (scores, informations)
@@ -398,13 +426,13 @@ def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:
     others = information.sum(axis=0) - information
     known = others > TUNING.adequacy_rare * information.sum(
         axis=0
-    )  # else it acts in one part alone, and the others say nothing
+    )  # otherwise the force acts in one part alone, and the other parts contain no information
     size = np.where(known, (score.sum(axis=0) - score) / np.where(known, others, 1.0), 0.0)
     return np.asarray(np.sum(2 * size * score - size**2 * information, axis=0))
 
 
 def _effects(difference: Difference, q: Floats, candidates: Sequence[CandidateForce]) -> Floats:
-    """(n, k) by how much the simulated position moves [counts] for a unit of each of k forces."""
+    """Return the change of the simulated position [counts] (n, k) for a unit of each of k forces."""
     effects = np.zeros((difference.rows, len(candidates)))
     fineness = [candidate.force.size for candidate in candidates]
     for size in dict.fromkeys(fineness):
@@ -414,12 +442,12 @@ def _effects(difference: Difference, q: Floats, candidates: Sequence[CandidateFo
     return effects
 
 
-#: Forces that are simulated at once, each with both signs.
+#: Number of forces that are simulated at once, each with both signs.
 _PAIRS = TUNING.trials_together // 2
 
 
 def _effects_alike(difference: Difference, q: Floats, candidates: Sequence[CandidateForce]) -> Floats:
-    """The same of forces over the same parts of a sample."""
+    """Return the change of the simulated position [counts] (n, k) for forces over equal parts of a sample."""
     usual = TUNING.step_of_force * abs(difference.equation.input_gain) * rms(difference.u)
     sizes = np.array([TUNING.adequacy_step * one.plausible or usual / rms(one.force) for one in candidates])
     forces = sizes[:, None] * np.array([candidate.force for candidate in candidates])
@@ -430,15 +458,19 @@ def _effects_alike(difference: Difference, q: Floats, candidates: Sequence[Candi
 
 
 def is_contradicted(fit: Fit, best: Fit, spread: Floats) -> bool:
-    """Does an estimate differ from the fit of an adequate model by more than both standard errors and `spread` (p,)
-    allow?"""
+    """Return whether an estimate contradicts the fit of an adequate model.
+
+    The difference must exceed both standard errors and `spread` (p,) together.
+    """
     allowed = np.sqrt(fit.theta_std**2 + best.theta_std**2 + spread**2)
     return bool(np.any(np.abs(fit.theta - best.theta) > TUNING.adequacy_contradicted * allowed))
 
 
 def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floats:
-    """(p, k) by how much an estimate with instruments, at its columns, moves for a unit of each force; where these
-    instruments say nothing on a parameter, by how much the best fit moves."""
+    """Return the shift (p, k) of an estimate with instruments, at its columns, for a unit of each force.
+
+    If an instrument is zero throughout, the shifts of the best fit take their place.
+    """
     if not np.all(np.any(columns.zeta != 0, axis=0)):
         return found.moves[: columns.zeta.shape[1]]
     n = columns.used.size
@@ -450,13 +482,16 @@ def force_moves(found: Adequacy, estimator: Estimator, columns: Columns) -> Floa
 
 
 def filter_force(force: Floats, estimator: Estimator, n: int) -> Floats:
-    """A force, held over each of n intervals or over each of their parts, filtered by the chain of an estimator (n,);
-    the columns come a sample later."""
+    """Return a force (n,) after the filters of an estimator.
+
+    The force is constant over each of n intervals, or over each of their parts. The estimator's columns come one sample
+    later.
+    """
     return np.asarray(filter_forces(force[None], estimator, force.size // n)[0])
 
 
 def filter_forces(forces: Floats, estimator: Estimator, parts: int = 1) -> Floats:
-    """The same of many forces (k, parts n): (k, n)."""
+    """Return forces (k, parts n) after the filters of an estimator (k, n)."""
     rate = 2 * parts / estimator.dt
     pole = (rate - estimator.cutoff) / (rate + estimator.cutoff)
     gain = estimator.cutoff / (rate + estimator.cutoff)

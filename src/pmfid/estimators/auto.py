@@ -1,4 +1,4 @@
-"""The method for those who choose none."""
+"""Choice of the method for users who name none."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ AUTO = "auto"
 
 
 def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: float) -> tuple[Estimator, str]:
-    """The best method that a record carries, and a line that says why; u, counts: (n,).
+    """Return the best method that a record allows, and a line with the reason; u, counts: (n,).
 
-    With a memory: recursive instrumental variables, which fall back on BCRLS by themselves. Without: that of
-    `first_choice`, which says what it raises.
+    With a memory, the method is recursive instrumental variables, which fall back on BCRLS by themselves. Without a
+    memory, `first_choice` chooses the method and raises its errors.
     """
     if forgetting < 1 and configured.equation.without_simulation:
         return like(
@@ -45,8 +45,7 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
 
 @dataclass(frozen=True)
 class MethodChoice:
-    """A method, a line that says why it was chosen, its fit, and what the counts say on the model, where that was
-    asked."""
+    """A method, the reason for its choice, its fit, and the adequacy of the model if it was tested."""
 
     estimator: BatchEstimator
     reason: str
@@ -55,11 +54,13 @@ class MethodChoice:
 
 
 def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: Best | None = None) -> MethodChoice:
-    """The best off-line method that a record carries; u, counts: (n,). best: the motion that fits, if it is known.
+    """Return the best off-line method that a record allows; u, counts: (n,). `best` is the motion that fits, if it is
+    known.
 
-    The interval likelihood comes first, if the model explains every count. Hidden unmodelled effects must stay within
-    its error bars, or within the error bars of instrumental variables. Instrumental variables ask less of the model and
-    come second. If their iteration does not settle, output error, bias-compensated or plain least squares follow.
+    The interval likelihood is the first choice if the model explains every count. Hidden unmodelled effects must stay
+    within its error bars, or within the error bars of instrumental variables. Instrumental variables demand less of the
+    model and are the second choice. If their iteration does not settle, output error, bias-compensated or plain least
+    squares follow.
     Raises NotIdentifiableError if no method can identify every parameter.
     """
     refused: list[str] = []
@@ -78,7 +79,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
             continue
         if not issubclass(cls, Simulating) and _needs_motion(configured.equation):
             continue  # such a method has no such parameter, so its estimate would be off by the effect
-        if cls is IV and configured.equation.searched:  # it is linear
+        if cls is IV and configured.equation.searched:  # iv is linear in the parameters
             continue
         candidate = _candidate(cls, configured, u, counts)
         try:
@@ -97,8 +98,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
 
 @dataclass(frozen=True)
 class _Sharp:
-    """The interval likelihood on a record, what the counts say on its model, and why that is not the estimate to
-    believe."""
+    """The interval likelihood of a record, the adequacy of its model, and the doubt about its estimate."""
 
     method: IntervalML
     fit: Fit
@@ -110,9 +110,9 @@ class _Sharp:
         return self.adequacy.adequate and not self.fit.status & Status.FALLBACK
 
     def better_than(self, other: Fit, cls: type[BatchEstimator]) -> str:
-        """The reason to prefer this estimate to another one, by `cls`; empty if there is no reason.
+        """Return the reason to prefer this estimate to the estimate of `cls`; empty if no reason exists.
 
-        A contradiction between the two is a reason. So is a smaller uncertainty in the geometric mean of the
+        A contradiction between the two estimates is a reason. So is a smaller uncertainty in the geometric mean of the
         parameters, hidden unmodelled effects included.
         """
         spread = self.adequacy.spread()

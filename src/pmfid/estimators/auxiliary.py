@@ -1,4 +1,4 @@
-"""The columns and the kernel of the methods with an auxiliary model."""
+"""Columns and kernel of the methods with an auxiliary model."""
 
 from __future__ import annotations
 
@@ -25,16 +25,18 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Samples from one update of the copy to the next in the kernel.
+#: Number of samples between two updates of the auxiliary model's parameters in the kernel.
 FOLLOWED = constants_of(None)["PMF_FOLLOWED"]
-#: Signal of a term, the output as its velocity -> its place in the auxiliary model's block of signals.
+#: Index of each signal in the auxiliary model's block of signals. The velocity stands for the output.
 BLOCK = {**HELD, **SPLIT, "output": VELOCITY}
 
 
 @dataclass(frozen=True)
 class Direct(BCRLS):
-    """`BCRLS` next to an auxiliary model, no method by itself. The auxiliary model gives the dead time at which the
-    equation of `BCRLS` is linearised."""
+    """`BCRLS` as the direct estimator next to an auxiliary model, not a method by itself.
+
+    The auxiliary model gives the dead time at which the equation of `BCRLS` is linearised.
+    """
 
     method: ClassVar[str] = ""
 
@@ -44,12 +46,14 @@ class Direct(BCRLS):
 
 
 def auxiliary_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
-    """What `_make_columns` makes, once for each estimator: an iteration asks for it at every turn."""
+    """Return the result of `_make_columns` from a cache, because an iteration needs it at every step."""
     return _cache_result(estimator, _make_columns)
 
 
 def _cache_result(estimator: Estimator, make: Callable[[Estimator], T]) -> T:
-    """make(estimator), from the second time on what it gave the first time; an estimator's configuration is frozen."""
+    """Return make(estimator), computed once for each estimator. The cache is safe because an estimator's
+    configuration is frozen.
+    """
     kept = estimator.__dict__
     if make.__name__ not in kept:
         kept[make.__name__] = make(estimator)
@@ -58,9 +62,11 @@ def _cache_result(estimator: Estimator, make: Callable[[Estimator], T]) -> T:
 
 
 def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
-    """Columns: those of the direct BCRLS, then regressors, target and instruments with the auxiliary model, then the
-    filtered velocity measured and modelled and the modelled acceleration. Returns network, columns, first
-    instrumental and first check column."""
+    """Return the network, its columns, the first instrumental column and the first check column.
+
+    The first columns are those of the direct BCRLS. Then follow regressors, target and instruments with the auxiliary
+    model. The check columns are the filtered velocity, measured and modelled, and the modelled acceleration.
+    """
     direct = direct_estimator(estimator)
     builder = ColumnBuilder(direct.equation, direct.spec)
     columns = [*builder.regressors(), builder.target(), *builder.instruments()]
@@ -73,7 +79,7 @@ def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
 
 
 def direct_estimator(estimator: Estimator) -> BCRLS:
-    """The method that needs no auxiliary model: to start from, and to fall back on."""
+    """Return the estimator without an auxiliary model, which gives the start values and the fallback."""
     scheme = getattr(estimator, "forgetting_scheme", "exponential")
     symmetric = estimator.model.symmetric
     return like(Direct, estimator, model=symmetric, forgetting_scheme=scheme, forgetting=1.0, forgetting_of=None)
@@ -82,10 +88,10 @@ def direct_estimator(estimator: Estimator) -> BCRLS:
 def make_auxiliary_kernel(
     estimator: Estimator, forgetting: float, initial: Sequence[float] | None, adapt: bool
 ) -> tuple[Kernel, int]:
-    """A kernel with auxiliary model, and its first instrumental column.
+    """Return a kernel with an auxiliary model, and its first instrumental column.
 
-    initial: parameters of the model to start from (p,), or None: start from the direct estimate.
-    adapt: the model follows the estimate; False: it keeps the initial parameters.
+    `initial` (p,) are start values of the model's parameters. None starts from the direct estimate. If `adapt` is True,
+    the model follows the estimate, else it keeps the initial parameters.
     """
     network, columns, first, check = auxiliary_columns(estimator)
     p = len(estimator.names)
@@ -125,7 +131,8 @@ def make_auxiliary_kernel(
         columns,
         encoder=estimator.encoder_config,
         direct=direct.recursion_config(len(direct.names), True, forgetting),
-        settle_samples=2 * estimator.settle_samples,  # half-way the model is set to the measured velocity
+        # after half of these samples, the model is set to the measured velocity
+        settle_samples=2 * estimator.settle_samples,
         instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
         | {"growing": _growing(estimator) if adapt else 0},
         auxiliary=auxiliary,
@@ -136,8 +143,11 @@ def make_auxiliary_kernel(
 
 
 def _late(estimator: Estimator, start: float, forgetting: float) -> dict[str, object] | None:
-    """How late the input acts; where that is estimated, the motion within the counts tells it, too, if it depends on
-    nothing but body and input."""
+    """Return the kernel configuration of a late input; None if the input acts at once.
+
+    If the dead time is unknown and the motion depends on body and input only, the motion within the counts also
+    determines the dead time.
+    """
     config, equation = estimator.late_config(start), estimator.equation
     if config is None or equation.dead_time != ESTIMATE:
         return config
@@ -147,14 +157,18 @@ def _late(estimator: Estimator, start: float, forgetting: float) -> dict[str, ob
 
 
 def _with_check(estimator: Estimator, recursion: Mapping[str, object]) -> dict[str, object]:
-    """A recursion and what its innovations are compared with; that of whole records has no parameters."""
+    """Return a recursion's configuration with the check of its innovations. The recursion of a whole record has no
+    parameters.
+    """
     check, p = _cache_result(estimator, _check_of_model), recursion["n_parameters"]
     noise = np.asarray(check["noise"])[:p, :p]
     return {**recursion, **check, "noise": noise}
 
 
 def _check_of_model(estimator: Estimator) -> dict[str, object]:
-    """Which innovations the encoder's step explains, as if its error were white, and over what memory they count."""
+    """Return the configuration of the check: the noise of the encoder's step, as if it were white, and the memory
+    of the check.
+    """
     network, columns, first, _ = auxiliary_columns(estimator)
     products = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
     return {
@@ -165,29 +179,38 @@ def _check_of_model(estimator: Estimator) -> dict[str, object]:
 
 
 def _growing(estimator: Estimator) -> int:
-    """The power of their number by which samples count. The direct estimate, from which the model starts, takes
-    friction of a shape for another one: the copy has far to go, and what was gathered on the way must go sooner."""
+    """Return the exponent by which samples count more as their number grows.
+
+    The model starts from the direct estimate, which mistakes friction of a shape for another friction. The model
+    therefore needs a long way, and early samples must be forgotten faster.
+    """
     return TUNING.growing_with_shapes if estimator.equation.shaped else 1
 
 
 def _position_gain(estimator: Estimator) -> float:
-    """By how much the model's position is set to the counts in every sample: a force of the place asks for it as soon
-    as the filters show it, and is all but blind to a step of the encoder; a spring, which is not, as slowly as the copy
-    moves."""
+    """Return the gain by which every sample corrects the model's position towards the counts.
+
+    A force of the place needs the correction as fast as the filters show it, and is almost insensitive to an encoder
+    step. A spring is sensitive to a step, so that its correction is as slow as the adaptation of the model.
+    """
     waits = 1.0 if any(term.shape and not term.shape.of_speed for term in estimator.equation.shaped) else None
     return min(1.0, estimator.cutoff * estimator.dt / (waits or TUNING.copy_time_constants))
 
 
 def _alike(direct: Equation, equation: Equation) -> list[int | None]:
-    """The parameter of the direct equation for each role; the direct equation knows only some of the shapes."""
+    """Return the index of the direct equation's parameter for each role. The direct equation contains only some of
+    the shapes.
+    """
     places = {term.place: i for i, term in enumerate(direct.unknown)}
     return [*direct.roles[: len(ROLES)], *(places.get(term.place) for term in equation.shaped)]
 
 
 def _causes(equation: Equation, network: Network) -> list[int]:
-    """The auxiliary model's signal that each parameter multiplies; none with a spring or another force of the
-    place, which would bring a deviation of the velocity back: the kernel does not follow that, and the stops count as
-    known."""
+    """Return the auxiliary model's signal for each parameter.
+
+    The list is empty with a spring or another force of the place. Such a force would reduce a deviation of the
+    velocity, which the kernel does not compute, so that the stops count as known.
+    """
     if equation.place_matters:
         return []
     return [
@@ -204,7 +227,9 @@ def _indices(roles: Sequence[int | None]) -> list[int]:
 
 
 def _noise_power(estimator: Estimator) -> float:
-    """What quantisation alone may leave in the comparison: the variance of one count, filtered, over its memory."""
+    """Return the mismatch that quantisation alone may cause: the variance of one filtered count over the memory of
+    the check.
+    """
     pole = (2 / estimator.dt - estimator.cutoff) / (2 / estimator.dt + estimator.cutoff)
     impulse = np.zeros(4 * estimator.settle_samples)
     impulse[0], impulse[1] = 1 / estimator.dt, -1 / estimator.dt

@@ -1,4 +1,4 @@
-"""What every estimator has."""
+"""Base class of all estimators."""
 
 from __future__ import annotations
 
@@ -34,23 +34,29 @@ from pmfid.types import Flags, Floats
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
-#: Time constants after which the filters' start has decayed to less than 1 %, by their order.
+#: Number of time constants after which the filters' start has decayed to less than 1 %, for each order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
-#: The discretisation that is refined from pass to pass with the estimate.
+#: Name of the discretisation that is refined with the estimate in every iteration.
 EXACT = "exact"
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """A method of estimation on a model and an encoder; configuration only, checked at construction.
+    """A method of estimation with a model and an encoder. The object holds only the configuration, checked at
+    construction.
 
-    model: `Drive`, `TransferFunction`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole
-    of the Poisson chain [rad/s], 0 < cutoff <= 2/dt; its inverse is the filter time constant. order: stages, >= 2 for a
-    drive; left at 2 it is n for a transfer function of a higher order n. discretization: "matched", "paper", or "exact"
-    for `LS` and `BCLS`. prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
-    precision: "float64" or "float32". steps: of a clock that is not even, (n,) time of each sample of the record since
-    the one before [s]; "given": on-line it comes with each sample; dt is then the mean. Raises UsageError with the
-    remedy.
+    model: `Drive`, `TransferFunction`, or an `EquationModel`.
+    encoder: `Encoder`.
+    dt: sample period [s].
+    cutoff: pole of the Poisson chain [rad/s], 0 < cutoff <= 2/dt. Its inverse is the time constant of the filters.
+    order: number of stages, >= 2 for a drive. The default 2 means n for a transfer function of a higher order n.
+    discretization: "matched", "paper", or "exact" for `LS` and `BCLS`.
+    prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
+    precision: "float64" or "float32".
+    steps: time [s] between each sample of the record and the preceding one (n,), if the clock is uneven. On-line,
+    "given" means that each sample brings its step. `dt` is then the mean step.
+
+    Raises UsageError with a remedy for an invalid value.
     """
 
     model: Model
@@ -64,13 +70,13 @@ class Estimator:
     steps: object = field(default=None, kw_only=True)
 
     method: ClassVar[str] = ""
-    #: its kernel has columns of instruments in addition to the regressors
+    #: The kernel has columns of instruments in addition to the regressors.
     instrumental: ClassVar[bool] = False
-    #: it takes friction that depends on the speed from a simulated motion
+    #: The method simulates the motion, from which it takes friction that depends on the speed.
     knows_shapes: ClassVar[bool] = False
-    #: it takes a step that varies
+    #: The method accepts a step that varies.
     takes_steps: ClassVar[bool] = True
-    #: filters of the held signals that it takes
+    #: Discretisations of the held signals that the method accepts.
     discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
 
     def __init_subclass__(cls, **further: object) -> None:
@@ -115,7 +121,7 @@ class Estimator:
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:
-        """Why the method cannot take this equation, with a remedy; empty if it can."""
+        """Return the reason, with a remedy, why the method cannot estimate this equation; empty if it can."""
         if equation.dead_time == ESTIMATE:
             return (
                 f'{cls.method} does not simulate the motion, as it must where dead_time = "estimate"; use iv, riv, '
@@ -139,7 +145,7 @@ class Estimator:
         )
 
     def _check_steps(self) -> None:
-        """Raises UsageError for a step that varies where it cannot."""
+        """Raise UsageError if the step varies and the method, plant or discretisation does not allow it."""
         if self.steps is None:
             return
         why = ""
@@ -153,8 +159,10 @@ class Estimator:
             raise UsageError(f"steps: {why}; resample the record to a fixed rate, or leave steps out")
 
     def steps_before(self, samples: int) -> Floats | None:
-        """(n,) time of each sample of a record since the one before [s]; None: the clock is even. Raises UsageError for
-        another number of samples, and where they are not known."""
+        """Return the time [s] between each sample of a record and the preceding one (n,); None if the clock is even.
+
+        Raises UsageError if the steps are unknown, or if their number is not `samples`.
+        """
         if self.steps is None:
             return None
         if not isinstance(self.steps, SampleSteps) or self.steps.before.size != samples:
@@ -170,7 +178,7 @@ class Estimator:
 
     @property
     def intervals(self) -> float | Floats:
-        """The sample period, or (n,) the time from each sample of the record to the next [s]."""
+        """Sample period [s], or the time between each sample of the record and the next one (n,) [s]."""
         return self.steps.after if isinstance(self.steps, SampleSteps) else self.dt
 
     def _check_late(self) -> None:
@@ -213,7 +221,7 @@ class Estimator:
 
     @property
     def _zeros_needed(self) -> int:
-        """One zero for each noisy column."""
+        """Number of zeros: one for each noisy column."""
         return len(self.equation.noisy)
 
     @property
@@ -227,12 +235,12 @@ class Estimator:
 
     @property
     def memory(self) -> float:
-        """The memory of the estimate [s]."""
+        """Memory of the estimate [s]."""
         return math.inf
 
     @property
     def zeros(self) -> tuple[float, ...]:
-        """Zeros of the pre-filter polynomial f(s) [rad/s]; () where there is no pre-filter."""
+        """Zeros of the pre-filter polynomial f(s) [rad/s]; () if the method has no pre-filter."""
         if self.prefilter_zeros is not None:
             return tuple(float(z) for z in self.prefilter_zeros)
         if not self.instrumental:
@@ -241,7 +249,7 @@ class Estimator:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Parameter names, in the order of theta."""
+        """Parameter names in the order of theta."""
         further = tuple(name for name, _ in self.equation.further)
         return self.equation.names + tuple(f"prefilter_{j + 1}" for j in range(self._extra)) + further
 
@@ -252,12 +260,15 @@ class Estimator:
 
     @property
     def _extra(self) -> int:
-        """Unknown coefficients of f(s): in the extended model without compensation (paper eq. 19, 21)."""
+        """Number of unknown coefficients of f(s), which the extended model without compensation contains (paper eq.
+        19, 21).
+        """
         return 0 if self.instrumental else len(self.zeros)
 
     @property
     def spec(self) -> FilterSpec:
-        first = "matched" if self.discretization == EXACT else self.discretization  # where the exact one starts from
+        # the exact discretisation starts from the matched one
+        first = "matched" if self.discretization == EXACT else self.discretization
         return FilterSpec(self.cutoff, self.order, self.dt, first, self.zeros, self.steps is not None)
 
     @cached_property
@@ -274,7 +285,7 @@ class Estimator:
         return builder.network, columns
 
     def make_kernel(self, forgetting: float = 1.0) -> Kernel:
-        """A new kernel in its initial state."""
+        """Return a new kernel in its initial state."""
         network, columns = self._columns
         direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
         try:
@@ -290,7 +301,7 @@ class Estimator:
                 shapes=shapes_of(self.equation, network),
                 rates=network.rates if self.steps is not None else ((), ()),
             )
-        except ValueError as error:  # more than it holds
+        except ValueError as error:  # the kernel has no room for this configuration
             raise UsageError(str(error)) from None
 
     def _has_turns(self, network: Network) -> bool:
@@ -298,11 +309,11 @@ class Estimator:
 
     @property
     def encoder_config(self) -> dict[str, float]:
-        """The encoder's part of the kernel configuration."""
+        """Return the encoder's part of the kernel configuration."""
         config = self.encoder.kernel_config(self.dt) | {"process": int(not self.plant.rests), "from_first": 0}
         if self.steps is not None:
             still = min(constants_of(None)["PMF_TICKS"] * config["standstill_samples"], 2**28)
-            # no guard: what a motion may do in a sample says nothing of another step
+            # The guard is off, because the largest change in one sample is no bound for a sample with another step.
             return config | {"rate": 1 / self.dt, "standstill_samples": still}
         if self.encoder.guard:
             config["guard"] = TUNING.base_learning * self.settle_samples
@@ -312,8 +323,10 @@ class Estimator:
         return config
 
     def late_config(self, found: float = 0.0) -> dict[str, object] | None:
-        """The part of the kernel configuration on an input that acts late; None: it acts at once. found: the dead time
-        [s] of the model, where it is unknown."""
+        """Return the kernel configuration of a late input; None if the input acts at once.
+
+        `found` is the dead time [s] of the model if the dead time is unknown.
+        """
         late, lag = self.equation.dead_time, self.equation.lag
         known, room = (found, MOST_LATE) if late == ESTIMATE else (float(late), None)
         if not (late or lag):
@@ -322,8 +335,11 @@ class Estimator:
 
     @property
     def first_samples(self) -> int:
-        """Samples that do not count at the start: until the filters have settled, or where the equation knows of the
-        start, until it has come through the kernel."""
+        """Number of samples that do not count at the start.
+
+        These are the samples until the filters have settled. With an unknown start, only one sample is left out: the
+        start passes through the kernel in one sample.
+        """
         return 1 if any(term.signal == "start" for term in self.equation.unknown) else self.settle_samples
 
     @property
@@ -340,7 +356,7 @@ class Estimator:
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
     ) -> dict[str, object]:
-        """A recursion's part of the kernel configuration."""
+        """Return the kernel configuration of a recursion."""
         exact = forgetting == 1 and self.precision == "float64"
         return {
             "n_parameters": parameters,
@@ -376,7 +392,7 @@ class Estimator:
 
 
 def shapes_of(equation: Equation, network: Network) -> dict[str, object]:
-    """The shapes of an equation, with their places in its network."""
+    """Return the shapes of an equation with their nodes in its network."""
     nodes, measured = (
         [network.slots.get((by_counts, *term.place), 0) for term in equation.shaped] for by_counts in (False, True)
     )
@@ -384,14 +400,17 @@ def shapes_of(equation: Equation, network: Network) -> dict[str, object]:
 
 
 def memory_of(forgetting: float, dt: float) -> float:
-    """dt / (1 - forgetting) [s]."""
+    """Return the memory dt / (1 - forgetting) [s], infinite without forgetting."""
     return dt / (1 - forgetting) if forgetting < 1 else math.inf
 
 
 @dataclass(frozen=True)
 class Simulating(Estimator):
-    """An `Estimator` that simulates the motion from the input alone, so that it must know what stands in the equation;
-    of a pre-filter it has no unknowns."""
+    """An `Estimator` that simulates the motion from the input alone, so that the equation must be one that can be
+    simulated.
+
+    A pre-filter adds no unknowns to such an estimator.
+    """
 
     knows_shapes: ClassVar[bool] = True
 

@@ -1,4 +1,4 @@
-"""Methods on whole records, and what a record can identify."""
+"""Methods for whole records, and the check of which parameters a record can identify."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ from pmfid.status import Status
 def check_identifiable(
     columns: Columns, names: tuple[str, ...], least_part: float = TUNING.start_pivot, simulated: bool = False
 ) -> None:
-    """Raises NotIdentifiableError if a column is zero or a combination of the others, naming the parameter.
-    simulated: the equation holds while a simulated motion moves, and says nothing while that rests."""
+    """Raise NotIdentifiableError with a parameter's name if a column is zero or a combination of the other columns.
+
+    With `simulated`, the equation holds only while the simulated motion moves.
+    """
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
         raise NotIdentifiableError(
             "the counts jump all the time: check the wiring and the counter's bits, or correct max_speed"
@@ -57,7 +59,9 @@ def check_identifiable(
 
 
 def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
-    """An input that is explained by friction alone says nothing of the mass: encoder noise would decide."""
+    """Raise NotIdentifiableError if friction alone explains the input. Encoder noise would otherwise determine the
+    mass.
+    """
     for name, column in zip(names, columns.phi.T, strict=True):
         norm = float(np.linalg.norm(column))
         apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, TUNING.tiny))
@@ -73,8 +77,9 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], 
     for name, norm in zip(names, scale, strict=True):
         if norm == 0:
             raise NotIdentifiableError(f"the {kind} of {name} is zero throughout: the record says nothing about it")
-    inverse = np.linalg.pinv(np.linalg.qr(matrix / scale, mode="r"))  # its rows are as long as those for the matrix
-    own = 1 / np.sum(inverse**2, axis=1)  # what of a column is not a combination of the others
+    # the rows of this inverse have the same lengths as those of the matrix's inverse
+    inverse = np.linalg.pinv(np.linalg.qr(matrix / scale, mode="r"))
+    own = 1 / np.sum(inverse**2, axis=1)  # the part of each column that is no combination of the other columns
     worst = int(np.argmin(own))
     if own[worst] < least_part:
         raise NotIdentifiableError(
@@ -104,16 +109,18 @@ def _are_apart(columns: Columns, least_part: float) -> bool:
 
 @dataclass(frozen=True)
 class BatchEstimator(Estimator):
-    """An `Estimator` over a whole record."""
+    """An `Estimator` for whole records."""
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
     ) -> dict[str, object]:
-        """None: the kernel filters, and holds columns of more parameters than it could estimate."""
+        """Return a recursion without parameters. The kernel only filters, and holds more columns than it could
+        estimate.
+        """
         return super().recursion_config(0, instrumental, forgetting, first_column)
 
     def columns(self, u: ArrayLike, counts: ArrayLike) -> Columns:
-        """Regressors, target and instruments of the samples after the filters have settled; u, counts: (n,)."""
+        """Return regressors, target and instruments of all samples after the filters have settled; u, counts: (n,)."""
         u, counts = check_arrays(u, counts)
         check_size(u)
         columns, status = self.make_kernel().filter(u, counts, self.steps_before(u.size))
@@ -125,15 +132,17 @@ class BatchEstimator(Estimator):
 
     @property
     def least_part(self) -> float:
-        """The least part of a column's power that must not follow from the others."""
+        """Least part of a column's power that must not follow from the other columns."""
         return self.plant.least_part
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
-        NotIdentifiableError where the record cannot identify every parameter, naming the one and the reason.
+        """Estimate the parameters from u, counts: (n,).
 
-        A process with a constant is filtered from its first output on: far from zero the filters would remember for
-        long that they began there. The constant is given for the output itself.
+        Raises UsageError if the arrays do not match. Raises NotIdentifiableError with a parameter and the reason if the
+        record cannot identify every parameter.
+
+        A process with a constant is filtered from its first output on. Far from zero, the filters would otherwise
+        remember their start at zero for a long time. The estimate of the constant holds for the output itself.
         """
         first = self._first_count(counts)
         if first == 0:
@@ -141,7 +150,7 @@ class BatchEstimator(Estimator):
         return self._restore_first_output(self._fit(u, integer_counts(counts) - first), first * self.encoder.resolution)
 
     def _first_count(self, counts: ArrayLike) -> int:
-        """The first count, with its sign, where the equation is as true of what was counted since; else 0."""
+        """Return the first count with its sign if the equation holds for the change since the first count, else 0."""
         if level_of(self.equation) is None:
             return 0
         given = integer_counts(counts)
@@ -149,7 +158,7 @@ class BatchEstimator(Estimator):
         return (int(given[0]) + half) % (2 * half) - half if given.ndim == 1 and given.size else 0
 
     def _restore_first_output(self, fit: Fit, first: float) -> Fit:
-        """The fit of y - first in the parameters of y: A(0) first is part of the constant."""
+        """Return the fit of y - first as a fit of y. The constant of y contains A(0) first."""
         level, lift = level_of(self.equation), np.eye(len(fit.theta))
         if level is not None and level.lowest is not None:
             lift[level.constant, level.lowest] = level.ratio * first
@@ -171,8 +180,10 @@ class BatchEstimator(Estimator):
         return columns, *self._solve(columns)
 
     def fit_output(self, u: ArrayLike, y: ArrayLike) -> Fit:
-        """Estimates from an output (n,) that is measured as a number; no encoder counts, and its resolution is not
-        used. Raises as `fit`."""
+        """Estimate the parameters from an output (n,) that is a measured number, without encoder counts.
+
+        The resolution of the encoder is not used. Raises the same errors as `fit`.
+        """
         y = np.asarray(y, np.float64)
         if not np.all(np.isfinite(y)) or y.ndim != 1:
             raise UsageError(f"y must be a finite array (n,), got shape {y.shape}; see Experiment for missing samples")
@@ -197,7 +208,7 @@ class BatchEstimator(Estimator):
         )
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """theta (p,) and the gain (p, p) by which a change of sum zeta z moves it: (sum zeta phi^T)^-1."""
+        """Return theta (p,) and the gain (p, p) = (sum zeta phi^T)^-1, by which a change of sum zeta z moves theta."""
         raise NotImplementedError
 
     def _covariance(
@@ -208,5 +219,7 @@ class BatchEstimator(Estimator):
         return np.asarray(gain @ spread @ gain.T * n / max(1, n - theta.size))
 
     def _scores(self, columns: Columns, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, p): what each sample says that theta be moved by, before the gain; zero in the sum."""
+        """Return the score of each sample (n, p): its pull on theta before the gain. The sum over all samples is
+        zero.
+        """
         return np.asarray(columns.zeta * (columns.z - columns.phi @ theta)[:, None])

@@ -1,9 +1,9 @@
-"""Gaps in a record, in which neither input nor motion is known, filled with a motion of the model.
+"""Bridges over gaps: a simulated motion in place of the unknown motion in each gap of a record.
 
 An input that is not a number marks a gap. The simulated motion restarts after the gap, with the speed of the counts
-there. Simulation and filters go on through the gap: its input takes the simulated motion from the last position before
-the gap to the first position after it. The counts of the gap are those of this motion. The equation holds exactly for
-them at every theta, so they carry no information.
+there. Simulation and filters continue through the gap. The input of the gap takes the simulated motion from the last
+position before the gap to the first position after it, and the counts of the gap are those of this motion. The equation
+holds exactly in the gap for every theta, so that the gap carries no information.
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ from pmfid.types import Counts, Flags, Floats
 
 @dataclass(frozen=True)
 class Body:
-    """An equation at theta (p,), sampled every dt [s]; step: of the encoder [unit of y]; cutoff: of the filters
-    [rad/s]; uneven: (n,) time from each sample to the next [s], None: dt."""
+    """An equation at theta (p,), sampled every `dt` [s].
+
+    `step` is the encoder's step [unit of y], and `cutoff` the pole of the filters [rad/s]. `uneven` (n,) is the time
+    from each sample to the next [s]; None means `dt`.
+    """
 
     equation: Equation
     theta: Floats
@@ -40,33 +43,36 @@ class Body:
     uneven: Floats | None = None
 
     def speeds(self, u: Floats, start: float) -> tuple[Floats, float]:
-        """Mean speed (n,) under u (n,), from a start, and the speed at the end [counts/s]."""
+        """Return the mean speed (n,) in every sample and the speed at the end [counts/s].
+
+        `u` (n,) is the input, and `start` the speed at the first sample [counts/s].
+        """
         mean, end = simulate_motion(self.equation, self.theta, self.intervals, u, start * self.step)
         return mean / self.step, end / self.step
 
     @property
     def intervals(self) -> Intervals:
-        """dt, or (n,) the time from each sample to the next [s]."""
+        """Sample period dt, or the time from each sample to the next (n,) [s]."""
         return self.dt if self.uneven is None else self.uneven
 
     def part(self, part: slice) -> Body:
-        """The same for a part of the samples."""
+        """Return the body for a part of the samples."""
         return self if self.uneven is None else replace(self, uneven=self.uneven[part])
 
     @property
     def decay(self) -> float:
-        """The decay rate of a deviation of the speed [1/s]."""
+        """Decay rate of a deviation of the speed [1/s]."""
         values = self.values
         return max(0.0, (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2 / values[MASS])
 
     @property
     def least(self) -> int:
-        """Samples of the shortest part whose speed can be read."""
+        """Number of samples in the shortest part that determines a speed."""
         return max(TUNING.bridges_fewest, int(1 / (self.cutoff * self.dt)))
 
     @property
     def reading(self) -> int:
-        """Samples in which the speed after a gap is read."""
+        """Number of samples that determine the speed after a gap."""
         return max(
             self.least, int(TUNING.bridges_read / (min(self.cutoff, max(self.decay, 0.1 * self.cutoff)) * self.dt))
         )
@@ -78,8 +84,10 @@ class Body:
 
 
 def parts_of(u: Floats, least: int = 1) -> list[slice]:
-    """The parts of a record between gaps, in which the input (n,) is a number. A part with fewer than `least` samples
-    gives no speed and belongs to the gap."""
+    """Return the parts of a record between gaps, in which the input (n,) is a number.
+
+    A part with fewer than `least` samples determines no speed and belongs to the gap.
+    """
     known = np.flatnonzero(np.isfinite(u))
     if known.size == 0:
         return []
@@ -89,14 +97,16 @@ def parts_of(u: Floats, least: int = 1) -> list[slice]:
 
 
 def gaps_in(u: Floats) -> tuple[tuple[int, int], ...]:
-    """The gaps of a record: the first sample of each whose input (n,) is no number, and the first one after it."""
+    """Return the gaps of a record, each as its first sample and the first sample after it. In a gap, the input (n,)
+    is no number.
+    """
     parts = parts_of(u)
     edges = [0, *(edge for part in parts for edge in (part.start, part.stop)), u.size]
     return tuple((a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a) if parts else ()
 
 
 def bridge_gaps(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, Flags]:
-    """A record u, counts: (n,) with filled gaps, and flags (n,) of the samples outside gaps."""
+    """Return the record u, counts: (n,) with filled gaps, and flags (n,) of the samples outside gaps."""
     parts, there = parts_of(u, body.least), np.zeros(u.size, bool)
     for part in parts:
         there[part] = True
@@ -105,7 +115,8 @@ def bridge_gaps(body: Body, u: Floats, counts: Counts) -> tuple[Floats, Counts, 
     for before, part, start, target in zip(parts[:-1], parts[1:], starts[:-1], starts[1:], strict=True):
         gap = slice(before.stop, part.start)
         mean, end = body.part(before).speeds(u[before], start)
-        last = float(mean[-1]) * _last(body.part(before).intervals)  # from the last count to where the gap begins
+        # distance from the last count to the beginning of the gap
+        last = float(mean[-1]) * _last(body.part(before).intervals)
         moved_by = int(counts[part.start] - counts[gap.start - 1]) - last
         filled[gap], travel = _across(_even(body.part(gap)), gap.stop - gap.start, end, target, moved_by)
         tilt = (moved_by - travel[-1]) / travel.size
@@ -119,12 +130,12 @@ def _last(intervals: Intervals) -> float:
 
 
 def _even(body: Body) -> Body:
-    """In a gap, whose rows are even."""
+    """Return the body with an even step, for a gap, whose rows are even."""
     return body if body.uneven is None else replace(body, dt=float(np.mean(body.uneven)), uneven=None)
 
 
 def read_start_speed(body: Body, u: Floats, counts: Counts) -> float:
-    """The speed [counts/s] at the start of the motion under u (n,), fitted to the counts (n,)."""
+    """Return the speed [counts/s] at the start of the motion under u (n,), fitted to the counts (n,)."""
     near = min(u.size, body.reading)
     place, time = (
         (counts[:near] - counts[0]).astype(np.float64),
@@ -144,10 +155,13 @@ def read_start_speed(body: Body, u: Floats, counts: Counts) -> float:
 
 
 def _across(body: Body, samples: int, start: float, target: float, distance: float) -> tuple[Floats, Floats]:
-    """The input (samples,) that takes the motion from a speed to another [counts/s] over a distance [counts], by way of
-    speeds on a parabola, and its travel [counts] to the end of every sample."""
+    """Return the input (samples,) of a motion between two speeds [counts/s] over a distance [counts], and its travel
+    [counts] to each sample's end.
+
+    The speeds of the motion lie on a parabola.
+    """
     at, time = np.arange(samples + 1) / samples, samples * body.dt
-    hill = 6 * at * (1 - at) / time  # of unit distance
+    hill = 6 * at * (1 - at) / time  # parabola with an area of 1
     line = start + (target - start) * at
     missing = distance - (start + target) / 2 * time
     for _ in range(TUNING.bridges_turns):
@@ -160,7 +174,7 @@ def _across(body: Body, samples: int, start: float, target: float, distance: flo
 
 
 def _insert_rests(speeds: Floats) -> Floats:
-    """Speeds (m + 1,) that turn where they are zero, and not between two samples."""
+    """Return the speeds (m + 1,) with zeros at reversals, so that no reversal lies between two samples."""
     turning = np.flatnonzero(speeds[1:-2] * speeds[2:-1] < 0) + 1
     nearer = turning + (np.abs(speeds[turning + 1]) < np.abs(speeds[turning]))
     speeds = speeds.copy()
@@ -169,7 +183,7 @@ def _insert_rests(speeds: Floats) -> Floats:
 
 
 def _input_for(body: Body, speeds: Floats) -> Floats:
-    """The input (m,) under which the motion has these speeds (m + 1,) [counts/s] at the samples."""
+    """Return the input (m,) that causes the speeds (m + 1,) [counts/s] at the samples."""
     values = body.values
     mass, offset = values[MASS], values[OFFSET]
     first, last = speeds[:-1] * body.step, speeds[1:] * body.step

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 def check_positive(name: str, value: float, what: str) -> None:
-    """Raises UsageError unless value is positive and finite."""
+    """Raise UsageError unless `value` is positive and finite."""
     if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
         raise UsageError(f"{name} must be positive and finite, got {value!r}; {what}")
 
 
 def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[Floats, NDArray[np.int64]]:
-    """u and counts as contiguous (n,) arrays; raises UsageError where they do not fit each other."""
+    """Return u and counts as contiguous arrays (n,). Raises UsageError if they do not match."""
     u_array = np.ascontiguousarray(numbers("u", u), dtype=np.float64)
     counts_array = np.ascontiguousarray(integer_counts(counts), dtype=np.int64)
     if u_array.ndim != 1 or u_array.shape != counts_array.shape:
@@ -37,13 +37,15 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[Floats, NDArray[np.in
 
 
 def numbers(name: str, values: ArrayLike) -> Numbers:
-    """An array of real numbers in their own type; raises UsageError where they are none, or rows differ in length."""
+    """Return an array of real numbers in their own type. Raises UsageError if a value is no number, or if rows
+    differ in length.
+    """
     if np.ma.is_masked(values):
         raise UsageError(f"{name} has masked elements, which a plain array would show as numbers; fill them first")
     try:
         array = np.asarray(values)
         array = array if array.dtype.kind in "biufc" else array.astype(np.float64)
-        array = np.require(array, requirements="A")  # C may not load a number across its alignment
+        array = np.require(array, requirements="A")  # C cannot load a number from an address that is not aligned
     except (TypeError, ValueError, OverflowError):
         array = np.empty(0, object)
     if array.dtype.kind not in "biuf" or values is None:
@@ -52,7 +54,7 @@ def numbers(name: str, values: ArrayLike) -> Numbers:
 
 
 def integer_counts(counts: ArrayLike) -> Numbers:
-    """Counts of any shape as an array of whole numbers; raises UsageError where they are none."""
+    """Return counts of any shape as an array of whole numbers. Raises UsageError if a count is no whole number."""
     given = numbers("counts", counts)
     if given.dtype.kind in "iu":
         return given
@@ -73,19 +75,19 @@ def integer_counts(counts: ArrayLike) -> Numbers:
 
 
 def hold_last_input(u: Floats) -> Floats:
-    """u (n,) with the last finite value in place of those that are not, as the kernel does it."""
+    """Return u (n,) with the last finite value in place of each value that is not finite, as in the kernel."""
     last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(1, u.size + 1), 0))
     return np.ascontiguousarray(np.r_[0.0, u][last])
 
 
 def check_size(u: Floats) -> None:
-    """Raises UsageError if squares of the input (n,) would leave the number format."""
+    """Raise UsageError if squares of the input (n,) would exceed the number format."""
     size = np.max(np.abs(u), initial=0.0, where=np.isfinite(u))
     if size > 0 and not 1e-100 < size < 1e100:
         raise UsageError(f"the largest input is {size:.3g}: no drive has that; check the column and input_scale")
 
 
-#: Where a class keeps its docstring as it was written.
+#: Name of the attribute with a class's original docstring.
 OWN_HELP = "_own_help"
 E = TypeVar("E")
 C = TypeVar("C", bound="Configured")
@@ -93,7 +95,7 @@ C = TypeVar("C", bound="Configured")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ByName(Mapping[str, float]):
-    """Numbers by the names of parameters, as a dict that does not change; equal to a dict of the same numbers."""
+    """Immutable mapping from parameter names to numbers; equal to a dict with the same content."""
 
     pairs: tuple[tuple[str, float], ...]
 
@@ -114,8 +116,10 @@ class ByName(Mapping[str, float]):
 
 
 def explain_inherited(cls: type) -> None:
-    """Adds the docstrings of the bases with arguments of their own to a class's docstring: `help` of a method then
-    explains all that it takes."""
+    """Append the docstrings of all bases that add arguments to the docstring of a class.
+
+    The `help` of a method then explains all its arguments.
+    """
     own = cls.__dict__.get("__doc__")
     if own is None:
         return
@@ -128,12 +132,12 @@ def explain_inherited(cls: type) -> None:
 
 
 def _arguments_of(cls: type) -> list[str]:
-    """Names of the fields that a class adds by itself."""
+    """Return the names of the fields that a class adds to its bases."""
     return [name for name, kind in get_annotations(cls).items() if not str(kind).startswith("ClassVar")]
 
 
 def freeze(estimator: Configured) -> None:
-    """Gives an estimator copies that do not change of the lists, arrays and dicts it was made with."""
+    """Replace the lists, arrays and dicts of an estimator's configuration by immutable copies."""
     for name, value in configuration_of(estimator).items():
         if isinstance(value, Mapping) and not isinstance(value, ByName):
             object.__setattr__(estimator, name, ByName(tuple(value.items())))
@@ -142,24 +146,28 @@ def freeze(estimator: Configured) -> None:
 
 
 def configuration_of(estimator: Configured) -> dict[str, object]:
-    """What an estimator was made with, by the names of its arguments."""
+    """Return the arguments of an estimator by name."""
     return {field.name: getattr(estimator, field.name) for field in fields(estimator) if field.init}
 
 
 def construct_estimator(cls: Callable[..., E], configuration: Mapping[str, object]) -> E:
-    """A new estimator of a class, without samples."""
+    """Return a new estimator of a class, without samples."""
     return cls(**configuration)
 
 
 def change_arguments(estimator: C, changes: Mapping[str, object]) -> C:
-    """The same method with some of its arguments changed, without samples: `dataclasses.replace` for a mapping."""
+    """Return an estimator of the same class with some arguments changed, without samples.
+
+    The function works like `dataclasses.replace`, for a mapping.
+    """
     return construct_estimator(type(estimator), configuration_of(estimator) | dict(changes))
 
 
 def like(cls: type[C], estimator: Configured, **changes: object) -> C:
-    """Another method with all of an estimator's configuration that it has a use for, but for the changes.
+    """Return an estimator of another class with the arguments that both classes share, and with the changes.
 
-    What names parameters (`initial`, `forgetting_of`) goes over with the same model only: another has others.
+    Arguments with parameter names (`initial`, `forgetting_of`) are kept only with the same model, because another model
+    has other parameters.
     """
     taken, given = {field.name for field in fields(cls) if field.init}, configuration_of(estimator)
     kept = {name: value for name, value in given.items() if name in taken}

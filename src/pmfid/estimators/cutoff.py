@@ -1,4 +1,4 @@
-"""The pole of the filters, and the zeros of the pre-filter."""
+"""Choice of the filters' pole and of the pre-filter's zeros."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from pmfid.types import Floats
 
 
 def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[float, ...]:
-    """The pre-filter zeros [rad/s] that carry most information over a record u, counts: (n,).
+    """Return the pre-filter zeros [rad/s] with the most information in a record u, counts: (n,).
 
-    Greatest determinant of W^T Z^-1 W, W = sum zeta phi^T, Z = sum zeta zeta^T: the inverse of the estimate's
-    covariance up to the noise variance. The noise of phi does not enter W in the mean, so the choice is one of the
-    motion, not of the noise.
-    Raises what `BCLS.columns` raises.
+    The criterion is the greatest determinant of W^T Z^-1 W, with W = sum zeta phi^T and Z = sum zeta zeta^T. This
+    matrix is the inverse of the estimate's covariance, up to the variance of the noise. The noise of phi has no mean
+    effect on W, so that the choice depends on the motion and not on the noise.
+    Raises the errors of `BCLS.columns`.
     """
     needed = len(estimator.model.simple.equation.noisy)
     sets = estimator.plant.candidate_zeros(estimator.cutoff, estimator.memory, needed)
@@ -54,13 +54,16 @@ def choose_cutoff(
     counts: NDArray[np.int64],
     forgetting: float = 1.0,
 ) -> float:
-    """The pole [rad/s] of the filters that keep most information on the parameters in the record u, counts: (n,).
+    """Return the pole [rad/s] of the filters that keep most information on the parameters in the record u, counts:
+    (n,).
 
-    models: one, or the same with an input that acts either way. forgetting < 1: for a recursion with that memory.
-    The pole has the smallest determinant of the covariance of instrumental variables along one motion, or of
-    bias-compensated least squares if nothing simulates the equation. The minimum is flat: a factor of three from the
-    best costs little. If no pole gives an estimate, the pole is 1 / (10 dt), and the estimator reports what is wrong
-    with the record.
+    `models` is one model, or two models with opposite signs of the input. A `forgetting` below 1 means a recursion with
+    that memory.
+
+    The pole has the smallest determinant of the covariance of instrumental variables along one motion. If the equation
+    cannot be simulated, the covariance is that of bias-compensated least squares. The minimum is flat: a factor of
+    three from the best pole costs little. If no pole gives an estimate, the pole is 1 / (10 dt), and the estimator
+    reports the fault of the record.
     """
     most = counts.size / TUNING.cutoff_least
     if forgetting < 1:
@@ -80,7 +83,7 @@ def choose_cutoff(
 def _columns(
     model: Model, encoder: Encoder, dt: float, poles: Sequence[float], u: Floats, counts: NDArray[np.int64]
 ) -> Iterator[tuple[float, tuple[Columns, int]]]:
-    """Pole, columns, and the samples that the filters take to settle."""
+    """Yield each pole with its columns and the number of samples in which the filters settle."""
     linear = model.simple if model.equation.further else model
     if IV.refuses(linear.equation):
         return _make_compensated_columns([BCLS(linear, encoder, dt, pole) for pole in poles], u, counts)
@@ -90,7 +93,7 @@ def _columns(
 def _make_simulated_columns(
     methods: Sequence[IV], u: Floats, counts: NDArray[np.int64]
 ) -> Iterator[tuple[float, tuple[Columns, int]]]:
-    """The columns with the instruments of one motion, for all poles."""
+    """Yield the columns for all poles, with the instruments from one motion."""
     for first in methods:
         with suppress(NotIdentifiableError):
             theta = first.settle_iteration(u, counts)[1]
@@ -110,7 +113,7 @@ def _make_compensated_columns(
 
 
 def _uncertainty(columns: Columns, settle_samples: int) -> float:
-    """Logarithm of the determinant of the covariance; infinite if there is no estimate."""
+    """Return the logarithm of the covariance's determinant; infinity if no estimate exists."""
     if columns.z.size <= columns.phi.shape[1] or not np.all(np.any(columns.zeta != 0, axis=0)):
         return np.inf
     try:

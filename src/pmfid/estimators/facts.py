@@ -13,7 +13,7 @@ INPUT_GAIN = "input_gain"
 
 
 def forces_of(equation: Equation) -> list[str]:
-    """Names of the unknowns that go with the gain of the input."""
+    """Return the names of the unknowns that are in proportion to the gain of the input."""
     return [str(term.name) for term in equation.unknown if term.signal != "input"]
 
 
@@ -24,8 +24,11 @@ def check_known(
     names: Sequence[str],
     find_gain: bool,
 ) -> None:
-    """Raises UsageError for what is known of a parameter that is none of `names`, twice, as no number or as one that no
-    machine has, and where the gain of the input is to be found and nothing gives it."""
+    """Raise UsageError if the prior information on the parameters is invalid.
+
+    A parameter must be one of `names`, must occur once, and needs a number that a machine can have. If `find_gain` is
+    True, the information must determine the gain of the input.
+    """
     for name in (*given, *prior):
         if name not in names:
             raise UsageError(

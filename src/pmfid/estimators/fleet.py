@@ -1,4 +1,4 @@
-"""Many axes at once: a fleet of machines, or the runs of a simulation study."""
+"""Fleets: many axes at once, as the machines of a plant or the runs of a simulation study."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pmfid.kernel.structures import whole_words
 
 
 def runner_of(estimator: RecursiveEstimator | Runner[RecursiveEstimator]) -> Runner[RecursiveEstimator]:
-    """What many axes begin from. Raises UsageError for an estimator that is not recursive."""
+    """Return the runner from which all axes start. Raises UsageError for an estimator that is not recursive."""
     if not isinstance(estimator, RecursiveEstimator | Runner):
         what = getattr(estimator, "method", type(estimator).__name__)
         raise UsageError(f"a fleet runs sample by sample, which {what} does not; use rls, bcrls, riv or rsrivc")
@@ -23,24 +23,24 @@ def runner_of(estimator: RecursiveEstimator | Runner[RecursiveEstimator]) -> Run
 
 
 class Fleet:
-    """Many axes with the configuration of one recursive estimator, each with a state of its own.
+    """Many axes with the configuration of one recursive estimator. Each axis has its own state.
 
-    Every axis gets the bits that the estimator alone would give. Axes are computed side by side, in vectors and on all
-    processors. A copy (`copy`, `pickle`, a process pool) goes on with the same bits.
+    The estimates of every axis equal those of the estimator alone, bit by bit. Vector instructions and threads compute
+    many axes at once. A copy (`copy`, `pickle`, a process pool) continues with the same bits.
 
     Parameters
     ----------
     estimator : recursive estimator or Runner
-        All axes start from its present state, which does not change.
+        All axes start from the present state of the estimator, which does not change.
     axes : int
         Number of axes, >= 1.
     workers : int, optional
-        Number of threads, >= 1. By default as many as there are processors.
+        Number of threads, >= 1. The default is the number of processors.
 
     Raises
     ------
     UsageError
-        Another number, an estimator that is not recursive, or more axes than the memory holds.
+        A number is outside these bounds, the estimator is not recursive, or the memory cannot hold them.
 
     Examples
     --------
@@ -58,7 +58,7 @@ class Fleet:
         self, estimator: RecursiveEstimator | Runner[RecursiveEstimator], axes: int, *, workers: int | None = None
     ) -> None:
         first = runner_of(estimator)
-        self._source = first  # for its configuration: it may go on by itself
+        self._source = first  # the configuration remains available if this runner continues
         self._many = first.side_by_side(axes, workers)
         self.axes, self.workers = self._many.axes, self._many.workers
         self._first = self._many.kernel.states[:1].copy()
@@ -68,31 +68,34 @@ class Fleet:
 
     @property
     def estimator(self) -> RecursiveEstimator:
-        """The configuration, as a new estimator."""
+        """New estimator with the configuration of the fleet."""
         return self._source.estimator
 
     def __repr__(self) -> str:
         return f"Fleet({self.estimator!r}, {self.axes}, workers={self.workers})"
 
     def run(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """The next n samples of every axis, from its present state.
+        """Process the next n samples of every axis, from its present state, and return the estimates.
 
-        u: (axes, n), or (n,) the same for all; counts: (axes, n). float32 or float64, int32 or int64 in any memory
-        order are read in place. every: samples from one kept estimate to the next, the last one always being kept;
-        None: the last one alone, whatever the number of samples. Raises UsageError if the arrays do not fit, the counts
-        are no integers, or the memory does not hold the kept estimates.
+        `u` and `counts` are (axes, n); a `u` (n,) holds for all axes. Arrays of float32, float64, int32 or int64 are
+        read in place, in any memory order. `every` is the number of samples from one kept estimate to the next. The
+        last estimate is always kept, and None keeps only the last one. Raises UsageError if the arrays do not match,
+        the counts are no integers, or the memory does not hold the kept estimates.
         """
         return self._many.run(u, counts, every)
 
     def axis(self, index: int) -> RecursiveEstimator:
-        """A new estimator of the same configuration in the state of one axis."""
+        """Return a new estimator of the same configuration in the state of one axis."""
         single, place = self.estimator, self._place(index)
         self._many.kernel.load(single.runner.kernel, place)
         return single
 
     def gap(self, index: int, counts: int) -> None:
-        """Samples of one axis were lost, and its next one has these counts: `Runner.gap` of it alone. Raises TypeError
-        for counts that are no integer, and UsageError for an axis that is not there and for linear processes."""
+        """Report lost samples of one axis, whose next sample has these counts, as `Runner.gap` does.
+
+        Raises TypeError if the counts are no integer. Raises UsageError if the axis does not exist, and for linear
+        processes.
+        """
         self.estimator.check_gaps()
         self._many.kernel.gap(self._place(index), counts)
 
@@ -103,19 +106,24 @@ class Fleet:
         return index % self.axes
 
     def reset(self) -> None:
-        """Every axis back to the state in which the fleet was made."""
+        """Reset every axis to the state in which the fleet was made."""
         self._many.kernel.reset()
 
     def get_state(self) -> bytes:
-        """The states of all axes, with a version and checksums; `set_state` of a fleet of as many with the same
-        configuration continues from them."""
+        """Return the states of all axes, with a version and checksums.
+
+        `set_state` of a fleet with the same configuration and number of axes continues from these states.
+        """
         from pmfid.kernel.saved import save_fleet
 
         return save_fleet(self._many.kernel, self._source.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continues from saved states. Raises UsageError, and stays as it was, for those of another configuration or
-        number of axes, damaged ones, and numbers that no sample could have made."""
+        """Continue from saved states.
+
+        Raises UsageError, without any change of the fleet, if the states are damaged or impossible, or have another
+        configuration or number of axes.
+        """
         from pmfid.kernel.saved import load_fleet
 
         load_fleet(self._many.kernel, self._source.precision, state)

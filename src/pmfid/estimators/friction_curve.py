@@ -1,4 +1,4 @@
-"""Friction over velocity, with no law assumed."""
+"""Friction over velocity, without an assumed law."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Counts, Floats
 
 CURVE = "curve"
-#: Speeds and friction of the nodes, forward and backward.
+#: Speeds and friction of the nodes, first forward, then backward.
 Sides = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True)
 class Remainder(Shape):
-    """The part of a curve beyond Coulomb and viscous friction, at even speeds from 0 on, mean of both directions."""
+    """Part of a curve beyond Coulomb and viscous friction, at even speeds from 0 on, as the mean of both directions."""
 
     values: tuple[float, ...]
     step: float
@@ -50,8 +50,12 @@ class Remainder(Shape):
 
 @dataclass(frozen=True)
 class Basis:
-    """speeds: of the nodes, forward and backward, from 0 on; regressors and instruments (n, 1 + k) of the mass and the
-    hats, target (n,); used (N,) of the whole record; settle: samples that the filters take."""
+    """Columns of a piecewise linear friction curve.
+
+    `speeds` are those of the nodes from 0 on, forward and backward. `regressors` and `instruments` (n, 1 + k) belong to
+    the mass and to the hat functions, `target` is (n,). `used` (N,) marks the used samples of the whole record.
+    `settle` is the number of samples in which the filters settle.
+    """
 
     speeds: tuple[Floats, Floats]
     regressors: Floats
@@ -75,7 +79,7 @@ def make_basis(model: IV, theta: Floats, u: Floats, counts: Counts, nodes: int) 
     for side, role in ((1.0, COULOMB_FORWARD), (-1.0, COULOMB_BACKWARD)):
         own = _nodes(side * corrected, nodes, "forward" if side > 0 else "backward")
         whole = columns.zeta[:, roles[role]]
-        # the share of a sample in which the axis moves this way is the kernel's, to the instant of a reversal
+        # the kernel computes the share of a sample in one direction, exact to the instant of a reversal
         hats += _with_first(whole, [h[columns.used] for h in _hats(model, side, side * corrected, own)])
         known = _model_friction(model, theta, own, side)
         alone = _with_first(whole, [h[columns.used] for h in _hats(model, side, side * simulated, own)])
@@ -84,7 +88,7 @@ def make_basis(model: IV, theta: Floats, u: Floats, counts: Counts, nodes: int) 
     curve = np.column_stack(hats)
     regressors = np.column_stack([columns.phi[:, mass], curve])
     instruments = np.column_stack([columns.zeta[:, mass], curve])
-    # what hats make of the model's own friction, and what the kernel does, which is exact for it
+    # for the model's own friction, the kernel's exact result replaces the result of the hat functions
     return Basis(
         (speeds[0], speeds[1]), regressors, instruments, columns.z - friction, columns.used, model.settle_samples
     )
@@ -95,7 +99,7 @@ def _with_first(whole: Floats, rising: list[Floats]) -> list[Floats]:
 
 
 def _model_friction(model: IV, theta: Floats, speeds: Floats, side: float) -> Floats:
-    """(k,) friction that the model has at speeds (k,) of one direction."""
+    """Return the model's friction (k,) at speeds (k,) of one direction."""
     values = model.equation.role_values(theta)
     forward = side > 0
     body = (
@@ -109,8 +113,8 @@ def _model_friction(model: IV, theta: Floats, speeds: Floats, side: float) -> Fl
 
 
 def _slow(model: IV, simulated: Floats, counts: Counts) -> Floats:
-    """(n,) what slowly departs in the counts from the simulated velocity (n parts,)."""
-    from scipy.signal import filtfilt  # slow to import, and only this needs it
+    """Return the slow deviation (n,) of the counts from the simulated velocity (n parts,)."""
+    from scipy.signal import filtfilt  # slow to import, and used here only
 
     moved = np.diff(counts) * model.encoder.resolution / model.dt
     late = np.r_[moved - simulated.reshape(-1, TUNING.friction_curve_parts).mean(axis=1)[:-1], 0.0]
@@ -119,7 +123,7 @@ def _slow(model: IV, simulated: Floats, counts: Counts) -> Floats:
 
 
 def _nodes(speed: Floats, nodes: int, direction: str) -> Floats:
-    """0 and the quantiles of the positive speeds, each apart from the one before."""
+    """Return the speed 0 and distinct quantiles of the positive speeds."""
     moving = speed[speed > 0]
     if moving.size < TUNING.least_part * speed.size + 10 * nodes:
         raise NotIdentifiableError(f"the axis hardly moves {direction}: record a motion in both directions")
@@ -137,7 +141,9 @@ def _nodes(speed: Floats, nodes: int, direction: str) -> Floats:
 
 
 def _hats(model: IV, side: float, speed: Floats, nodes: Floats) -> Iterator[Floats]:
-    """The filtered hats (n,) of all nodes but the first, at speeds (n parts,), with the sign of the direction."""
+    """Yield the filtered hat function (n,) of each node but the first, at speeds (n parts,), with the sign of the
+    direction.
+    """
     for j in range(1, nodes.size):
         unit = np.zeros(nodes.size)
         unit[j] = 1.0
@@ -149,7 +155,9 @@ def _hats(model: IV, side: float, speed: Floats, nodes: Floats) -> Iterator[Floa
 
 
 def bend_of(speeds: tuple[Floats, Floats]) -> Floats:
-    """(rows, 1 + k): the square of what it makes of the parameters is the integral of the second derivative squared."""
+    """Return a matrix (rows, 1 + k) whose product with the parameters has the square: integral of the second
+    derivative squared.
+    """
     k = sum(own.size for own in speeds)
     rows, first = [], 1
     for own in speeds:
@@ -166,8 +174,10 @@ def bend_of(speeds: tuple[Floats, Floats]) -> Floats:
 
 
 def with_curve(estimator: IV, mass: float, sides: Sides) -> tuple[IV, Floats]:
-    """The same method on the equation that has a curve in its simulated motion, and its parameters. sides: speeds and
-    friction, forward and backward."""
+    """Return the method with a curve in its simulated motion, and its parameters.
+
+    `sides` are speeds and friction, forward and backward.
+    """
     lines = [np.asarray(np.polyfit(speed, force, 1)) for speed, force in sides]
     even = np.linspace(0.0, max(speed[-1] for speed, _ in sides), TUNING.friction_curve_knots)
     remainders = [
@@ -189,15 +199,19 @@ def with_curve(estimator: IV, mass: float, sides: Sides) -> tuple[IV, Floats]:
     return like(IV, estimator, model=EquationModel(equation), prefilter_zeros=None), theta
 
 
-#: Weights of the bend that are tried, over the information of the samples.
+#: Weights of the bend that are tried, relative to the information of the samples.
 WEIGHTS = 10.0 ** np.arange(-8.0, 4.1, 0.5)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrictionCurve(Presentable):
-    """velocity (k,) [m/s]: the nodes, rising, those backward first; force, std (k,) [N]; mass, mass_std [kg]; weight:
-    of the bend, that was chosen; error (n,) [N] that is left of the n samples in use, the last of the record; notes:
-    for people; motion: the units, of a rotary axis rad/s, N m and kg m2."""
+    """Friction over velocity, with error bars.
+
+    `velocity` (k,) [m/s] are the nodes in rising order, the backward ones first. `force` and `std` (k,) [N] are the
+    friction and its standard errors, `mass` and `mass_std` [kg] the mass and its standard error. `weight` is the chosen
+    weight of the bend. `error` (n,) [N] is the residual of the n used samples, which are the last of the record.
+    `notes` are for people. `motion` holds the units, which for a rotary axis are rad/s, N m and kg m2.
+    """
 
     velocity: Floats
     force: Floats
@@ -211,19 +225,22 @@ class FrictionCurve(Presentable):
 
     @property
     def visited(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Velocities [m/s] that the record covers, backward and forward; between the two, slower than the
-        first nodes, it does not tell the curve from the jump at zero."""
+        """Ranges of the velocity [m/s] that the record covers, backward and forward.
+
+        Between the two ranges, at speeds below the first nodes, the record cannot separate the curve from the jump at
+        zero.
+        """
         back, ahead = self.velocity[self.velocity < 0], self.velocity[self.velocity > 0]
         return (float(back[0]), float(back[-1])), (float(ahead[0]), float(ahead[-1]))
 
     def evaluate(self, velocity: ArrayLike) -> Floats:
-        """Friction (n,) [N] at velocities (n,) [m/s]; NaN where the record has none of them."""
+        """Return the friction (n,) [N] at velocities (n,) [m/s]; NaN for velocities that the record does not cover."""
         return self._interpolate(velocity, self.force)
 
     at = rename_method("at", "evaluate")
 
     def std_at(self, velocity: ArrayLike) -> Floats:
-        """The standard deviation of the curve (n,) [N], NaN outside the range of `evaluate`."""
+        """Return the standard error of the curve (n,) [N]; NaN outside the range of `evaluate`."""
         return self._interpolate(velocity, self.std)
 
     def _interpolate(self, velocity: ArrayLike, values: Floats) -> Floats:
@@ -243,7 +260,7 @@ class FrictionCurve(Presentable):
         return Summary(title, header, rows, lines, remarks_of((), self.notes))
 
     def columns(self) -> dict[str, object]:
-        """A row for each node."""
+        """Return the columns of a table with one row for each node."""
         return {"velocity": self.velocity, "force": self.force, "std": self.std}
 
     def to_dict(self) -> dict[str, object]:
@@ -266,12 +283,17 @@ def friction_curve(
     nodes: int = TUNING.friction_curve_nodes,
     rising_from: float | None = None,
 ) -> FrictionCurve:
-    """From u, counts: (n,). estimator: of a `Drive` with directional friction; nodes: of each direction; rising_from:
-    friction does not fall with the speed from there on [m/s], 0: nowhere; None: it may. Error bars are for noise and
-    smoothing; what straight lines between the nodes leave out of a sharp bend more nodes show. A constant load is half
-    of what both directions differ by.
+    """Estimate the friction curve from u, counts: (n,).
 
-    Raises UsageError for wrong arguments and NotIdentifiableError where the record does not show friction apart.
+    `estimator` has a `Drive` with directional friction, and `nodes` is the number of nodes in each direction. From the
+    speed `rising_from` on [m/s], the friction does not fall with the speed; 0 means at no speed, and None sets no such
+    condition.
+
+    The error bars contain noise and smoothing. They do not contain the error of straight lines at a sharp bend, which
+    more nodes reveal. A constant load is half the difference between both directions.
+
+    Raises UsageError for wrong arguments, and NotIdentifiableError if the record does not separate the friction from
+    other effects.
     """
     nodes = whole_number("nodes", nodes, 3, "it is the number of speeds in each direction")
     if rising_from is not None and not 0 <= rising_from < np.inf:
@@ -303,10 +325,13 @@ def friction_curve(
 
 @dataclass(frozen=True)
 class _Solved:
-    """theta (1 + k,): mass and friction at the nodes; of a curve with friction_curve_less smoothing gain (1 + k, 1 +
-    k), noise
-    (1 + k,): variances by the scatter of the scores, and bias (1 + k,): how far it is from that; everywhere (N, 1 + k):
-    instruments of the whole record; error (n,): what is left."""
+    """Solution of the smoothed least squares problem.
+
+    `theta` (1 + k,) are the mass and the friction at the nodes. The other arrays belong to a curve with
+    friction_curve_less smoothing. `gain` (1 + k, 1 + k) is its gain, and `noise` (1 + k,) are its variances by the
+    scatter of the scores. `bias` (1 + k,) is the difference of `theta` from that curve. `everywhere` (N, 1 + k) are the
+    instruments of the whole record, and `error` (n,) is the residual.
+    """
 
     speeds: tuple[Floats, Floats]
     theta: Floats
@@ -326,7 +351,7 @@ class _Solved:
 
 def _solve_curve(basis: Basis, rising_from: float | None) -> _Solved:
     Q = np.linalg.qr(basis.instruments)[0]
-    mass = Q @ (Q.T @ basis.regressors[:, 0])  # two stages of least squares are the instruments' estimate
+    mass = Q @ (Q.T @ basis.regressors[:, 0])  # least squares in two stages gives the estimate with instruments
     A = np.column_stack([mass, basis.instruments[:, 1:]])
     bend, information, right = bend_of(basis.speeds), A.T @ A, A.T @ basis.target
     bend = bend * np.sqrt(np.trace(information[1:, 1:]) / np.sum(bend**2))
@@ -344,8 +369,10 @@ def _solve_curve(basis: Basis, rising_from: float | None) -> _Solved:
 
 
 def _make_curve(solved: _Solved, std: Floats) -> FrictionCurve:
-    """The curve without the nodes at rest: no sample is there, and Stribeck friction may hide below the first of the
-    others."""
+    """Return the curve without the nodes at rest.
+
+    The record has no sample at rest, and Stribeck friction may exist below the first node above 0.
+    """
     (ahead, forward), (back, backward) = solved.sides
     bars_ahead, bars_back = np.split(std[1:], [ahead.size])
     velocity, force = np.r_[-back[:0:-1], ahead[1:]], np.r_[-backward[:0:-1], forward[1:]]
@@ -354,8 +381,10 @@ def _make_curve(solved: _Solved, std: Floats) -> FrictionCurve:
 
 
 def _weight(A: Floats, basis: Basis, bend: Floats) -> float:
-    """The largest of those tried with which blocks are predicted, by the others, as well as with the best one, within a
-    standard error of the difference (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
+    """Return the largest weight whose prediction error is within one standard error of the best.
+
+    The other blocks of the record predict each block (Hastie, Tibshirani and Friedman 2009, section 7.10).
+    """
     n = basis.target.size
     block = np.arange(n) * TUNING.friction_curve_blocks // n
     sums = [
@@ -369,7 +398,7 @@ def _weight(A: Floats, basis: Basis, bend: Floats) -> float:
             own = range(fold, TUNING.friction_curve_blocks, TUNING.friction_curve_folds)
             rest = square - sum(sums[k][0] for k in own) + weight * bend.T @ bend
             right = cross - sum(sums[k][1] for k in own)
-            theta = np.linalg.lstsq(rest, right, rcond=None)[0]  # without these blocks a node may have no sample
+            theta = np.linalg.lstsq(rest, right, rcond=None)[0]  # without these blocks, a node may have no sample
             for k in own:
                 errors[row, k] = theta @ sums[k][2] @ theta - 2 * theta @ sums[k][3]
     apart = errors - errors[np.argmin(errors.sum(axis=1))]
@@ -382,8 +411,8 @@ def _sums(A: Floats, regressors: Floats, target: Floats) -> tuple[Floats, ...]:
 
 
 def _rising(square: Floats, right: Floats, speeds: tuple[Floats, Floats], rising_from: float) -> Floats:
-    """The best parameters whose friction does not fall with the speed from `rising_from` on."""
-    from scipy.optimize import lsq_linear  # slow to import, and only this needs it
+    """Return the best parameters whose friction does not fall with the speed from `rising_from` on."""
+    from scipy.optimize import lsq_linear  # slow to import, and used here only
 
     k, low, first = square.shape[0], np.full(square.shape[0], -np.inf), 1
     steps = np.eye(k)

@@ -1,4 +1,4 @@
-"""Iterated instrumental variables with a friction-aware auxiliary model: what `IV` and all that start from it share."""
+"""Iterated instrumental variables with an auxiliary model that contains friction, as a base for `IV` and others."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from pmfid.status import Status
 
 @dataclass(frozen=True)
 class Instruments(ProcessSolver, Simulating):
-    """The settled iteration and its error bars; see `IV`."""
+    """The settled iteration of instrumental variables, and its error bars; see `IV`."""
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
 
@@ -56,7 +56,7 @@ class Instruments(ProcessSolver, Simulating):
         return fixed_filters(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Raises NotIdentifiableError also where no iteration settles."""
+        """Estimate the parameters. Raises NotIdentifiableError also if the iteration does not settle."""
         u, counts = check_arrays(u, counts)
         return self.fit_settled(*self.settle_iteration(u, counts), u, counts)
 
@@ -98,10 +98,12 @@ class Instruments(ProcessSolver, Simulating):
     def estimate_covariance(
         self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Covariance (p, p) of theta (p,): the scatter of its scores in blocks on every scale longer than the filters.
+        """Return the covariance (p, p) of theta (p,) from the scatter of its scores in blocks, on every scale longer
+        than the filters.
 
-        The filtered error of the encoder cancels over such blocks, unmodelled friction does not. If the encoder's
-        lattice does more along this motion, that variance counts."""
+        Over such blocks, the filtered error of the encoder cancels, but unmodelled friction does not. If the encoder's
+        lattice causes a larger variance along this motion, the larger variance counts.
+        """
         gain = self._gain(columns, theta, u, counts)
         in_blocks = scatter(self._scores(columns, theta) @ gain.T, TUNING.instruments_lasting * self.settle_samples)
         along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
@@ -110,9 +112,10 @@ class Instruments(ProcessSolver, Simulating):
     def _gain(
         self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike
     ) -> NDArray[np.float64]:
-        """(p, p): how a change of sum zeta z moves theta, with the reversals of the model moving, too.
+        """Return the gain (p, p) by which a change of sum zeta z moves theta, with moving reversals of the model.
 
-        sum zeta phi^T alone takes the direction for known, and makes the error bar of the mass a fifth too short.
+        The matrix sum zeta phi^T alone takes the direction as known, so that the error bar of the mass is a fifth too
+        short.
         """
         rests = self._rests(*check_arrays(u, counts), theta)
         jacobian = np.empty((theta.size, theta.size))
@@ -121,7 +124,8 @@ class Instruments(ProcessSolver, Simulating):
         for i, step in enumerate(TUNING.jacobian_step * size):
             moved = [theta + side * np.eye(theta.size)[i] for side in (step, -step)]
             sides = [self.columns_at(at, u, counts, rests) for at in moved]
-            used = columns.used & sides[0].used & sides[1].used  # one that moves where the other rests uses others
+            # two motions use different samples if one of them moves while the other rests
+            used = columns.used & sides[0].used & sides[1].used
             error = [(side.z - side.phi @ at)[used[side.used]] for side, at in zip(sides, moved, strict=True)]
             jacobian[:, i] = columns.zeta[used[columns.used]].T @ (error[1] - error[0]) / (2 * step)
         return inverse_of(jacobian)
@@ -155,8 +159,10 @@ class Instruments(ProcessSolver, Simulating):
     def _start_late(
         self, at: Callable[[float], Model], tried: Sequence[float], u: ArrayLike, counts: ArrayLike, bounded: bool
     ) -> NDArray[np.float64]:
-        """The same with the dead time, or the lag, at which the simulated velocity is nearest to the measured one; at:
-        the model at one [s]; tried [samples]."""
+        """Return start values with the dead time or lag whose simulated velocity is nearest to the measured one.
+
+        `at` returns the model for a time [s], and `tried` are the times to try [samples].
+        """
         found: list[tuple[float, NDArray[np.float64]]] = []
         refused: NotIdentifiableError | None = None
         for samples in tried:
@@ -176,8 +182,10 @@ class Instruments(ProcessSolver, Simulating):
         return like(Instruments, self, model=self.model.replace_lag(seconds))
 
     def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
-        """Mean square error of the filtered velocity that the model has at theta (p,), over the mean square of the
-        measured one."""
+        """Return the mean square error of the filtered velocity, relative to the mean square of the measured velocity.
+
+        The model simulates the velocity at theta (p,).
+        """
         columns, used, _ = self._filter_record(theta, *check_arrays(u, counts), None)
         check = auxiliary_columns(self)[3]
         measured, modelled = columns[used, check], columns[used, check + 1]
@@ -186,10 +194,10 @@ class Instruments(ProcessSolver, Simulating):
     def columns_at(
         self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike, rests: bool | None = None
     ) -> Columns:
-        """Regressors, target and instruments with the auxiliary model at theta (p,).
+        """Return regressors, target and instruments with the auxiliary model at theta (p,).
 
-        A record that begins at rest, which the model says as well, has been at rest before: its first motion counts.
-        rests: does it? None: as the counts and theta say.
+        If a record begins at rest and the model agrees, the axis has been at rest before, and its first motion counts.
+        `rests` says whether the record begins at rest. None decides from the counts and theta.
         """
         if self.equation.lag == ESTIMATE:
             return linearise_lag(
@@ -209,7 +217,7 @@ class Instruments(ProcessSolver, Simulating):
         counts_array: NDArray[np.int64],
         rests: bool | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
-        """All columns (n, c), which rows count (n,), and the status (n,)."""
+        """Return all columns (n, c), the rows that count (n,), and the status (n,)."""
         check_size(u_array)
         there, filters = np.isfinite(u_array), self
         lost = np.where(there, 0, int(Status.INVALID_INPUT)).astype(np.uint32)
@@ -233,11 +241,13 @@ class Instruments(ProcessSolver, Simulating):
 
     @cached_property
     def _unguarded(self) -> Instruments:
-        """The method without its guard, for records with gaps, in which the model moves as it must."""
+        """Return the method without its guard, for records with gaps: in a gap, the simulated motion may be faster
+        than the guard allows.
+        """
         return replace(self, encoder=replace(self.encoder, guard=False))
 
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
-        """Does the axis rest at first, by the counts and by the friction of theta (p,)?"""
+        """Return whether the axis rests at first, according to the counts and the friction of theta (p,)."""
         begin = slice(0, TUNING.rest_samples)
         if counts.size <= TUNING.rest_samples or np.any(counts[begin] != counts[0]):
             return False
@@ -251,11 +261,13 @@ class Instruments(ProcessSolver, Simulating):
 
     @property
     def positive(self) -> NDArray[np.bool_]:
-        """(p,): which parameters are never negative in a machine."""
+        """Truth values (p,), True for parameters that are never negative in a machine."""
         return np.array([*self.equation.positive, *(True for _ in self.equation.further)])
 
     def noise(self) -> NDArray[np.float64]:
-        """(p, p) covariance that a white encoder error of the step's variance has in the regressors of one sample."""
+        """Covariance (p, p) of one sample's regressors by a white encoder error with the variance of the encoder's
+        step.
+        """
         network, columns, first, _ = auxiliary_columns(self)
         products = impulse_products(self, network, columns[first : first + len(self.names)])
         return np.asarray(self.encoder.resolution**2 / 12 * products)
@@ -264,7 +276,7 @@ class Instruments(ProcessSolver, Simulating):
         return solve_with_instruments(columns)
 
     def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What was found, but no further than half-way from theta to a mass or friction of zero."""
+        """Return the parameters `found`, where a mass or friction falls at most half-way from theta to zero."""
         low = np.where(self.positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
 
@@ -277,21 +289,26 @@ def _nearest(tried: Sequence[float], near: float | None, dt: float) -> Sequence[
 
 
 def _poles_swapped(equation: Equation, theta: NDArray[np.float64]) -> bool:
-    """Is the body faster than a known lag of its input? The two poles would do nearly as well in each other's place."""
+    """Return whether the body is faster than a known lag of its input. Exchanged poles would then fit nearly as
+    well.
+    """
     values = equation.role_values(theta)
     return equation.lag != 0 and values[MASS] < float(equation.lag) * values[VISCOUS_FORWARD]
 
 
 def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
-    """The parameters of `initial` in the order of theta. Raises UsageError for a missing or unknown name."""
+    """Return the parameters of `initial` in the order of theta. Raises UsageError for a missing or unknown name."""
     if set(initial) != set(names):
         raise UsageError(f"initial must name {list(names)}, got {list(initial)}")
     return np.array([float(initial[name]) for name in names])
 
 
 def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
-    """theta (p,) from the roles' values of the symmetric equation. In an equation without offset a constant load
-    becomes Coulomb friction that differs with the direction. Negative frictions start at zero."""
+    """Return theta (p,) from the values of the roles in the symmetric equation.
+
+    In an equation without an offset, a constant load becomes Coulomb friction that differs between the directions.
+    Negative frictions start at zero.
+    """
     values = list(known)
     if equation.roles[OFFSET] is None:
         values[COULOMB_FORWARD] += values[OFFSET]
@@ -309,10 +326,11 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
 
 
 def linearise_lag(columns_at: Callable[[float], Columns], theta: NDArray[np.float64], dt: float) -> Columns:
-    """The columns for theta (p,), whose last element is the lag [s], from the columns at known lags.
+    """Return the columns for theta (p,), whose last element is the lag [s], from columns at known lags.
 
-    To first order a lag multiplies the change of the equation's error with it. The target counts from the present lag,
-    so an iteration ends where this term is zero. The change of the error has no noise, and is its own instrument.
+    To first order, the term of the lag is the change of the equation's error with the lag. The target counts from the
+    present lag, so that an iteration ends when this term is zero. The change of the error has no noise and is its own
+    instrument.
     """
     lag, others = max(float(theta[-1]), 0.0), theta[:-1]
     low, high = max(lag - TUNING.lag_step * dt, 0.0), lag + TUNING.lag_step * dt

@@ -1,4 +1,4 @@
-"""Instrumental variables with a friction-aware auxiliary model, off-line and recursive."""
+"""Instrumental variables with an auxiliary model that contains friction, off-line and recursive."""
 
 from __future__ import annotations
 
@@ -31,26 +31,33 @@ class IV(Instruments):
     """Iterated instrumental variables, off-line.
 
     The plant is simulated from the input alone with the present estimate, stiction included. The simulated motion gives
-    the instruments, and the direction and moving fractions of every interval.
+    the instruments. It also gives the direction and the moving fractions of every interval.
 
     Parameters
     ----------
     model : Drive, EquationModel or TransferFunction
+        Model of the plant.
     encoder : Encoder
+        Data sheet of the encoder.
     dt : float
         Sample period [s].
     cutoff : float
         Pole of the filters [rad/s].
     initial : mapping, optional
-        Parameters by name to start from. By default bias-compensated least squares gives them.
+        Start values by parameter name. By default, bias-compensated least squares gives the start values.
 
     Notes
     -----
-    theta = (sum zeta phi^T)^-1 sum zeta z, until theta no longer changes (Young and Jakeman 1979; the friction in the
-    model is ours). A transfer function is simulated with unknown initial conditions; its filter stays that of the
-    cutoff (`SRIVC` lets the filter follow the estimate). A dead time comes from the motion that fits best
-    (`IntervalML`), if that motion explains every count and knows the dead time better: the instrument is the change of
-    the input, and under control that is the change of the encoder's error.
+    The method repeats theta = (sum zeta phi^T)^-1 sum zeta z until theta no longer changes (Young and Jakeman 1979).
+    The
+    friction in the auxiliary model is an addition of pmfid.
+
+    A transfer function is simulated with unknown initial conditions, and its filter has the pole `cutoff`. `SRIVC`
+    adapts the filter to the estimate.
+
+    The instrument of a dead time is the change of the input, which under control follows the encoder's error. The dead
+    time therefore comes from the motion that fits best (`IntervalML`), on two conditions. That motion must explain
+    every count, and its error bar for the dead time must be shorter.
 
     Examples
     --------
@@ -76,11 +83,11 @@ class IV(Instruments):
             return fit
         try:
             return self._fit_at_lateness(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
-        except NotIdentifiableError:  # its iteration does not settle there
+        except NotIdentifiableError:  # the iteration does not settle at this dead time or lag
             return fit
 
     def _sharp(self, fit: Fit, u: Floats, counts: NDArray[np.int64]) -> Fit | None:
-        """The interval likelihood, where the model is enough for it."""
+        """Return the fit by interval likelihood, or None if the model is not adequate for it."""
         method = like(IntervalML, self, prefilter_zeros=None)
         try:
             best = method.best(u, counts, np.maximum(fit.theta, np.where(self.positive, 0.0, -np.inf)))
@@ -91,7 +98,9 @@ class IV(Instruments):
     def _fit_at_lateness(
         self, late: Floats, late_cov: Floats, places: list[int], fit: Fit, u: Floats, counts: NDArray[np.int64]
     ) -> Fit:
-        """The fit at a lateness (l,) [s] known to a covariance (l, l), at these places of theta."""
+        """Return the fit at dead time and lag (l,) [s] with the covariance (l, l). `places` are their indices in
+        theta.
+        """
         others = [i for i in range(fit.theta.size) if i not in places]
         known = self._fix_lateness(late, fit.theta[others])
         columns, theta = known.settle_iteration(u, counts)
