@@ -1,7 +1,7 @@
 """Findings on a record or an estimate, in one list for all readers, sorted by importance.
 
-The terminal, JSON, HTML and Python show the same list. Each check returns a `Finding`; no other code writes such
-sentences.
+The terminal, JSON, HTML and Python show the same list. Each check returns a `Finding`; no other code writes
+sentences on findings.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ class Presentable(ABC):
 
     @abstractmethod
     def summary(self) -> Summary:
-        """Return the content that a person sees."""
+        """Return the title, the table and the remarks of the result."""
 
     @abstractmethod
     def columns(self) -> Mapping[str, object]:

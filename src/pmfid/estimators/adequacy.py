@@ -257,7 +257,7 @@ class Adequacy:
 
     @property
     def named(self) -> tuple[int, ...]:
-        """Indices of the missed forces that explain nearly as much as the best one. Each of them may be the
+        """Indices of the missed forces that explain nearly as much as the best one. Each named force may be the
         unmodelled effect.
         """
         return tuple(k for k in self.missed if self.gain[k] > TUNING.adequacy_nearly * self.gain[self.missed[0]])

@@ -90,8 +90,8 @@ def make_auxiliary_kernel(
 ) -> tuple[Kernel, int]:
     """Return a kernel with an auxiliary model, and its first instrumental column.
 
-    `initial` (p,) are start values of the model's parameters. None starts from the direct estimate. If `adapt` is True,
-    the model follows the estimate, else it keeps the initial parameters.
+    `initial` (p,) are start values of the model's parameters. If `initial` is None, the model starts from the direct
+    estimate. If `adapt` is True, the model follows the estimate, else it keeps the initial parameters.
     """
     network, columns, first, check = auxiliary_columns(estimator)
     p = len(estimator.names)

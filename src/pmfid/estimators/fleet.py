@@ -91,7 +91,7 @@ class Fleet:
         return single
 
     def gap(self, index: int, counts: int) -> None:
-        """Report lost samples of one axis, whose next sample has these counts, as `Runner.gap` does.
+        """Report a gap in the samples of one axis; `counts` are those of its next sample.
 
         Raises TypeError if the counts are no integer. Raises UsageError if the axis does not exist, and for linear
         processes.

@@ -276,7 +276,7 @@ class Instruments(ProcessSolver, Simulating):
         return solve_with_instruments(columns)
 
     def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the parameters `found`, where a mass or friction falls at most half-way from theta to zero."""
+        """Return `found` with lower limits: a mass or friction falls at most half-way from theta to zero."""
         low = np.where(self.positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
 
