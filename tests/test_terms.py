@@ -103,7 +103,9 @@ def test_directional_friction_is_named_with_its_size(directional: TermSearch) ->
     [
         ("prbs", {"quadratic": 3e-4}, {"quadratic": True}),
         ("prbs", {"dead_time": 1e-3}, {"dead_time": "estimate"}),
-        ("stop-and-go", {"stribeck": 0.02, "stribeck_speed": 0.6}, {"stribeck": "estimate"}),
+        pytest.param(
+            "stop-and-go", {"stribeck": 0.02, "stribeck_speed": 0.6}, {"stribeck": "estimate"}, marks=pytest.mark.long
+        ),
         pytest.param("stop-and-go", {"dead_time": 1e-3}, {"dead_time": "estimate"}, marks=pytest.mark.long),
         pytest.param("stop-and-go", {"stiffness": 0.01}, {"spring": True}, marks=pytest.mark.long),
     ],

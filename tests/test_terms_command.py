@@ -14,7 +14,7 @@ from tests.test_terms import CUTOFF, DT, GAIN, STEP, made, searched
 
 @pytest.fixture
 def files(tmp_path: Path) -> tuple[Path, Path]:
-    record = made(samples=2000, asymmetry=0.15)
+    record = made(samples=1000, asymmetry=0.15)
     table, axis = tmp_path / "run.csv", tmp_path / "axis.toml"
     rows = [f"{DT * i:.9g},{u:.12g},{c}" for i, (u, c) in enumerate(zip(record.u, record.counts, strict=True))]
     table.write_text("\n".join(["t,u,counts", *rows]))
@@ -27,7 +27,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_the_command_says_what_python_says(files: tuple[Path, Path], tmp_path: Path) -> None:
     table, axis = files
-    directional, out = searched(made(samples=2000, asymmetry=0.15)), tmp_path / "out"
+    directional, out = searched(made(samples=1000, asymmetry=0.15)), tmp_path / "out"
     result = CliRunner().invoke(
         main, ["terms", str(table), "--config", str(axis), "--no-scan", "--json", "--out", str(out)]
     )
