@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pmfid.config.model import ModelConfig, Name, Positive
 from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig, Sections, axis_kind
 from pmfid.config.toml_file import FileSection, load_sections
+from pmfid.config.units import Quantity
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.estimators import Method
@@ -24,6 +25,10 @@ from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.names import DetectorName
 
 __all__ = ["Axis", "check_sampling", "load_axis"]
+
+
+#: No encoder has so long a step [m or rad per count].
+LARGEST_STEP = 16.0
 
 
 def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
@@ -158,6 +163,12 @@ class Axis(FileSection):
             if self.record.output_kind == "velocity":
                 raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
             return
+        step = self.encoder.resolution
+        if self.record.output_kind == "counts" and step >= LARGEST_STEP and not isinstance(step, Quantity):
+            raise UsageError(
+                f"[encoder] resolution = {step:g} would be {step:g} m or rad per count; if these are counts per "
+                f'revolution, write resolution = "{step:g} counts/rev"'
+            )
         places = [key for key in POSITION_KEYS if getattr(self.model, key)]
         if self.record.output_kind == "velocity" and places:
             raise UsageError(

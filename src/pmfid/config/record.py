@@ -180,7 +180,7 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
     kind = axis_kind(axis, y)
     named = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
     said = [f"the file has {' and '.join(named)}"] if named else []
-    if axis.model.input_gain == 1.0 and (u is None or u.of not in ("force", "torque")):
+    if axis.model.input_gain == axis.record.input_scale == 1.0 and (u is None or u.of not in ("force", "torque")):
         said.append(
             f"input_gain is 1: forces are in the unit of {input_name!r}; if that is no force, give [model] input_gain"
         )

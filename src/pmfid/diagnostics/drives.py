@@ -23,7 +23,7 @@ from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.recursive import RLS
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import Finding, codes, sort_findings
-from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, Equation
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, LATE, OFFSET, Equation
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
 
@@ -452,7 +452,8 @@ def _model(
         yield Finding(
             "not_followed",
             f"no motion of the model follows the measured one, {found.left:.0%} of it is left",
-            "check input_gain, sign and scale of input and output, and [encoder] bits",
+            "check input_gain, sign and scale of input and output, and [encoder] bits"
+            + ("; of a vertical axis set offset = true" if estimator.equation.roles[OFFSET] is None else ""),
             "wrong",
         )
     if not found.adequate:

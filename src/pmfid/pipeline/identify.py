@@ -64,7 +64,8 @@ def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
 
 def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
     """Return an error with the most important mistake in the log, or the error itself if the log has no mistake."""
-    return NotIdentifiableError(findings[0].text) if codes(findings) else error
+    causes = [finding for finding in findings if finding.severity != "note" and finding.code not in OF_LOG]
+    return NotIdentifiableError(causes[0].text) if causes else error
 
 
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:

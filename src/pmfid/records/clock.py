@@ -31,7 +31,13 @@ _NAMES = {
 
 def time_factor(config: RecordConfig) -> float:
     """Return the seconds per unit of the time column."""
-    return UNITS[config.time_unit or named_unit(config.time or "") or "s"]
+    named = named_unit(config.time or "")
+    if named and config.time_unit and named != config.time_unit:
+        raise UsageError(
+            f"the name of the column {config.time!r} says {named}, and [record] time_unit = "
+            f'"{config.time_unit}": write time_unit = "{named}", or rename the column'
+        )
+    return UNITS[config.time_unit or named or "s"]
 
 
 def named_unit(name: str) -> str | None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
+from pmfid.config.units import OUTPUTS, column_unit
 from pmfid.errors import UsageError
 from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.io.csv_text import Stated
@@ -87,7 +88,8 @@ def _check_position(output: Floats, axis: Axis) -> None:
     whole = (
         np.array_equal(output, np.rint(output)) and np.unique(output[: TUNING.record_distinct]).size > TUNING.most_whole
     )
-    if whole and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
+    named = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
+    if whole and not named and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
         raise UsageError(
             f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
             f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '

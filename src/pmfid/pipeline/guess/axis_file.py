@@ -108,7 +108,7 @@ def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str] | None, d
 
 KINDS = {
     "counts": "nothing but whole numbers",
-    "position": "it has parts of a whole number",
+    "position": "it has a unit, or parts of a whole number",
     "velocity": "the motion explains the input as a rate",
 }
 
@@ -254,7 +254,7 @@ def _number(text: str) -> float:
     except ValueError:
         value = 0.0
     if not (np.isfinite(value) and value != 0):
-        raise ValueError(f"{text!r} is no number other than zero; write one like 0.25")
+        raise ValueError(f"{text!r} is no finite number, or zero; write one like 0.25")
     return value
 
 
