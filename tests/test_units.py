@@ -265,3 +265,22 @@ def test_a_copy_of_a_quantity_is_converted_once(again: Callable[[Quantity], Quan
     made = Quantity(5.0, OUTPUTS["mm"])
     copied = again(made)
     assert (copied, copied.unit, type(copied)) == (made, made.unit, Quantity)
+
+
+def test_whole_numbers_with_a_unit_are_a_position(tmp_path: Path) -> None:
+    pl.DataFrame({"u": RUN.u, "pos [um]": 2 * RUN.counts}).write_csv(tmp_path / "run.csv")
+    record = read_record(tmp_path / "run.csv", axis("pos [um]", resolution="2 um"))
+    np.testing.assert_array_equal(record.counts, RUN.counts)
+
+
+def test_a_time_unit_and_its_column_agree(tmp_path: Path) -> None:
+    pl.DataFrame({"t_ms": 10.0 * np.arange(RUN.u.size), "u": RUN.u, "y": STEP * RUN.counts}).write_csv(
+        tmp_path / "a.csv"
+    )
+    with pytest.raises(UsageError, match='write time_unit = "ms", or rename the column'):
+        read_record(tmp_path / "a.csv", axis("y", record_time="t_ms", record_dt=None, record_time_unit="s"))
+
+
+def test_counts_per_revolution_are_no_travel_per_count() -> None:
+    with pytest.raises(UsageError, match='write resolution = "4096 counts/rev"'):
+        axis("y", resolution=4096.0, record_output_kind="counts")

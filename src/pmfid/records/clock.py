@@ -31,13 +31,7 @@ _NAMES = {
 
 def time_factor(config: RecordConfig) -> float:
     """Return the seconds per unit of the time column."""
-    named = named_unit(config.time or "")
-    if named and config.time_unit and named != config.time_unit:
-        raise UsageError(
-            f"the name of the column {config.time!r} says {named}, and [record] time_unit = "
-            f'"{config.time_unit}": write time_unit = "{named}", or rename the column'
-        )
-    return UNITS[config.time_unit or named or "s"]
+    return UNITS[config.time_unit or named_unit(config.time or "") or "s"]
 
 
 def named_unit(name: str) -> str | None:
@@ -64,6 +58,7 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     if not grid:
         _check_steps(time, np.diff(time), median)
         mean = float((time[-1] - time[0]) / (len(time) - 1))
+    _check_name(mean, config)
     if config.dt is not None and _counts_samples(time, config):
         return config.dt, (f"the time column {config.time!r} counts samples of {config.dt:g} s",)
     epoch = _epoch(float(time[0]), mean, config)
@@ -76,6 +71,20 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
         unit = next(unit for unit, length in UNITS.items() if length == factor)
         notes.append(f"the time column {config.time!r} is taken as {unit}: the sample period is {mean * factor:g} s")
     return mean * factor, tuple(notes)
+
+
+def _check_name(step: float, config: RecordConfig) -> None:
+    """Raise UsageError if the name of the time column has another unit than the configured one, and a mean step in the
+    unit of the name is usual for an axis.
+    """
+    named = named_unit(config.time or "")
+    if named is None or config.time_unit in (None, named):
+        return
+    if TUNING.shortest_plain_period <= step * UNITS[named] < TUNING.longest_plain_period:
+        raise UsageError(
+            f"the name of the column {config.time!r} says {named}, and [record] time_unit = "
+            f'"{config.time_unit}": write time_unit = "{named}", or rename the column'
+        )
 
 
 def _steps_of(time: Floats) -> tuple[float, float]:
