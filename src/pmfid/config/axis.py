@@ -27,10 +27,6 @@ from pmfid.monitor.names import DetectorName
 __all__ = ["Axis", "check_sampling", "load_axis"]
 
 
-#: No encoder has so long a step [m or rad per count].
-LARGEST_STEP = 16.0
-
-
 def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     if value is not None and value[0] == value[1]:
         raise ValueError("the two zeros must differ")
@@ -164,7 +160,7 @@ class Axis(FileSection):
                 raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
             return
         step = self.encoder.resolution
-        if self.record.output_kind == "counts" and step >= LARGEST_STEP and not isinstance(step, Quantity):
+        if self.record.output_kind == "counts" and step >= 16.0 and not isinstance(step, Quantity):
             raise UsageError(
                 f"[encoder] resolution = {step:g} would be {step:g} m or rad per count; if these are counts per "
                 f'revolution, write resolution = "{step:g} counts/rev"'
