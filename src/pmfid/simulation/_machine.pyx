@@ -3,8 +3,8 @@
 
     m v' = input_gain u(t - dead_time) + noise - offset - held(x) - sign(v) friction(|v|, sign(v), x)
 
-The values are checked by machine.py, the lengths here. A step on whose way the velocity changes its sign is cut where
-a straight line through both velocities is zero, and goes on from rest.
+The caller checks the values, this module the lengths. If the velocity changes its sign in a step, the step ends where
+a straight line through both velocities is zero. The motion then goes on from rest.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ cdef struct State:
 
 
 cdef inline double held(const Body *body, double x) noexcept nogil:
-    """Force [N] against which the input holds the body at a place."""
+    """Return the force [N] that acts on the body at a position x against the input."""
     cdef double total = body.stiffness * x
     if body.gravity != 0.0:
         total += body.gravity * sin(x + body.gravity_angle)
@@ -37,7 +37,7 @@ cdef inline double held(const Body *body, double x) noexcept nogil:
 
 
 cdef inline double friction(const Body *body, double speed, double side, double x) noexcept nogil:
-    """Friction [N] at a speed >= 0 in the direction `side`, at a place."""
+    """Return the friction [N] at a speed >= 0 in the direction `side`, at a position x."""
     cdef double total = body.coulomb + (body.viscous + body.quadratic * speed) * speed
     if body.stribeck != 0.0:
         total += body.stribeck * exp(-(speed / body.stribeck_speed) ** 2)
@@ -52,7 +52,7 @@ cdef inline double acceleration(const Body *body, double force, double x, double
 
 
 cdef void step(const Body *body, State *state, double force, double h) noexcept nogil:
-    """h seconds under a constant force."""
+    """Move for h seconds under a constant force."""
     cdef double side, drive, a1, a2, a3, a4, x, v, end, part
     cdef int turn
     for turn in range(2):
@@ -79,7 +79,7 @@ cdef void step(const Body *body, State *state, double force, double h) noexcept 
 
 
 cdef void advance(const Body *body, State *state, double u, double noise, double lag, double time, int steps) noexcept nogil:
-    """`time` seconds under the input u after its lag, and the force noise [N]."""
+    """Move for `time` seconds under the input u after its lag, and under the force noise [N]."""
     cdef double h = time / steps, mean = u, apart, left = exp(-h / lag) if lag > 0.0 else 0.0
     cdef int i
     for i in range(steps):
@@ -92,11 +92,12 @@ cdef void advance(const Body *body, State *state, double u, double noise, double
 
 def simulate(cnp.ndarray[double, mode="c"] command not None, double dt, dict parameters, double dead_time, double lag,
              cnp.ndarray[double, mode="c"] noise not None, int steps, double kp, double kd, double u_max, double resolution, double phase, double x0, double v0):
-    """Motion under the command (n,): x, v, u (n,), counts (n,) int64. kp = 0: the command is the input u [V]; else the
-    reference [m] of u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y = resolution counts.
+    """Simulate the motion under the command (n,): return x, v, u (n,) and counts (n,) int64.
 
-    noise (n,) [N], held over each interval; steps: Runge-Kutta steps for each of the (at most two) parts of an
-    interval that the switch of a delayed input makes.
+    For kp = 0 the command is the input u [V]. Otherwise the command is the reference [m] of the controller
+    u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y = resolution counts.
+    `noise` (n,) [N] is held over each interval. The switch of a delayed input divides an interval into at most two
+    parts; `steps` is the number of Runge-Kutta steps for each part.
     """
     cdef Py_ssize_t n = command.shape[0], k
     if noise.shape[0] != n:

@@ -1,11 +1,11 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The drive with Coulomb friction, solved from event to event: no time step, no integration error.
+"""The drive with Coulomb friction, solved from event to event without a time step or an integration error.
 
     m v' = force - d v - F_c sign(v),    force = input_gain u - offset, constant over a sample;
     v = 0 and |force| <= F_c: stands still
 
-Paper eq. 37, but F_c is a force in newton here (an acceleration there). The lengths of the arrays are checked
-here, their values by the callers in drive.py and control.py.
+The equation is paper eq. 37, but F_c is a force in newton here and an acceleration there. This module checks the
+lengths of the arrays, the callers check the values.
 """
 
 import numpy as np
@@ -30,13 +30,13 @@ cdef struct State:
 
 
 cdef inline double ramp_factor(double z) noexcept nogil:
-    """(z - 1 + exp(-z)) / z**2 for 0 <= z."""
+    """Return (z - 1 + exp(-z)) / z**2 for 0 <= z."""
     cdef double total
     cdef int k
     if z > 0.5:
         return (z + expm1(-z)) / (z * z)
-    # The closed form cancels for small z (relative error 1e-16 / z). The first term left out here is
-    # 0.5**14 / 16! = 3e-18.
+    # The closed form loses digits for small z (relative error 1e-16 / z). The first term that this series leaves
+    # out is 0.5**14 / 16! = 3e-18.
     total = 1.0
     for k in range(15, 2, -1):
         total = 1.0 - z * total / k
@@ -44,7 +44,7 @@ cdef inline double ramp_factor(double z) noexcept nogil:
 
 
 cdef inline void glide(State *state, double push, double time, Parameters p) noexcept nogil:
-    """Move for `time` under m v' = push - d v: no event inside."""
+    """Move for `time` under m v' = push - d v, without an event inside."""
     cdef double z = p.viscous / p.mass * time
     cdef double fall = expm1(-z)
     cdef double mean = -fall / z if z > 0.0 else 1.0
@@ -54,7 +54,7 @@ cdef inline void glide(State *state, double push, double time, Parameters p) noe
 
 
 cdef inline double time_to_stop(double speed, double brake, Parameters p) noexcept nogil:
-    """Time until m v' = -brake - d v, v(0) = speed > 0, brake > 0, reaches v = 0."""
+    """Return the time until m v' = -brake - d v, v(0) = speed > 0, brake > 0, reaches v = 0."""
     cdef double q = p.viscous * speed / brake
     if q > 1.0:
         return p.mass / p.viscous * log1p(q)
@@ -62,14 +62,14 @@ cdef inline double time_to_stop(double speed, double brake, Parameters p) noexce
 
 
 cdef void advance(State *state, double force, double dt, Parameters p) noexcept nogil:
-    """One interval with constant force.
+    """Move for one interval with constant force.
 
-    At most one event inside, hence two pieces. Let the cart move with sign `side`.
-    (a) side*force >= F_c: v tends to (force - side F_c)/d, which is zero or has the sign of v, without
-    crossing zero: no event. A cart that breaks away from v = 0 has side*force > F_c and belongs here.
-    (b) side*force < F_c: v falls monotonically and crosses zero once. Then either |force| <= F_c: it
-    sticks for the rest, as the force is constant; or side*force < -F_c: it reverses, and with -side for
-    side this is case (a): no further event.
+    At most one event occurs, so the motion has at most two pieces. Let the cart move with sign `side`.
+    (a) If side*force >= F_c, v tends to (force - side F_c)/d, which is zero or has the sign of v. The velocity does
+    not cross zero, so no event occurs. A cart that breaks away from v = 0 has side*force > F_c and belongs here.
+    (b) If side*force < F_c, v falls monotonically and crosses zero once. If |force| <= F_c, the cart then sticks for
+    the rest of the interval, because the force is constant. If side*force < -F_c, the cart reverses; with -side for
+    side this is case (a), so no further event occurs.
     """
     cdef double side, brake, first
     state.direction = 0.0
@@ -82,7 +82,7 @@ cdef void advance(State *state, double force, double dt, Parameters p) noexcept 
     state.moving = 1.0
     if first >= dt:
         glide(state, -side * brake, dt, p)
-        # Rounding can carry a cart that stops just at the end of the interval past zero.
+        # If the cart stops just at the end of the interval, rounding can carry the velocity past zero.
         if side * state.v < 0.0:
             state.v = 0.0
         state.direction = side
@@ -107,7 +107,10 @@ def simulate_open_loop(cnp.ndarray[double, mode="c"] u not None, double dt, cnp.
                        cnp.ndarray[double, mode="c"] viscous not None, cnp.ndarray[double, mode="c"] coulomb not None,
                        cnp.ndarray[double, mode="c"] input_gain not None, cnp.ndarray[double, mode="c"] offset not None,
                        double x0, double v0):
-    """Motion under the input u (n,), held over each dt: x, v (n + 1,), direction, moving (n,); SI units."""
+    """Simulate the motion under the input u (n,), held over each dt, in SI units.
+
+    Returns x, v (n + 1,), direction and moving (n,).
+    """
     cdef Py_ssize_t n = u.shape[0], k
     check_lengths(n, mass.shape[0], viscous.shape[0], coulomb.shape[0], input_gain.shape[0], offset.shape[0])
     out = np.empty(n + 1), np.empty(n + 1), np.empty(n), np.empty(n)
@@ -134,8 +137,9 @@ def simulate_position_control(cnp.ndarray[double, mode="c"] reference not None, 
                               double x0, double v0, double kp, double kd, double u_max, double resolution,
                               double phase, cnp.ndarray[double, mode="c"] lines not None, cnp.ndarray[double, mode="c"] shift not None,
                               double missed, uint64_t seed):
-    """PD control through the encoder: x, v (n + 1,), direction, moving, u (n,), counts (n,) int64; SI units.
+    """Simulate PD control through the encoder, in SI units.
 
+    Returns x, v (n + 1,), direction, moving, u (n,) and counts (n,) int64.
     y_k = resolution counts_k, counts as in `read_encoder`,
     u_k = clip(kp (reference_k - y_k) - kd (y_k - y_{k-1}) / dt, -u_max, u_max), y_{-1} = y_0.
     """
@@ -178,7 +182,7 @@ def simulate_position_control(cnp.ndarray[double, mode="c"] reference not None, 
 
 cdef Reader new_reader(Py_ssize_t n, double resolution, double phase, cnp.ndarray lines, cnp.ndarray shift,
                        double missed, uint64_t seed) except *:
-    """lines, shift: of doubles, one after the other."""
+    """`lines` and `shift` are contiguous arrays of doubles."""
     if lines.shape[0] < 1 or shift.shape[0] not in (0, n):
         raise ValueError(f"lines must not be empty, shift must have length 0 or {n}, got {shift.shape[0]}")
     return make_reader(resolution, phase, <const double *>cnp.PyArray_DATA(lines), lines.shape[0],
