@@ -286,7 +286,9 @@ class EdgeFit(Following):
                 return self._conclude(*_settle(near, q), status, dropped)
         with suppress(NotIdentifiableError):
             if drifting:
-                return self._conclude(*drifting, status, 0)
+                found, leading = self._conclude(*drifting, status, 0), self.equation.leading
+                if found[0].theta_std[leading] < found[0].theta[leading]:
+                    return found
         fit = like(OE, self).fit(u, counts)
         note = "the simulated motion does not pass the edges: the counts alone were used"
         return replace(fit, status=fit.status | int(Status.FALLBACK | Status.UNMODELLED), notes=(note,)), None
