@@ -14,7 +14,7 @@ from pmfid.estimators.adequacy import Adequacy, weigh
 from pmfid.estimators.configuration import check_arrays, hold_last_input, like
 from pmfid.estimators.likelihood import Best
 from pmfid.estimators.motion import Difference, invert_information, least, rms
-from pmfid.estimators.output_error import OE, Following
+from pmfid.estimators.output_error import Following, IntervalML
 from pmfid.estimators.results import Fit
 from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import block_scatter, scatter
@@ -289,7 +289,7 @@ class EdgeFit(Following):
                 found, leading = self._conclude(*drifting, status, 0), self.equation.leading
                 if found[0].theta_std[leading] < found[0].theta[leading]:
                     return found
-        fit = like(OE, self).fit(u, counts)
+        fit = like(IntervalML, self).fit(u, counts)
         note = "the simulated motion does not pass the edges: the counts alone were used"
         return replace(fit, status=fit.status | int(Status.FALLBACK | Status.UNMODELLED), notes=(note,)), None
 
