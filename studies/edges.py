@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 
@@ -24,7 +25,7 @@ FAULTS = ((0.0, 0.0), (0.01, 0.0), (0.03, 0.0), (0.1, 0.0), (0.01, 1e-5), (0.01,
 def run_once(plant: Plant, motion: str, increments: int, off: float, late: float, seed: int) -> tuple[Floats, Floats]:
     """Return errors (2, 3) of `EdgeFit`, relative and in standard deviations, and relative errors (3,) of `interval`.
 
-    Errors of `interval` are NaN if it refuses the record.
+    Errors are NaN if a method refuses the record.
     """
     axis, rng = plant.axis, np.random.default_rng([seed, 33])
     resolution = axis.resolution * 4096 / increments
@@ -36,13 +37,16 @@ def run_once(plant: Plant, motion: str, increments: int, off: float, late: float
     ages = np.clip(ages - late * rng.exponential(size=ages.size), 0.0, axis.dt)
     cutoff = 0.2 / axis.dt
     method = EdgeFit(plant.model, Encoder(resolution), axis.dt, cutoff, turn=increments, tick=TICK)
-    fit = method.fit(u, counts, ages)
-    error = fit.theta - plant.truth
+    edges = np.full((2, 3), np.nan)
+    with suppress(NotIdentifiableError):
+        fit = method.fit(u, counts, ages)
+        error = fit.theta - plant.truth
+        edges = np.array([error / plant.truth, error / fit.theta_std])
     try:
         other = IntervalML(plant.model, Encoder(resolution), axis.dt, cutoff).fit(u, counts).theta / plant.truth - 1
     except NotIdentifiableError:
         other = np.full(3, np.nan)
-    return np.array([error / plant.truth, error / fit.theta_std]), other
+    return edges, other
 
 
 def measure(machines: Mapping[str, tuple[str, float]], seeds: range) -> None:
