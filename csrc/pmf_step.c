@@ -209,7 +209,7 @@ static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *di
         }
     }
 #if PMF_SHAPED
-    for (i = 0; i < auxiliary->shapes.n; ++i) { /* the direct estimate lacks some parameters */
+    for (i = 0; i < auxiliary->shapes.n; ++i) { /* the direct estimate has only some parameters */
         uint32_t own = auxiliary->index[PMF_BODY_ROLES + i];
         if (own != PMF_NO_PARAMETER && auxiliary->direct_index[PMF_BODY_ROLES + i] == PMF_NO_PARAMETER) {
             borrowed->variance_factor[own] = PMF_UNKNOWN;

@@ -36,7 +36,7 @@ def run_once(plant: Plant, motion: str, increments: int, off: float, late: float
     counts, ages = capture_edges(motion_of, resolution, phase, every=FINE, tick=TICK, line_errors=errors)
     ages = np.clip(ages - late * rng.exponential(size=ages.size), 0.0, axis.dt)
     cutoff = 0.2 / axis.dt
-    method = EdgeFit(plant.model, Encoder(resolution), axis.dt, cutoff, turn=increments, tick=TICK)
+    method = EdgeFit(plant.model, Encoder(resolution), axis.dt, cutoff, lines=increments, tick=TICK)
     edges = np.full((2, 3), np.nan)
     with suppress(NotIdentifiableError):
         fit = method.fit(u, counts, ages)

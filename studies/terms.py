@@ -30,7 +30,7 @@ BARS, SMALL = 3.0, 1e-3
 class Named:
     """The result of the searches.
 
-    `wrong` are terms that the machine lacks, and `missing` terms that were not found. `searches` counts the searches
+    `wrong` are terms not in the machine, and `missing` terms that were not found. `searches` counts the searches
     until one adds nothing; 0 means that each added a term. `bars` and `worst` are the largest error in its error bars
     and relative to the value. `outside` counts parameters beyond BARS and SMALL. `worse` are terms kept in spite of a
     larger held-out error, and `sizeless` terms without a value or an error bar. `seconds` is the time of the first

@@ -52,7 +52,7 @@ def test_a_field_without_a_value_is_found(method: str, place: str, monkeypatch: 
     plain = config_of("RLS").tobytes()
 
     class Kernel(_kernel64.Kernel):
-        """A kernel that takes the configuration of the original estimator, which lacks the new field."""
+        """A kernel that takes the configuration of the original estimator, without the new field."""
 
         def __init__(self, config: bytes) -> None:
             super().__init__(plain)

@@ -63,7 +63,7 @@ def test_the_expected_deviation_is_that_of_the_estimates() -> None:
 
 
 def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float]:
-    """Simulate one trapezoid of the 1 kg axis with effects that the model lacks; ask for a tenth of the mass's
+    """Simulate one trapezoid of the 1 kg axis with unmodelled effects; ask for a tenth of the mass's
     deviation.
     """
     problem = replace(MACHINES["1 kg"], resolution=resolution)

@@ -87,7 +87,7 @@ TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 @pytest.mark.parametrize(("turn", "off"), [(16, 0.0), (16, 0.03), (64, 0.1)])
 def test_sixteen_lines_give_a_mass_to_a_millionth(turn: int, off: float) -> None:
     u, counts, ages, encoder = swing(turn, off=off)
-    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=turn, tick=1e-6).fit(u, counts, ages)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=turn, tick=1e-6).fit(u, counts, ages)
     np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-5)
     assert np.all(np.abs(fit.theta - TRUTH) < 3 * fit.theta_std)
     assert np.all(fit.theta_std < 2e-5 * TRUTH)
@@ -101,7 +101,7 @@ def test_the_worst_line_is_named() -> None:
     errors = np.where(np.arange(16) == 7, 0.03 * step, 0.0)
     motion = simulate_drive(CART, np.repeat(u, EVERY), DT)
     counts, ages = capture_edges(motion, step, every=EVERY, line_errors=errors)
-    fit = EdgeFit(Drive(CART.input_gain), Encoder(step), 0.01, 20.0, turn=16).fit(u, counts, ages)
+    fit = EdgeFit(Drive(CART.input_gain), Encoder(step), 0.01, 20.0, lines=16).fit(u, counts, ages)
     assert fit.notes == ("line 7 of 16 is off by +2.8 % of a step, the most of all",)
 
 
@@ -109,7 +109,7 @@ def test_instants_that_all_come_late_move_nothing() -> None:
     u, counts, ages, encoder = swing(16)
     rng = np.random.default_rng(3)
     late = np.maximum(ages - 2e-5 * np.abs(rng.standard_normal(ages.size)), 0.0)
-    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16).fit(u, counts, late)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16).fit(u, counts, late)
     np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-4)
     assert np.all(np.abs(fit.theta - TRUTH) < 3.5 * fit.theta_std)
 
@@ -117,20 +117,20 @@ def test_instants_that_all_come_late_move_nothing() -> None:
 def test_a_count_that_is_lost_costs_nothing() -> None:
     u, counts, ages, encoder = swing(16, off=0.01)
     counts = counts - (np.arange(counts.size) > 900)
-    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16, tick=1e-6).fit(u, counts, ages)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16, tick=1e-6).fit(u, counts, ages)
     np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-5)
 
 
 def test_a_wrong_model_is_flagged() -> None:
     u, counts, ages, encoder = swing(16, asymmetry=0.2)
-    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16, tick=1e-6).fit(u, counts, ages)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16, tick=1e-6).fit(u, counts, ages)
     assert np.any(np.abs(fit.theta - TRUTH) > 3e-4 * TRUTH)
     assert fit.status & Status.UNMODELLED
 
 
 def test_ages_that_cannot_be_are_refused() -> None:
     u, counts, ages, encoder = swing(16)
-    method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16)
+    method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16)
     with pytest.raises(UsageError, match="needs the age of the last edge"):
         method.fit(u, counts)
     with pytest.raises(UsageError, match="ages must be an array"):
@@ -165,7 +165,7 @@ def test_a_record_with_ages_is_identified_by_them(tmp_path: Path, asymmetry: flo
 
 def test_an_unmodelled_force_is_named_by_the_edges() -> None:
     u, counts, ages, encoder = swing(16, asymmetry=0.002)
-    method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=16, tick=1e-6)
+    method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16, tick=1e-6)
     found = method.examine(u, counts, ages)[1]
     assert found is not None
     assert found.follows
@@ -176,6 +176,6 @@ def test_edges_that_are_dense_for_their_scatter_are_flagged() -> None:
     u, counts, ages, encoder = swing(512)
     rng = np.random.default_rng(3)
     late = np.maximum(ages - 5e-5 * rng.exponential(size=ages.size), 0.0)
-    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, turn=512).fit(u, counts, late)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=512).fit(u, counts, late)
     assert np.any(np.abs(fit.theta - TRUTH) > 3 * fit.theta_std)
     assert fit.status & Status.UNMODELLED

@@ -32,7 +32,7 @@ class Edges:
 
 
 def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
-    """Return the edges of counts (n,) at times t (n,) [s], whose ages (n,) [s] are NaN where no edge came.
+    """Return the edges of counts (n,) at times t (n,) [s], whose ages (n,) [s] are NaN without an edge.
 
     An axis that turns between two samples may leave an edge without a change of the counts. The line of such an edge is
     not known, and the edge is left out. Raises UsageError for ages that do not fit the counts.
@@ -157,18 +157,18 @@ class EdgeDifference(Difference):
         own = {name: getattr(self, name)[kept] for name in ("at", "line", "deviation", "margin", "age")}
         return replace(self, **own, late=None)
 
-    def correct_lines(self, q: Floats, turn: int | None) -> EdgeDifference:
+    def correct_lines(self, q: Floats, lines: int | None) -> EdgeDifference:
         """Return the difference with the lines that the motion at q (q,) passes.
 
         Where an axis turns within a sample, the last edge may be of the line next to that of the count. Where a count
         was lost, all later edges are of other lines. Each such line makes a step by a whole count from edge to edge,
-        which no slow drift makes. The lines repeat after `turn` counts.
+        which no slow drift makes. The lines repeat after `lines` counts.
         """
         wrong = np.append(0.0, np.cumsum(np.rint(np.diff(self.left_at(q)))))
         wrong -= np.rint(np.median(wrong))
         y, line = self.y.copy(), self.line - wrong.astype(np.intp)
         y[self.at] -= wrong * self.resolution
-        line = line - line.min() if turn is None else line % turn
+        line = line - line.min() if lines is None else line % lines
         return replace(self, y=y, line=line, moved=self.moved + int(np.count_nonzero(np.diff(wrong))))
 
     def drop_far(self, q: Floats) -> EdgeDifference:
@@ -214,8 +214,9 @@ class EdgeFit(Following):
     ----------
     model, encoder, dt, cutoff
         As of `IV`.
-    turn : int, optional
-        Counts after which the lines repeat, as those of a revolution. None: no line comes twice, as on a scale.
+    lines : int, optional
+        Counts after which the lines repeat, as in one revolution. With None each count has a line of its own, as on a
+        linear scale.
     tick : float
         Period of the timer that takes the instants [s]. An instant may be late by as much.
     initial : mapping, optional
@@ -227,8 +228,7 @@ class EdgeFit(Following):
     in each sample, in addition to the counts. The least squares of the difference from the simulated position have two
     variances: that of the instant, and that of the lines. Each line has one error, at all of its edges.
 
-    Where the errors of the edges are correlated in time, the model lacks a force, or the lines repeat otherwise than
-    `turn` says. The fit then has `Status.UNMODELLED`.
+    Errors of the edges that are correlated in time show an unmodelled effect. The fit then has `Status.UNMODELLED`.
 
     Examples
     --------
@@ -238,19 +238,19 @@ class EdgeFit(Following):
     >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
     >>> motion = simulate_drive(CART, np.repeat(u, 10), 1e-3)
     >>> counts, ages = capture_edges(motion, 0.0058, every=10, tick=1e-6)
-    >>> method = EdgeFit(Drive(CART.input_gain), Encoder(0.0058), 0.01, 20.0, turn=16, tick=1e-6)
+    >>> method = EdgeFit(Drive(CART.input_gain), Encoder(0.0058), 0.01, 20.0, lines=16, tick=1e-6)
     >>> method.fit(u, counts, ages).theta.round(4)
     array([ 1.07, 12.8 ,  0.8 ])
     """
 
     method: ClassVar[str] = "edges"
-    turn: int | None = field(default=None, kw_only=True)
+    lines: int | None = field(default=None, kw_only=True)
     tick: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.turn is not None and (isinstance(self.turn, bool) or int(self.turn) != self.turn or self.turn < 1):
-            raise UsageError(f"turn must be a whole number of counts, got {self.turn!r}; None: no line comes twice")
+        if self.lines is not None and (isinstance(self.lines, bool) or int(self.lines) != self.lines or self.lines < 1):
+            raise UsageError(f"lines must be a whole number of counts, got {self.lines!r}; None for a linear scale")
         if not 0 <= self.tick < self.dt:
             raise UsageError(f"tick must be the period of the timer in s, below dt = {self.dt:g}, got {self.tick!r}")
 
@@ -265,9 +265,9 @@ class EdgeFit(Following):
         return self.examine(u, counts, ages)[0]
 
     def examine(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> tuple[Fit, Adequacy | None]:
-        """Return the estimate of `fit`, and what the edges say on the model.
+        """Return the estimate of `fit`, and the adequacy of the model at the edges.
 
-        The second is None if the simulated motion does not pass the edges.
+        The adequacy is None if the simulated motion does not pass the edges.
         """
         known, whole = check_arrays(u, counts)
         if not np.all(np.isfinite(known)):
@@ -278,7 +278,7 @@ class EdgeFit(Following):
         with suppress(NotIdentifiableError):
             for part in TUNING.edges_slower:
                 q = least(replace(difference, pole=part * self.cutoff), q)
-                difference = difference.correct_lines(q, self.turn)
+                difference = difference.correct_lines(q, self.lines)
                 drifting = drifting or (replace(difference, pole=self.cutoff), q)
             near = replace(difference, pole=0.0).drop_far(q)
             dropped = difference.rows - near.rows
@@ -309,7 +309,7 @@ class EdgeFit(Following):
         held = hold_last_input(u)[np.searchsorted(t, grid, side="right") - 1]
         places = edges.lines * self.encoder.resolution
         at = np.searchsorted(grid, instants)
-        line = edges.lines - edges.lines.min() if self.turn is None else edges.lines % self.turn
+        line = edges.lines - edges.lines.min() if self.lines is None else edges.lines % self.lines
         values = {item.name: getattr(own, item.name) for item in fields(Difference)}
         values |= {"u": held, "y": np.interp(grid, instants, places), "dt": float(grid[-1]) / at.size}
         values["samples"] = np.searchsorted(grid, t)
@@ -341,8 +341,8 @@ class EdgeFit(Following):
         notes = [f"{dropped} edges that no motion explains were left out"] if dropped else []
         if difference.pole:
             notes.append("the position drifts away from the simulated motion: its changes between edges were fitted")
-        if self.turn is not None and difference.spread > TUNING.edges_told:
-            notes.append(_describe_lines(difference, left, self.turn))
+        if self.lines is not None and difference.spread > TUNING.edges_reported:
+            notes.append(_describe_lines(difference, left, self.lines))
         covariance = covariance + np.diag((TUNING.edges_exact * q[: len(self.names)]) ** 2)
         theta, cov = q[: scale.size] * scale, covariance * np.outer(scale, scale)
         left *= self.encoder.resolution
@@ -353,13 +353,13 @@ class EdgeFit(Following):
         return fit, found if rough else replace(found, noise=1.0)  # the motion is within the noise of the edges
 
 
-def _describe_lines(difference: EdgeDifference, left: Floats, turn: int) -> str:
-    """Return a sentence on the line that is furthest from its even place; left: (m,) [counts]."""
-    count = np.bincount(difference.line, minlength=turn)
-    places = np.bincount(difference.line, -left, turn) / np.maximum(count, 1)
+def _describe_lines(difference: EdgeDifference, left: Floats, lines: int) -> str:
+    """Return a sentence on the line that is furthest from its even place, from the errors `left` (m,) [counts]."""
+    count = np.bincount(difference.line, minlength=lines)
+    places = np.bincount(difference.line, -left, lines) / np.maximum(count, 1)
     away = np.where(count > 0, places - np.mean(places[count > 0]), 0.0)
     worst = int(np.argmax(np.abs(away)))
-    return f"line {worst} of {turn} is off by {100 * away[worst]:+.2g} % of a step, the most of all"
+    return f"line {worst} of {lines} is off by {100 * away[worst]:+.2g} % of a step, the most of all"
 
 
 def _settle(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floats]:

@@ -431,7 +431,7 @@ class EstimatorTuning:
     #: Lines are cut more evenly than this [counts, root mean square]: the rest is a wrong model.
     edges_rough: float = 0.15
     #: A smaller spread of the lines is not reported [counts].
-    edges_told: float = 0.002
+    edges_reported: float = 0.002
     #: Lines that come this often have places of their own in the first least squares.
     edges_repeated: float = 5.0
     #: Variance of sums of errors over blocks, over that of errors without correlation. Chance makes less than 3.

@@ -206,7 +206,7 @@ def _choose_edges(estimator: Estimator, data: Record, axis: Axis) -> tuple[Metho
     """
     if data.ages is None or data.ages.size != data.u.size or EdgeFit.refuses(estimator.equation):
         return None, ()
-    method = like(EdgeFit, estimator, prefilter_zeros=None, turn=axis.encoder.lines, tick=axis.encoder.tick)
+    method = like(EdgeFit, estimator, prefilter_zeros=None, lines=axis.encoder.lines, tick=axis.encoder.tick)
     try:
         fit, adequacy = method.examine(data.u, data.counts, data.ages)
     except NotIdentifiableError as error:
