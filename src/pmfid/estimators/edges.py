@@ -25,17 +25,23 @@ from pmfid.types import Counts, Floats
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """The last edge of each sample: instants (m,) [s] since the first sample, and lines (m,) in counts."""
+    """The last edge of each sample.
+
+    `instants` (m,) are times since the first sample [s], and `lines` (m,) are positions in counts.
+    """
 
     instants: Floats
     lines: Counts
 
 
 def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
-    """Return the edges of counts (n,) at times t (n,) [s], whose ages (n,) [s] are NaN without an edge.
+    """Return the edges of `counts` (n,) at the times t (n,) [s].
 
-    An axis that turns between two samples may leave an edge without a change of the counts. The line of such an edge is
-    not known, and the edge is left out. Raises UsageError for ages that do not fit the counts.
+    `ages` (n,) [s] are NaN in samples without an edge. An axis that turns between two samples may leave an edge without
+    a
+    change of the counts. The line of such an edge is unknown, and the function leaves the edge out. Raises UsageError
+    for
+    ages that do not fit the counts.
     """
     given = np.asarray(ages, np.float64)
     if given.shape != counts.shape:
@@ -57,17 +63,22 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
 
 @dataclass(frozen=True)
 class EdgeDifference(Difference):
-    """A `Difference` at the edges alone, in their standard deviations.
+    """A `Difference` at the edges alone, in units of their standard deviations.
 
-    The samples (n,) of `u` and `y` are the instants of the record and of the edges. `at` (m,) has the places of the
-    edges among them, and `line` (m,) the number of the line of each. `deviation` (m,) is the standard deviation of each
-    edge [counts], and `spread` is that of the lines around their even places [counts]. The error of a line is the same
-    at each of its edges: the difference is whitened for that (Fuller and Battese 1974).
+    The samples (n,) of `u` and `y` are the instants of the record and of the edges. `at` (m,) has the indices of the
+    edges among these samples, and `samples` has the indices of the record. `line` (m,) has the number of each edge's
+    line.
 
-    All instants may be late by the same time, as those of an interrupt are. `late` (m,) is the effect of such a time,
-    scaled to length 1; the difference is without it. `margin` (m,) is the time between an edge and the nearest sample
-    [s], and `age` (m,) the time to the next sample [s]. `scatter` is the standard deviation of the instants [s].
-    `moved` counts the corrections of lines. `samples` has the places of the samples of the record.
+    `deviation` (m,) is the standard deviation of each edge [counts]. `spread` is the standard deviation of the lines
+    around their even places [counts]. Each line has the same error at all its edges, and the difference is whitened for
+    this error (Fuller and Battese 1974).
+
+    All instants may be late by the same time, as those of an interrupt are. `late` (m,) is the effect of such a common
+    delay, scaled to length 1. The difference excludes this effect.
+
+    `margin` (m,) is the time between an edge and the nearest sample [s], and `age` (m,) the time to the next sample
+    [s].
+    `scatter` is the standard deviation of the instants [s]. `moved` counts the corrected lines.
     """
 
     at: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
@@ -106,7 +117,9 @@ class EdgeDifference(Difference):
         return np.asarray((self.y[self.at] - self.motion(q)[0][self.at]) / self.resolution)
 
     def whiten(self, left: Floats) -> Floats:
-        """Return errors (m,) [counts] of the edges in their standard deviations, without the share of the lines."""
+        """Return the errors (m,) [counts] of the edges in their standard deviations, without the common error of
+        each line.
+        """
         z, weight = left / self.deviation, 1 / self.deviation
         if not self.spread:
             return np.asarray(z)
@@ -118,8 +131,9 @@ class EdgeDifference(Difference):
     def with_variances(self, q: Floats) -> EdgeDifference:
         """Return the difference with the variances that its edges show at q (q,).
 
-        The variance of an edge is that of its place plus that of its instant times the square of the velocity. The
-        spread of the lines is what the means of the lines have beyond that.
+        The variance of an edge is the variance of its place plus the squared velocity times the variance of its
+        instant. The
+        `spread` of the lines is the remaining scatter of the lines' mean errors.
         """
         left, speed = self.left_at(q), self.speed(q)
         count = np.bincount(self.line)
@@ -146,23 +160,27 @@ class EdgeDifference(Difference):
         return replace(found, late=effect / np.linalg.norm(effect))
 
     def speed(self, q: Floats) -> Floats:
-        """Return the simulated velocity (m,) at the edges [counts per s], under one input on both sides of an edge."""
+        """Return the simulated velocity (m,) at the edges [counts per s] for a constant input on both sides of an
+        edge.
+        """
         mean, steps = self.motion(q)[1], np.broadcast_to(self.intervals, self.y.size)
         before, after = steps[self.at - 1], steps[self.at]
         found = (after * mean[self.at - 1] + before * mean[self.at]) / (before + after)
         return np.asarray(found / self.resolution)
 
     def select(self, kept: NDArray[np.bool_]) -> EdgeDifference:
-        """Return the difference with the edges alone that `kept` (m,) marks."""
+        """Return the difference at those edges that `kept` (m,) marks."""
         own = {name: getattr(self, name)[kept] for name in ("at", "line", "deviation", "margin", "age")}
         return replace(self, **own, late=None)
 
     def correct_lines(self, q: Floats, lines: int | None) -> EdgeDifference:
         """Return the difference with the lines that the motion at q (q,) passes.
 
-        Where an axis turns within a sample, the last edge may be of the line next to that of the count. Where a count
-        was lost, all later edges are of other lines. Each such line makes a step by a whole count from edge to edge,
-        which no slow drift makes. The lines repeat after `lines` counts.
+        If an axis turns within a sample, its last edge may belong to a neighbouring line. After a lost count, all later
+        edges
+        belong to other lines. Each wrong line makes a step by a whole count from edge to edge, and no slow drift makes
+        such a
+        step. The lines repeat after `lines` counts.
         """
         wrong = np.append(0.0, np.cumsum(np.rint(np.diff(self.left_at(q)))))
         wrong -= np.rint(np.median(wrong))
@@ -172,15 +190,16 @@ class EdgeDifference(Difference):
         return replace(self, y=y, line=line, moved=self.moved + int(np.count_nonzero(np.diff(wrong))))
 
     def drop_far(self, q: Floats) -> EdgeDifference:
-        """Return the difference without the edges that are far from each line at q (q,)."""
+        """Return the difference without the edges that lie far from every line at q (q,)."""
         left = self.left_at(q)
         return self.select(np.abs(left - np.median(left)) < TUNING.edges_between)
 
     def drop_truncated(self, q: Floats) -> EdgeDifference:
-        """Return the difference without the edges whose place in their sample depends on how late they are, at q (q,).
+        """Return the difference without the edges whose sample depends on their lateness, at q (q,).
 
-        An instant that comes late may miss its sample, and so may that of the next edge. An edge just before a sample,
-        or just after one, or nearly a step before the sample, is the last of its sample only if it is early or late.
+        A late instant may fall into the next sample. Edges close to a sample, and edges almost one step before a
+        sample, are
+        the last in their sample only if they are early or late.
         """
         spacing = 1 / np.maximum(np.abs(self.speed(q)), TUNING.tiny)
         margin = np.minimum(self.margin, np.abs(spacing - self.age))
@@ -193,7 +212,7 @@ def _ratio(values: Floats, columns: Floats) -> float:
 
 
 def _fit_variances(squares: Floats, columns: Floats) -> tuple[float, float]:
-    """Return the two variances, not negative, of least squares of squared errors (k,) by columns (k, 2)."""
+    """Return two non-negative variances by least squares of the squared errors (k,) on the columns (k, 2)."""
     from scipy.optimize import nnls
 
     if squares.size == 0:
@@ -213,22 +232,23 @@ class EdgeFit(Following):
     Parameters
     ----------
     model, encoder, dt, cutoff
-        As of `IV`.
+        See `IV`.
     lines : int, optional
-        Counts after which the lines repeat, as in one revolution. With None each count has a line of its own, as on a
-        linear scale.
+        Counts after which the lines repeat, for example the counts per revolution. None gives each count its own line,
+        as on a linear scale.
     tick : float
-        Period of the timer that takes the instants [s]. An instant may be late by as much.
+        Period of the timer that takes the instants [s]. An instant may be late by one period.
     initial : mapping, optional
-        Parameters by name to start from.
+        Start values by parameter name.
 
     Notes
     -----
-    At the instant of an edge the position is known as well as the lines are cut. `fit` takes the age of the last edge
-    in each sample, in addition to the counts. The least squares of the difference from the simulated position have two
-    variances: that of the instant, and that of the lines. Each line has one error, at all of its edges.
+    At the instant of an edge, only the error of the encoder's line limits the accuracy of the position. `fit` takes the
+    age of the last edge in each sample, in addition to the counts. The least squares weigh each edge by the variance of
+    the instants and the variance of the lines. Each line has the same error at all its edges.
 
-    Errors of the edges that are correlated in time show an unmodelled effect. The fit then has `Status.UNMODELLED`.
+    If the errors of the edges are correlated in time, the model leaves out an effect, and the fit has
+    `Status.UNMODELLED`.
 
     Examples
     --------
@@ -257,15 +277,16 @@ class EdgeFit(Following):
     def fit(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> Fit:
         """Return the estimate from the input u (n,), counts (n,) and ages of the last edges (n,) [s].
 
-        An age is NaN where no edge came since the sample before. Raises UsageError for arrays that do not fit each
-        other, and NotIdentifiableError where the record cannot identify every parameter.
+        An age is NaN if no edge occurred since the preceding sample. Raises UsageError if the arrays do not fit each
+        other,
+        and NotIdentifiableError if the record cannot identify every parameter.
         """
         if ages is None:
             raise UsageError("EdgeFit needs the age of the last edge of each sample; without ages use IntervalML")
         return self.examine(u, counts, ages)[0]
 
     def examine(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> tuple[Fit, Adequacy | None]:
-        """Return the estimate of `fit`, and the adequacy of the model at the edges.
+        """Return the estimate of `fit` and the adequacy of the model at the edges.
 
         The adequacy is None if the simulated motion does not pass the edges.
         """
@@ -294,7 +315,7 @@ class EdgeFit(Following):
         return replace(fit, status=fit.status | int(Status.FALLBACK | Status.UNMODELLED), notes=(note,)), None
 
     def _begin(self, theta: Floats, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats]:
-        """Return the difference at the edges, not yet whitened, and q (q,) to start from."""
+        """Return the difference at the edges, not yet whitened, and the start value q (q,)."""
         y = self.position(counts)
         own, q = self._prepare_difference(theta, u, y)
         steps = own.intervals if isinstance(own.intervals, np.ndarray) else np.full(u.size, self.dt)
@@ -350,11 +371,11 @@ class EdgeFit(Following):
         if found.missed and np.any(found.spread() > np.sqrt(np.diagonal(cov))[: found.moves.shape[0]]):
             status |= int(Status.UNMODELLED)
         fit = Fit(self.names, self.units, theta, cov, left.size, left, relative, status, notes=tuple(notes))
-        return fit, found if rough else replace(found, noise=1.0)  # the motion is within the noise of the edges
+        return fit, found if rough else replace(found, noise=1.0)  # the edges' noise explains all errors of the motion
 
 
 def _describe_lines(difference: EdgeDifference, left: Floats, lines: int) -> str:
-    """Return a sentence on the line that is furthest from its even place, from the errors `left` (m,) [counts]."""
+    """Return a sentence about the line that is furthest from its even place, from the errors `left` (m,) [counts]."""
     count = np.bincount(difference.line, minlength=lines)
     places = np.bincount(difference.line, -left, lines) / np.maximum(count, 1)
     away = np.where(count > 0, places - np.mean(places[count > 0]), 0.0)
@@ -363,9 +384,9 @@ def _describe_lines(difference: EdgeDifference, left: Floats, lines: int) -> str
 
 
 def _settle(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floats]:
-    """Return the whitened difference at its least squares, and q (q,)."""
+    """Return the whitened difference and its least squares q (q,)."""
     repeated = difference.rows / np.unique(difference.line).size
-    if repeated > TUNING.edges_repeated:  # each line is a place of its own, until the others are known
+    if repeated > TUNING.edges_repeated:  # each line has its own place until the other errors are known
         q = least(replace(difference, spread=1 / TUNING.edges_finest), q)
     for _ in range(TUNING.edges_passes):
         difference = difference.with_variances(q).drop_truncated(q).with_variances(q)

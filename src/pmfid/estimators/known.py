@@ -1,4 +1,4 @@
-"""Parameters that are known, put together with an estimate."""
+"""Combination of an estimate with known parameters."""
 
 from __future__ import annotations
 
@@ -32,8 +32,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Facts:
-    """k facts on p parameters and the gain: index (k,) of the parameter, p: of the gain; value, std (k,); forces (p,):
-    which parameters go with the gain; free: is the gain to be found?"""
+    """k facts on p parameters and the input gain.
+
+    `index` (k,) is the index of each fact's parameter; p stands for the gain. `value` and `std` (k,) are the facts'
+    values
+    and standard deviations. `forces` (p,) marks the parameters that scale with the gain. `free` is True for an unknown
+    gain.
+    """
 
     index: NDArray[np.intp]
     value: Floats
@@ -44,9 +49,13 @@ class Facts:
 
 @dataclass(frozen=True)
 class Combined:
-    """theta (n, p + 1), the last one the gain over the estimate's gain; noise (n, p + 1, p + 1): its covariance;
-    moves (n, p + 1, p): by how much it moves for an error of the estimate; apart (n, k): by how many standard
-    deviations each fact differs from what all others say."""
+    """n estimates after their combination with facts.
+
+    `theta` (n, p + 1) ends with the ratio of the gain to the estimate's gain, and `noise` (n, p + 1, p + 1) is its
+    covariance. `moves` (n, p + 1, p) is the derivative of `theta` by the original estimate. `apart` (n, k) is the
+    distance
+    between each fact and all other information, in standard deviations.
+    """
 
     theta: Floats
     noise: Floats
@@ -55,12 +64,13 @@ class Combined:
 
 
 def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts) -> Combined:
-    """Combine estimates (n, p) with covariances (n, p, p) and the same facts. further (n, p): variances in addition to
-    noise, which count in the weights and stay out of the returned covariance. NaN if an estimate does not determine the
-    gain.
+    """Combine the estimates (n, p) and their covariances (n, p, p) with the same facts.
+
+    The variances `further` (n, p) count in the weights in addition to noise. The returned covariance excludes them. The
+    result is NaN if an estimate does not determine the gain.
     """
     total = covariance + further[..., None] * np.eye(estimate.shape[1])
-    with np.errstate(all="ignore"):  # what comes of a parameter that is zero, or of nothing known, is NaN
+    with np.errstate(all="ignore"):  # a parameter of zero or missing knowledge gives NaN
         a, b = estimate, _start(estimate, total, facts)
         for _ in range(TUNING.known_most_steps):
             step = _linear(a, b, total, facts)
@@ -74,9 +84,14 @@ def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts)
 
 @dataclass(frozen=True)
 class _Linear:
-    """h (n, k) and its derivatives by_a (n, k, p), by_b (n, k) at a place; gain_a (n, p, k), gain_b (n, k): by how much
-    a rest of the facts moves a and b; left (n, k): variances of the rests, without what b takes up; total (n, k): with
-    it."""
+    """The facts, linearised at one place (a, b).
+
+    `h` (n, k) are the predicted facts, with derivatives `by_a` (n, k, p) and `by_b` (n, k). The gains `gain_a` (n, p,
+    k)
+    and `gain_b` (n, k) convert errors of the facts to changes of a and b. `total` (n, k) are the variances of these
+    errors.
+    `left` (n, k) are the variances that remain after the adjustment of b.
+    """
 
     h: Floats
     by_a: Floats
@@ -112,7 +127,7 @@ def _times(matrix: Floats, vector: Floats) -> Floats:
 
 
 def _start(estimate: Floats, total: Floats, facts: Facts) -> Floats:
-    """The gain (n,) that the fact which knows it best gives alone."""
+    """Return the gain (n,) that follows from the most accurate single fact."""
     n, p = estimate.shape
     if not facts.free:
         return np.ones(n)
@@ -148,8 +163,11 @@ def _make_combined(estimate: Floats, covariance: Floats, a: Floats, b: Floats, l
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Posterior(Presentable):
-    """An estimate combined with prior information. names, units: of the q parameters, the gain of the input last if it
-    was unknown; theta: (q,); theta_cov: (q, q); model_spread: (q,) or None; notes: contradictions."""
+    """An estimate combined with prior information.
+
+    `names` and `units` describe the q parameters; an unknown input gain comes last. `theta` (q,) has the covariance
+    `theta_cov` (q, q). `model_spread` is an array (q,) or None. `notes` describe contradictions.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -160,11 +178,11 @@ class Posterior(Presentable):
 
     @property
     def theta_std(self) -> Floats:
-        """(q,) standard deviations."""
+        """Standard deviations (q,)."""
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.theta_cov), 0.0)))
 
     def __getitem__(self, name: str) -> float:
-        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
         return float(self.theta[place_of(name, self.names)])
 
     @property
@@ -175,7 +193,7 @@ class Posterior(Presentable):
         return self._parameters.summary("an estimate with prior information", remarks_of((), self.notes))
 
     def columns(self) -> dict[str, object]:
-        """A row for each parameter."""
+        """Table with a row for each parameter."""
         return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
@@ -184,7 +202,7 @@ class Posterior(Presentable):
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Prior information on the parameters of an estimator of any method, combined with its estimates.
+    """Prior information on the parameters of any estimator, combined with its estimates.
 
     Parameters
     ----------
@@ -192,20 +210,23 @@ class Known:
     given : mapping
         Values by name.
     prior : mapping
-        (mean, standard deviation) by name, Gaussian. A standard deviation of 0 is as given.
+        (mean, standard deviation) by name, Gaussian. A standard deviation of 0 makes the value a given one.
     find_gain : bool
-        The gain of the input is unknown. The estimator's `Drive` has any gain of the right sign, and a known force
-        determines the gain of the machine; `input_gain` may have a prior then.
+        Whether the input gain is unknown. The estimator's `Drive` then has any gain of the right sign, and a known
+        force
+        determines the true gain. `input_gain` may have a prior in this case.
 
     Raises
     ------
     UsageError
-        A name or value that is none, a value that is known twice, or a gain that nothing gives.
+        A name or value is invalid, a value is known twice, or nothing determines the gain.
 
     Notes
     -----
-    `of` is for a fit or the estimate of a step, `run` for the samples of a recursive method. A prior counts once,
-    however long the record is: with a memory it holds at every time. It is weighed by the error bars of the estimate.
+    `combine` takes a fit or the estimate of one step, and `run` takes the samples of a recursive method. A prior counts
+    once, for records of any length. For an estimator with a memory, the prior holds at every time. The weight of a
+    prior
+    follows from the estimate's error bars.
 
     Examples
     --------
@@ -242,7 +263,7 @@ class Known:
 
     @property
     def _forces(self) -> NDArray[np.bool_]:
-        """(p,): the coefficients that go with the gain of the input; times, speeds and filters do not."""
+        """Mask (p,) of the coefficients that scale with the input gain. Times, speeds and filters do not scale."""
         forces = forces_of(self.estimator.equation)
         return np.array([name in forces for name in self.estimator.names])
 
@@ -253,7 +274,7 @@ class Known:
 
     @cached_property
     def facts(self) -> Facts:
-        """The same in the terms of `combine`."""
+        """The prior information in the form that `combine` takes."""
         gain = self.estimator.equation.input_gain
         unit = {name: gain if name == INPUT_GAIN else 1.0 for name in self._facts}
         rows = [(value / unit[name], std / abs(unit[name])) for name, (value, std) in self._facts.items()]
@@ -262,10 +283,13 @@ class Known:
         return Facts(index, value, std, self._forces, self.find_gain)
 
     def combine(self, found: Fit | Estimate | Posterior, model_spread: Floats | None = None) -> Posterior:
-        """An estimate combined with prior information. model_spread (p,): how far unmodelled effects may move each
-        parameter, as an independent error; it weighs as the error bars do, and NaN is none.
+        """Return an estimate combined with the prior information.
 
-        Raises NotIdentifiableError if the error bars of the estimate, or the gain of the input, are not known.
+        `model_spread` (p,) limits the shift of each parameter by unmodelled effects. It counts as an independent error
+        with
+        the weight of an error bar, and NaN counts as zero. Raises NotIdentifiableError if the estimate's error bars or
+        the
+        input gain are unknown.
         """
         theta, covariance = np.asarray(found.theta), np.asarray(found.theta_cov)
         further = np.zeros(theta.size) if model_spread is None else np.nan_to_num(model_spread) ** 2
@@ -291,7 +315,9 @@ class Known:
     of = rename_method("of", "combine")
 
     def _spread(self, combined: Combined, model_spread: Floats, further: Floats) -> Floats:
-        """(q,) how far the model spread of each parameter moves the combined result; NaN: not known."""
+        """Return the change (q,) of the combined result by the model spread of each parameter. NaN stands for
+        unknown.
+        """
         spread = np.sqrt(combined.moves[0, : len(self.names)] ** 2 @ further) * np.abs(self._gain_scale)
         spread[: model_spread.size][np.isnan(model_spread)] = np.nan
         spread[[self.names.index(name) for name in self._given]] = 0.0
@@ -302,7 +328,7 @@ class Known:
         return {name: value for name, (value, std) in self._facts.items() if std == 0}
 
     def _scale_to_machine(self, combined: Combined) -> tuple[Floats, Floats]:
-        """theta (n, q) and covariances (n, q, q), with the gain of the machine; given values stay as they are."""
+        """Return theta (n, q) and covariances (n, q, q) with the machine's gain. Given values do not change."""
         q, scale = len(self.names), self._gain_scale
         values, noise = combined.theta[:, :q] * scale, combined.noise[:, :q, :q] * np.outer(scale, scale)
         for name, value in self._given.items():
@@ -312,7 +338,7 @@ class Known:
 
     @property
     def _gain_scale(self) -> Floats:
-        """(q,): the estimator's gain, by which the relative gain of `combine` is multiplied."""
+        """Factors (q,) that convert the relative gain of `combine` to the estimator's unit."""
         return np.concatenate(
             [np.ones(len(self.estimator.names)), [self.estimator.equation.input_gain] * self.find_gain]
         )
@@ -337,7 +363,7 @@ class Known:
         )
 
     def rescale(self, found: Fit | Estimate | Posterior) -> tuple[Known, Posterior]:
-        """The same with the found gain as the estimator's gain, and the estimate in forces of the machine."""
+        """Return a copy whose estimator has the found gain, and the estimate in the machine's forces."""
         gain = self.combine(found)[INPUT_GAIN]
         own = np.where(self._forces, gain / self.estimator.equation.input_gain, 1.0)
         theta, covariance = found.theta * own, found.theta_cov * np.outer(own, own)
@@ -345,8 +371,12 @@ class Known:
         return there, Posterior(self.estimator.names, self.estimator.units, theta, covariance)
 
     def track(self, track: Track, last: Estimate) -> Track:
-        """A piece of a track with prior information. last: the estimate at its end, whose correlations hold for all of
-        the piece. Before the first estimate theta is 0 and the error bars are infinite, also for given values."""
+        """Return a part of a track with prior information.
+
+        `last` is the estimate at the end of this part. The correlations of `last` hold for the whole part. Before the
+        first
+        estimate, theta is 0 and the error bars are infinite, even for given values.
+        """
         std, (n, p) = track.theta_std, track.theta.shape
         theta, errors = np.zeros((n, len(self.names))), np.full((n, len(self.names)), np.inf)
         own = np.asarray(last.theta_cov)
@@ -354,7 +384,7 @@ class Known:
         size = np.sqrt(np.outer(np.diagonal(own), np.diagonal(own)))
         alike = np.divide(own, size, out=np.eye(p), where=(size > 0) & np.isfinite(size))
         covariance = alike * std[known, :, None] * std[known, None, :]
-        with suppress(np.linalg.LinAlgError):  # of facts that contradict each other: nothing is known then
+        with suppress(np.linalg.LinAlgError):  # facts that contradict each other leave nothing known
             combined = combine(track.theta[known], covariance, np.zeros((covariance.shape[0], p)), self.facts)
             theta[known], noise = self._scale_to_machine(combined)
             errors[known] = np.sqrt(np.maximum(np.einsum("nii->ni", noise), 0.0))
@@ -363,7 +393,7 @@ class Known:
         return track.with_bars(self.names, self.units, theta, errors)
 
     def run(self, runner: RecursiveEstimator | Runner[RecursiveEstimator], u: ArrayLike, counts: ArrayLike) -> Track:
-        """Many samples at once as `Runner.run` of an estimation that is under way, u, counts: (n,)."""
+        """Run the samples u and counts (n,) through a runner, as `Runner.run` does, and return the combined track."""
         u, counts = check_arrays(u, counts)
         parts = []
         for start in range(0, max(1, u.size), TUNING.known_piece):
@@ -373,14 +403,16 @@ class Known:
 
 
 def choose_naming(estimator: Estimator, known: Known | None) -> Estimator | Known:
-    """The object with the names and units of the result: the prior information if there is any, or the estimator."""
+    """Return the object that has the names and units of the result: the prior information, or else the estimator."""
     return estimator if known is None else known
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Seen(Presentable):
-    """The estimate of a step combined with prior information at the first use. Before the first estimate theta is 0 and
-    the error bars are infinite."""
+    """The estimate of one step, combined with prior information at the first use.
+
+    Before the first estimate, theta is 0 and the error bars are infinite.
+    """
 
     known: Known
     estimate: Estimate
@@ -417,7 +449,7 @@ class Seen(Presentable):
         return self._parameters.summary(title, remarks_of(status_names(self.status)))
 
     def columns(self) -> dict[str, object]:
-        """A row for each parameter."""
+        """Table with a row for each parameter."""
         return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
@@ -425,7 +457,7 @@ class Seen(Presentable):
 
 
 def with_gain(estimator: Estimator, gain: float) -> Estimator:
-    """The same estimator with another gain of the input. Raises UsageError for one that is none."""
+    """Return a copy of the estimator with another input gain. Raises UsageError for a model other than `Drive`."""
     if not isinstance(estimator.model, Drive):
         raise UsageError("the gain of the input is found of a Drive")
     return like(type(estimator), estimator, model=replace(estimator.model, input_gain=gain))

@@ -1,4 +1,4 @@
-"""Least squares compensated with the known step of the encoder."""
+"""Least squares with compensation of the noise that the known encoder step causes."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from pmfid.estimators.results import Columns
 
 @dataclass(frozen=True)
 class KnownStep(BatchEstimator):
-    """Least squares with compensation of a known noise, off-line.
+    """Off-line least squares with compensation of a known noise variance.
 
     Parameters
     ----------
     model, encoder, dt, cutoff
-        As of `IV`.
+        See `IV`.
     noise_std : float, optional
-        Standard deviation of the position's noise [unit of y]. By default the value for the encoder's step.
+        Standard deviation of the position's noise [unit of y]. By default it follows from the encoder's step.
 
     Notes
     -----
-    theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), with R = sum phi phi^T and r = sum phi z. C and c, the covariances
-    of phi and z by unit noise, follow from the filters alone. No instruments and no pre-filter are needed. The method
-    fails where the noise is not white, below about one count of motion per sample.
+    theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), with R = sum phi phi^T and r = sum phi z. C and c are the
+    covariances of phi and z for noise of variance 1. They follow from the filters alone. No instruments and no
+    pre-filter are needed. The method fails if the noise is not white, which is the case below about one count of motion
+    per sample.
 
     Examples
     --------
@@ -63,14 +64,16 @@ class KnownStep(BatchEstimator):
 
 @dataclass(frozen=True)
 class RKnownStep(RecursiveEstimator):
-    """Least squares with compensation of a known noise, on-line: the sums of `KnownStep`, discounted.
+    """Recursive least squares with compensation of a known noise variance.
+
+    The method discounts the sums of `KnownStep`.
 
     Parameters
     ----------
     model, encoder, dt, cutoff, forgetting
-        As of `RIV`.
+        See `RIV`.
     noise_std : float, optional
-        Standard deviation of the position's noise [unit of y]. By default the value for the encoder's step.
+        Standard deviation of the position's noise [unit of y]. By default it follows from the encoder's step.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Least squares: scaling, rank, and the level of signals."""
+"""Solutions of least squares, their rank and scale, and the level of the output."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NO_SOLUTION = (
 
 
 def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """theta = (sum zeta phi^T)^-1 sum zeta z (p,), and that inverse (p, p).
+    """Return theta = (sum zeta phi^T)^-1 sum zeta z (p,) and the inverse (p, p) in this formula.
 
-    By the orthogonal part of the instruments: the square of their condition number does not enter.
+    An orthogonal decomposition of the instruments avoids the square of their condition number.
     """
     scale = np.linalg.norm(columns.zeta, axis=0)
     Q, R = np.linalg.qr(columns.zeta / scale)
     inverse = inverse_of(Q.T @ columns.phi)
-    with np.errstate(all="ignore"):  # what comes of it is looked at
+    with np.errstate(all="ignore"):  # an overflow is checked below
         theta, gain = inverse @ (Q.T @ columns.z), inverse @ inverse_of(R.T) / scale
     if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(gain))):
         raise NotIdentifiableError(NO_SOLUTION)
@@ -33,8 +33,10 @@ def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArr
 
 
 def solve_bounded(columns: Columns, positive: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """The least squares (p,) in which the `positive` parameters (p,) are not negative (Lawson and Hanson 1974)."""
-    from scipy.optimize import nnls  # slow to import, and seldom needed
+    """Return the least squares (p,) in which no parameter marked by `positive` (p,) is negative (Lawson and Hanson
+    1974).
+    """
+    from scipy.optimize import nnls  # the import is slow and seldom needed
 
     size = np.maximum(np.linalg.norm(columns.phi, axis=0), np.finfo(float).tiny)
     scaled = columns.phi / size
@@ -44,9 +46,12 @@ def solve_bounded(columns: Columns, positive: NDArray[np.bool_]) -> NDArray[np.f
 
 
 def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of a matrix (p, p). Raises NotIdentifiableError if there is none, or none within the numbers."""
+    """Return the inverse of a matrix (p, p).
+
+    Raises NotIdentifiableError for a singular matrix or an inverse with infinite entries.
+    """
     try:
-        with np.errstate(all="ignore"):  # what comes of it is looked at
+        with np.errstate(all="ignore"):  # an overflow is checked below
             inverse = np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
         inverse = np.full_like(matrix, np.nan)
@@ -56,7 +61,9 @@ def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.float64]:
-    """Covariance (p, p) of the sum of correlated scores (n, p), with Bartlett's window (Newey and West 1987)."""
+    """Return the covariance (p, p) of the sum of correlated scores (n, p), by Bartlett's window (Newey and West
+    1987).
+    """
     n = scores.shape[0]
     size = 2 ** int(np.ceil(np.log2(n + lags + 1)))
     spectrum = np.fft.rfft(scores, size, axis=0)
@@ -70,13 +77,18 @@ def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.fl
 def parts_of_their_own(
     sensitivity: NDArray[np.float64], rcond: float | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Which part of each column of sensitivity (n, p), 0 to 1, is no combination of the others, (p,); and the
-    pseudo-inverse (p, n) of the columns scaled to unit length. The part is 0 for a column of zeros, and for all where
-    one is beyond numbers. rcond: as for `numpy.linalg.pinv`."""
-    with np.errstate(over="ignore"):  # looked at
+    """Return the independent part (p,) of each column of `sensitivity` (n, p), and the pseudo-inverse (p, n).
+
+    The independent part, from 0 to 1, is the part of a column that no combination of the other columns gives. It is 0
+    for
+    a column of zeros, and 0 for all columns if one overflows. The pseudo-inverse is that of the columns scaled to
+    length 1.
+    `rcond` is the argument of `numpy.linalg.pinv`.
+    """
+    with np.errstate(over="ignore"):  # an overflow is checked below
         size = np.linalg.norm(sensitivity, axis=0)
     huge = ~np.isfinite(size)
-    if np.any(huge):  # the squares are beyond numbers, or the column itself
+    if np.any(huge):  # the squares or the column itself overflow
         largest = np.max(np.abs(sensitivity[:, huge]), axis=0)
         if not np.all(np.isfinite(largest)):
             return np.zeros(size.size), np.zeros(sensitivity.shape[::-1])
@@ -90,10 +102,11 @@ def parts_of_their_own(
 
 @dataclass(frozen=True)
 class Level:
-    """What the output's level is in, as indices of parameters.
+    """Indices of the parameters that contain the output's level.
 
-    y - first has the equation of y, but its constant is theta[constant] - ratio * first * theta[lowest].
-    lowest: None if the output itself is in no term, so that the constant is the same.
+    The equation of y also holds for y - first, with the constant theta[constant] - ratio * first * theta[lowest].
+    `lowest`
+    is None if no term contains the output itself; the constant is then the same.
     """
 
     constant: int
@@ -102,8 +115,10 @@ class Level:
 
 
 def level_of(equation: Equation) -> Level | None:
-    """None if the equation is not as true of y - first: without a constant of its own that is unknown, or with what
-    stood in the plant at the start."""
+    """Return the output's level in the equation, or None if the equation does not hold for y - first.
+
+    The equation does not hold for y - first if it has no unknown constant, or if it contains the plant's start.
+    """
     unknown = [(term.signal, term.derivative) for term in equation.unknown]
     known = {term.signal for term in equation.known}
     if ("constant", 0) not in unknown or "constant" in known or any(signal == "start" for signal, _ in unknown):

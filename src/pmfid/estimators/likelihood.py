@@ -1,4 +1,4 @@
-"""The likelihood of counts: each says between which two positions the axis is, and nothing more."""
+"""Likelihood of the counts. A count states only between which two positions the axis is."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 @dataclass(frozen=True)
 class Best:
-    """The motion of a model that fits a record best: what every method that simulates the whole of it starts from.
+    """The motion of a model that fits a record best. Every method that simulates the whole record starts from this
+    motion.
 
-    least (q,): parameters and start of the least squares of the difference; q (q,): of the largest likelihood, where
-    the difference is within the counts, else `least`; noise: its standard deviation [counts], None: not within the
-    counts; status: bits of the record.
+    `least` (q,) has the parameters and the start at the least squares of the difference. `q` (q,) has the values of the
+    largest likelihood if the difference is within the counts, and equals `least` otherwise. `noise` is the standard
+    deviation of the difference [counts], or None outside the counts. `status` has the status bits of the record.
     """
 
     difference: Difference
@@ -39,21 +40,25 @@ class Best:
 
     @property
     def clean(self) -> bool:
-        """Is there no more in the position than the model and the encoder explain? Then one stroke is like the next."""
+        """Whether the model and the encoder explain the whole position."""
         return self.noise is not None and self.noise <= TUNING.given_away * TUNING.noise_floor
 
 
 def best_of(difference: Difference, least: Floats, status: int = 0) -> Best:
-    """The same for the least squares (q,) of a difference."""
+    """Return the best motion from the least squares (q,) of a difference."""
     if difference.pole > 0 or rms(difference(least)) > difference.explained:
         return Best(difference, least, least, None, status)
     return Best(difference, least, *likeliest(difference, least), status)
 
 
 def log_likelihood(best: Best, cutoff: float) -> float:
-    """Of the counts, in natural units, under the error that explains them better: a noise within the counts, or
-    unmodelled friction, which adds up in the position to a random walk. The high-pass of the random walk, at cutoff
-    [rad/s], has a determinant of 1, so both likelihoods are probabilities of the same counts."""
+    """Return the log-likelihood of the counts under the better of two error models, in natural units.
+
+    One error model is a noise within the counts. The other is unmodelled friction, which adds up to a random walk of
+    the
+    position. The high-pass of the random walk, at `cutoff` [rad/s], has a determinant of 1, so both likelihoods are
+    probabilities of the same counts.
+    """
     high_passed = replace(best.difference, pole=cutoff)
     error = high_passed(best.q)
     walking = -error.size / 2 * (math.log(2 * math.pi * float(np.mean(error**2))) + 1)
@@ -63,8 +68,9 @@ def log_likelihood(best: Best, cutoff: float) -> float:
 
 
 def likeliest_of(found: Iterable[Best], cutoff: float) -> Best:
-    """The largest of several maxima that were climbed from different starts; one that explains every count ends the
-    search."""
+    """Return the largest of several maxima from different starts. A maximum that explains every count ends the
+    search.
+    """
     kept = list[Best]()
     for one in found:
         kept.append(one)
@@ -74,16 +80,17 @@ def likeliest_of(found: Iterable[Best], cutoff: float) -> Best:
 
 
 def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
-    """q (q,) and noise [counts] of the largest likelihood, from the least squares q.
+    """Return q (q,) and the noise [counts] of the largest likelihood, from the least squares q.
 
-    With few counts there are local maxima, and a noise beyond the floor gives them away: then the search starts again
-    from around q, with a noise that shrinks step by step, and the best counts. It ends early if the first starts all
-    find the same maximum.
+    A record with few counts has local maxima. A noise above the floor reveals a local maximum. The search then starts
+    again
+    from several points around q, with a noise that shrinks step by step, and returns the best result. The search ends
+    early if the first starts all find the same maximum.
     """
     best = climb(difference, q, None)
     if (
         best[2] <= TUNING.given_away * TUNING.noise_floor or difference.restarts
-    ):  # the starts after gaps are those of least squares
+    ):  # least squares found the starts after gaps
         return best[1], best[2]
     costs = [best[0]]
     for start in (q, *_list_starts(difference, q)):
@@ -101,7 +108,7 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
 
 
 def _list_starts(difference: Difference, q: Floats) -> list[Floats]:
-    """Starts (q,) one and a half standard deviations of least squares to either side of q, along its main axes."""
+    """Return start values (q,) at 1.5 standard deviations of least squares on both sides of q, along its main axes."""
     jacobian = difference.jacobian(q)
     _, size, axes = np.linalg.svd(jacobian, full_matrices=False)
     spread = np.sqrt(np.mean(difference(q) ** 2)) / np.maximum(size, 1e-6 * size[0])
@@ -116,12 +123,13 @@ def _list_starts(difference: Difference, q: Floats) -> list[Floats]:
 def climb(
     difference: Difference, q: Floats, fixed: float | None, settled: float = TUNING.settled_step**2 / 2
 ) -> tuple[float, Floats, float]:
-    """Negative log-likelihood, q (q,) and noise [counts] at a maximum near q, with the best noise or a fixed one.
+    """Return the negative log-likelihood, q (q,) and the noise [counts] at a maximum near q.
 
-    Each step leads to the top of the likelihood of differences that are linear in q. Where the motion bends, the first
-    such steps may lead down: they are taken, as they converge fast, and taken back if no top follows. From there a part
-    of the way is tried. settled: a step that gains less is the last one; by default one of settled_step of a standard
-    error."""
+    The noise is the likeliest one or the value `fixed`. Each step leads to the top of the likelihood of linearised
+    differences. The first steps may increase the cost if the motion bends. The search accepts such steps, because they
+    converge fast, and undoes them if no top follows. From that place, the search tries a part of the step. A step that
+    gains less than `settled` is the last one; the default corresponds to `settled_step` standard errors.
+    """
     best, down = _evaluate(difference, q, fixed), 0
     place, widths = best, np.full(q.size, TUNING.likelihood_quotient)
     for _ in range(TUNING.likelihood_max_iterations):
@@ -144,14 +152,18 @@ def climb(
 
 
 def _widths(difference: Difference, q: Floats, step: Floats) -> Floats:
-    """Of the difference quotients at q (q,): as long as the last step (q,) and in its direction, for a start from rest
-    has another effect on either side."""
+    """Return the widths of the difference quotients at q (q,).
+
+    The quotients have the length and the direction of the last step (q,), because a start from rest has a different
+    effect
+    in each direction.
+    """
     widths = np.clip(np.abs(step), TUNING.least_quotient, TUNING.likelihood_quotient)
     return np.asarray(np.where((step < 0) & (q - widths >= difference.lower), -widths, widths))
 
 
 def _aim(difference: Difference, place: _Place, widths: Floats) -> tuple[Floats, float]:
-    """The step (q,) to the top of differences that are linear in q, and their negative log-likelihood there."""
+    """Return the step (q,) to the top of the linearised differences, and the negative log-likelihood there."""
     jacobian = difference.forward_jacobian(place.q, place.e, widths)
     step = top(place.e, jacobian, place.noise, difference.lower - place.q)
     return step, cost(place.e + jacobian @ step, place.noise)[0]
@@ -159,7 +171,7 @@ def _aim(difference: Difference, place: _Place, widths: Floats) -> tuple[Floats,
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """q (q,), its differences e (n,) [counts] and their noise, and the negative log-likelihood."""
+    """A point of the search: q (q,), its differences e (n,) [counts], their noise, and the negative log-likelihood."""
 
     q: Floats
     e: Floats
@@ -169,14 +181,14 @@ class _Place:
 
 def _evaluate(difference: Difference, q: Floats, fixed: float | None, e: Floats | None = None) -> _Place:
     e = difference(q) if e is None else e
-    if not np.max(np.abs(e)) < TUNING.likelihood_lost:  # no likelihood leads back from there
+    if not np.max(np.abs(e)) < TUNING.likelihood_lost:  # no likelihood leads back from here
         return _Place(q, e, np.inf, np.inf)
     noise = fixed or likeliest_noise(e)
     return _Place(q, e, noise, cost(e, noise)[0])
 
 
 def _search_near(difference: Difference, best: _Place, fixed: float | None) -> _Place:
-    """The likeliest of the tops where the differences move little, or the place itself."""
+    """Return the likeliest of the tops at which the differences change little, or the place itself."""
     jacobian = difference.forward_jacobian(best.q, best.e, TUNING.likelihood_quotient)
     low = difference.lower - best.q
     steps = [top(best.e, jacobian, best.noise, low, tied) for tied in TUNING.likelihood_ties]
@@ -186,11 +198,15 @@ def _search_near(difference: Difference, best: _Place, fixed: float | None) -> _
 
 
 def top(error: Floats, jacobian: Floats, noise: float, lower: Floats | None = None, tied: float = 0.0) -> Floats:
-    """Step (q,), at least `lower`, to the largest likelihood of differences error (n,) + jacobian (n, q) @ step
-    [counts]: damped steps of Newton. tied: a cost of that times half the sum of squares of what the step changes."""
+    """Return the step (q,), at least `lower`, to the largest likelihood of the linearised differences.
+
+    The differences are error (n,) + jacobian (n, q) @ step [counts], and the search uses damped Newton steps. `tied` /
+    2 is
+    the cost of the summed squares of the step's effect on the differences.
+    """
     step, damping = np.zeros(jacobian.shape[1]), TUNING.first_damping
-    if step.size > TUNING.dense_columns:  # of windows, each with a start of its own
-        from scipy.sparse import csr_array  # slow to import, and only windows need it
+    if step.size > TUNING.dense_columns:  # each window has its own start
+        from scipy.sparse import csr_array  # the import is slow, and only windows need it
 
         jacobian = csr_array(jacobian)
     tie = tied * _square(jacobian, jacobian)
@@ -212,8 +228,10 @@ def top(error: Floats, jacobian: Floats, noise: float, lower: Floats | None = No
 
 
 def _edge_cost(error: Floats, jacobian: Rows, noise: float) -> tuple[float, Floats, Floats]:
-    """Negative log-likelihood, gradient (q,) and curvature (q, q): of the counts whose edges are near enough to matter,
-    for all others it is zero in floating point."""
+    """Return the negative log-likelihood, gradient (q,) and curvature (q, q) of those counts whose edges are near.
+
+    The contribution of all other counts is zero in floating point.
+    """
     near = np.abs(error) > 0.5 - TUNING.likelihood_reach * noise
     rows = jacobian[near]
     now, slope, curvature = cost(error[near], noise)
@@ -221,36 +239,36 @@ def _edge_cost(error: Floats, jacobian: Rows, noise: float) -> tuple[float, Floa
 
 
 def _square(rows: Rows, weighted: Rows) -> Floats:
-    """rows^T weighted (q, q) of two matrices (n, q)."""
+    """Return the product rows^T weighted (q, q) of two matrices (n, q)."""
     product = rows.T @ weighted
     return product if isinstance(product, np.ndarray) else np.asarray(product.toarray())
 
 
 def likeliest_noise(e: Floats) -> float:
-    """Noise [counts] of the largest likelihood for the differences e (n,) [counts], at least noise_floor."""
+    """Return the likeliest noise [counts] for the differences e (n,) [counts], at least noise_floor."""
     apart = np.abs(e)
 
     def slope(log: float) -> float:
-        """The derivative of the log-likelihood by the logarithm of the noise, for a sample."""
+        """Return the derivative of the mean log-likelihood by the logarithm of the noise."""
         noise = math.exp(log)
         return -float(np.mean(count_likelihood(apart, noise)[2])) * noise**2
 
     low, high = math.log(TUNING.noise_floor), math.log(1 + 2 * float(np.max(apart)))
     if slope(low) <= 0:
         return TUNING.noise_floor
-    from scipy.optimize import brentq  # slow to import, and a record within its counts never needs it
+    from scipy.optimize import brentq  # the import is slow, and a record within its counts never needs it
 
     return math.exp(brentq(slope, low, high, xtol=TUNING.noise_tolerance))
 
 
 def cost(e: Floats, noise: float) -> tuple[float, Floats, Floats]:
-    """Negative log-likelihood, and its first and second derivative by each of the differences e (n,) [counts]."""
+    """Return the negative log-likelihood with its first and second derivatives by the differences e (n,) [counts]."""
     log_p, slope, bend = count_likelihood(np.abs(e), noise)
     return -float(np.sum(log_p)), np.sign(e) * slope, np.maximum(slope**2 + bend, 0.0)
 
 
 def expected_information(e: Floats, noise: float) -> Floats:
-    """Fisher information (n,) on the position [counts] at differences e (n,), mean over the counts that may come."""
+    """Return the expected Fisher information (n,) on the position [counts] at the differences e (n,)."""
     if noise > TUNING.likelihood_wide:
         return np.full(e.size, 1 / (noise**2 + 1 / 12))  # Sheppard's correction
     reach, total = math.ceil(6 * noise), np.zeros(e.size)
@@ -261,8 +279,12 @@ def expected_information(e: Floats, noise: float) -> Floats:
 
 
 def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Floats]:
-    """Logarithm of the probability P of a count whose middle is `apart` >= 0 (n,) [counts] from the position, with
-    -P'/P and P''/P negative. All from logarithms: far outside the count P itself is zero in floating point."""
+    """Return the logarithm of a count's probability P, -P'/P, and the negative of P''/P.
+
+    The middle of the count is `apart` >= 0 (n,) [counts] from the position. The function computes with logarithms,
+    because
+    P itself is zero in floating point far outside the count.
+    """
     log_p = log_probability(apart, noise)
     inner, outer = (0.5 - apart) / noise, (-0.5 - apart) / noise
     at_inner, at_outer = (np.exp(-0.5 * edge**2 - HALF_LOG_2_PI - log_p) for edge in (inner, outer))
@@ -270,7 +292,9 @@ def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Float
 
 
 def log_probability(apart: Floats, noise: float) -> Floats:
-    """Logarithm of the probability of a count whose middle is `apart` >= 0 (n,) [counts] from the position."""
+    """Return the logarithm of the probability of a count whose middle is `apart` >= 0 (n,) [counts] from the
+    position.
+    """
     log_inner = log_ndtr((0.5 - apart) / noise)
     log_outer = log_ndtr((-0.5 - apart) / noise)
     return np.asarray(log_inner + np.log(-np.expm1(np.minimum(log_outer - log_inner, -TUNING.tiny))))

@@ -1,4 +1,4 @@
-"""Least squares off-line, plain and with compensation of the encoder's bias."""
+"""Off-line least squares, plain and with compensation of the encoder's bias."""
 
 from __future__ import annotations
 
@@ -21,14 +21,18 @@ from pmfid.models.equation import Equation
 from pmfid.types import Floats
 
 OUTPUTS = ("output", "process_output")
-#: What it makes, and what the terms on the right are made from, in the order of its rows.
+#: Sources of the motion and of the terms on the right-hand side, in the order of the exact rows.
 SOURCES = ("input", "process_input", "direction", "moving", "constant")
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass at theta: phi (N, p) regressors, zeta (N, p) instruments, slope (N, p) by which the error falls with
-    theta, error (N,) of the filtered equation, known (N,) its known side."""
+    """Columns of the equation at one theta.
+
+    `phi` (N, p) are the regressors and `zeta` (N, p) the instruments. `error` (N,) is the error of the filtered
+    equation,
+    and `slope` (N, p) is the decrease of the error with theta. `known` (N,) is the known side of the filtered equation.
+    """
 
     phi: Floats
     zeta: Floats
@@ -39,7 +43,7 @@ class Pass:
 
 @dataclass(frozen=True)
 class Exact:
-    """The exact columns of an equation on one record; y (N,) position, signals: name -> (N,)."""
+    """The exact columns of an equation on one record, from the position y (N,) and named signals (N,)."""
 
     equation: Equation
     filter: Filter
@@ -48,7 +52,7 @@ class Exact:
     signals: dict[str, Floats]
 
     def compute_pass(self, theta: Floats) -> Pass:
-        """Columns around the equation's own denominator at theta (p,)."""
+        """Compute the columns with the equation's own denominator at theta (p,)."""
         A, held = self._denominator(theta), self._list_held_terms(theta)
         found = respond_exactly(A, held, np.array([self.signals[name] for name in SOURCES]), self.filter.dt)
         F, p = self.filter, len(self.equation.unknown)
@@ -72,7 +76,7 @@ class Exact:
         return Pass(phi.T, zeta.T, slope.T, error, known)
 
     def _denominator(self, theta: Floats) -> Floats:
-        """A(s), (n+1,), all output terms on the left."""
+        """Return the coefficients (n+1,) of A(s), with all output terms on the left."""
         A = np.zeros(self.equation.order + 1)
         for term, value in zip(self.equation.unknown, theta, strict=True):
             if term.signal in OUTPUTS:
@@ -83,7 +87,7 @@ class Exact:
         return A
 
     def _list_held_terms(self, theta: Floats) -> list[ExactTerm]:
-        """All other terms on the right."""
+        """Return all terms without the output, moved to the right-hand side."""
         terms = [
             ExactTerm(SOURCES.index(term.signal), term.derivative, -term.coefficient * value, column)
             for column, (term, value) in enumerate(zip(self.equation.unknown, theta, strict=True))
@@ -95,12 +99,12 @@ class Exact:
         ]
 
     def _main(self, held: list[ExactTerm]) -> int:
-        """The term of the input itself, that instruments are made from."""
+        """Return the index of the input term, from which the instruments are made."""
         names = [SOURCES[term.source] for term in held]
         return next(i for i, name in enumerate(names) if name in ("input", "process_input"))
 
     def _instruments(self, zeta: Floats, signal: Floats) -> None:
-        """s^j / f(s) of the filtered input in place of the noisy regressors, as in `ColumnBuilder.prefiltered`."""
+        """Replace the noisy regressors by s^j / f(s) of the filtered input, as `ColumnBuilder.prefiltered` does."""
         noisy = self.equation.noisy
         for column, power in zip(noisy, self.equation.instrument_powers, strict=True):
             made = signal
@@ -111,14 +115,18 @@ class Exact:
 
 
 def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
-    """The record u, y: (n,), for an equation of outputs and held signals, at rest at the start."""
+    """Return the exact columns for the record u and y (n,).
+
+    The equation consists of output terms and held signals, and the plant starts at rest. Raises UsageError for other
+    terms.
+    """
     equation = estimator.equation
     names = {term.signal for term in (*equation.unknown, *equation.known)}
     if not names <= {*OUTPUTS, *SOURCES}:
         raise UsageError(
             f"the exact discretisation takes no terms of {sorted(names - {*OUTPUTS, *SOURCES})}; use matched"
         )
-    if "process_output" not in names:  # a position counts from its first sample
+    if "process_output" not in names:  # positions are relative to the first sample
         y = y - y[0]
     late = np.r_[np.zeros(equation.delay), u][: u.size]
     one, motion = np.ones(u.size), np.sign(np.diff(y, append=y[-1:]))
@@ -128,7 +136,10 @@ def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
 
 @dataclass(frozen=True)
 class Refined:
-    """theta (p,), the last pass, its gain (p, p); history (passes, p): after each pass; status: bits of the record."""
+    """Result of the exact passes: theta (p,), the last pass, its gain (p, p), and the history (passes, p) of theta.
+
+    `status` has the status bits of the record.
+    """
 
     theta: Floats
     last: Pass
@@ -138,9 +149,10 @@ class Refined:
 
 
 def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
-    """Passes from theta (p,) to sum zeta error = 0: what the linear method asks for, with the exact columns.
+    """Iterate from theta (p,) until sum zeta error = 0 with the exact columns, or return None without convergence.
 
-    Each is a Newton step that leaves out how the instruments change. None if they do not settle."""
+    Each pass is a Newton step that neglects the change of the instruments.
+    """
     change, history = np.inf, []
     for count in range(1, TUNING.ls_passes + 1):
         with np.errstate(all="ignore"):
@@ -162,7 +174,7 @@ def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
 
 
 def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
-    """The fit of a linear method with the exact discretisation, u, y: (n,). Raises as `refine_estimate`."""
+    """Return the fit of a linear method with the exact discretisation for u and y (n,). Raises as `refine_estimate`."""
     found, used = refine_estimate(estimator, u, y), slice(estimator.settle_samples, None)
     last = found.last
     target = last.error[used] + last.phi[used] @ found.theta
@@ -171,9 +183,12 @@ def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
 
 
 def refine_estimate(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
-    """The passes from the estimate with matched filters; where they do not settle, from the filters' own poles.
+    """Return the passes from the estimate with matched filters.
 
-    Raises NotIdentifiableError if those do not, either."""
+    If these passes do not converge, new passes start from the filters' own poles. Raises NotIdentifiableError if the
+    new
+    passes do not converge, either.
+    """
     first = like(type(estimator), estimator, discretization="matched").fit_output(u, y)
     exact, used = make_exact(estimator, u, y), slice(estimator.settle_samples, None)
     found = refine_exactly(exact, first.theta, used)
@@ -187,7 +202,7 @@ def refine_estimate(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
 
 @dataclass(frozen=True)
 class ExactEstimator(BatchEstimator):
-    """A `BatchEstimator` that takes the exact discretisation, too."""
+    """A `BatchEstimator` that also takes the exact discretisation."""
 
     discretizations: ClassVar[tuple[str, ...]] = (*BatchEstimator.discretizations, EXACT)
 
@@ -206,12 +221,12 @@ class ExactEstimator(BatchEstimator):
 
 @dataclass(frozen=True)
 class BCLS(ExactEstimator):
-    """Bias-compensated least squares, off-line (paper eq. 17 to 32); see `BCRLS`.
+    """Off-line bias-compensated least squares (paper eq. 17 to 32); see `BCRLS`.
 
     Parameters
     ----------
     model, encoder, dt, cutoff
-        As of `IV`.
+        See `IV`.
 
     Notes
     -----
@@ -238,19 +253,19 @@ class BCLS(ExactEstimator):
 
 @dataclass(frozen=True)
 class LS(ExactEstimator):
-    """Least squares, off-line (paper eq. 17), by orthogonal decomposition.
+    """Off-line least squares by orthogonal decomposition (paper eq. 17).
 
     Parameters
     ----------
     model, encoder, dt, cutoff
-        As of `IV`.
+        See `IV`.
     prefilter_zeros : sequence of float, optional
-        Zeros of the pre-filter [rad/s]: the result is then the biased estimate of the extended model (paper eq. 19 to
-        21).
+        Zeros of the pre-filter [rad/s]. With these zeros, the result is the biased estimate of the extended model
+        (paper eq. 19 to 21).
 
     Notes
     -----
-    theta = (sum phi phi^T)^-1 sum phi z. Counts make it biased; `BCLS` compensates that.
+    theta = (sum phi phi^T)^-1 sum phi z. Quantisation makes this estimate biased; `BCLS` compensates the bias.
 
     Examples
     --------
