@@ -1,1 +1,1 @@
-"""The memory of the kernel as Python sees it: its structures, and saved states."""
+"""Structures and saved states of the C kernel, as Python reads them."""

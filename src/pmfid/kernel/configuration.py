@@ -1,4 +1,4 @@
-"""The kernel's configuration, filled by name."""
+"""The configuration of the kernel, filled by field names."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pmfid.kernel.structures import Structured, constants_of, structures
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
-#: Values of a structure by the names of its fields; of an array the first ones, the others are 0.
+#: Values of a structure by field names. Unnamed elements at the end of an array are 0.
 Values = Mapping[str, object]
 Stages = Sequence[tuple[int, float, float, float]]
-#: Coefficients that grow with the step, those of a derivative, and those by the mean square of the step as well.
+#: The coefficients of a stage grow with the step, belong to a derivative, or also depend on the step's mean square.
 Kind = Literal["lasting", "changing", "bending"]
-#: How a stage follows a step that varies: 1 if its signals are those of the interval before; kind; pole times half a
-#: sample period.
+#: Rule by which a stage follows a varying step: 1 if its signals belong to the preceding interval, else 0; the kind;
+#: the pole times half a sample period.
 Rate = tuple[int, Kind, float]
-#: For each stage the number of its rate from 1 on, 0: none; and the rates.
+#: Number of the rule of each stage (counted from 1; 0 for no rule), and the rules.
 Rates = tuple[Sequence[int], Sequence[Rate]]
 Columns = Sequence[Sequence[tuple[int, float]]]
 
@@ -45,14 +45,14 @@ def new_kernel(
     shapes: Values | None = None,
     rates: Rates = ((), ()),
 ) -> Kernel:
-    """A kernel in its initial state.
+    """Return a kernel in its initial state.
 
-    stages: rows (source, a, b0, b1); columns: per column a list of (node, weight); encoder, direct, instrument,
-    auxiliary, linear, late: the fields of the C structures by name; without auxiliary and linear there is no model that
-    is simulated, and no `instrument`; without late the input acts at once; shapes: the field of this name of
-    `auxiliary`, where there is none. first_samples: settle_samples where not given; rates: of a clock that is not even.
-    Raises ValueError if a size is
-    exceeded, a field is missing or unknown, or the kernel finds the numbers impossible.
+    `stages` has rows (source, a, b0, b1), and `columns` has a list of (node, weight) for each column. `encoder`,
+    `direct`, `instrument`, `auxiliary`, `linear` and `late` hold the fields of the C structures by name. Without
+    `auxiliary` and `linear` the kernel simulates no model and has no `instrument`. Without `late` the input acts at
+    once. `shapes` replaces the field `shapes` of a missing `auxiliary`. `first_samples` defaults to `settle_samples`.
+    `rates` are the rules for a varying step. Raises ValueError if a size is exceeded, a field is missing or unknown, or
+    the kernel refuses the numbers.
     """
     from pmfid import _kernel32, _kernel64
 
@@ -77,7 +77,9 @@ def new_kernel(
 
 
 def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rates = ((), ())) -> dict[str, object]:
-    """The fields of `pmf_network_config_t`. Raises ValueError if the kernel has no room for the stages or columns."""
+    """Return the fields of `pmf_network_config_t`. Raises ValueError if the kernel has no room for the stages or
+    columns.
+    """
     sizes, taps = constants_of(None), [tap for column in columns for tap in column]
     names = ("PMF_MAX_STAGES", "PMF_MAX_TAPS", "PMF_MAX_COLUMNS", "PMF_MAX_PARAMETERS")
     room = [sizes[name] for name in names]
@@ -105,9 +107,9 @@ def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rat
 
 
 def _rate_values(rates: Sequence[Rate]) -> dict[str, object]:
-    """The fields of `pmf_rates_t`."""
+    """Return the fields of `pmf_rates_t`."""
     rows: list[tuple[float, ...]] = [(0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)] if rates else []
-    kinds: tuple[Kind, ...] = ("changing", "lasting", "bending")  # as gain, growth and square
+    kinds: tuple[Kind, ...] = ("changing", "lasting", "bending")  # in the order of the fields gain, growth and square
     for late, kind, half in rates:
         rows.append((1.0 - late, float(late), half, 1.0, *((1 + half) * (kind == one) for one in kinds)))
     names = ("now", "before", "half", "keep", "gain", "growth", "square")
@@ -115,9 +117,9 @@ def _rate_values(rates: Sequence[Rate]) -> dict[str, object]:
 
 
 def fill(structure: Structured, values: Values) -> None:
-    """Gives every field of a structure (0-d) its value; None: a part that is not there, all zeros.
+    """Set every field of a structure (0-d). The value None sets a field to zeros.
 
-    Raises ValueError for a field that has no value, a value that has no field, and more values than an array holds.
+    Raises ValueError if a field has no value, a value has no field, or an array is too long.
     """
     fields = structure.dtype.names or ()
     if set(fields) != set(values):
@@ -136,7 +138,7 @@ def _set(structure: Structured, name: str, value: object) -> None:
         structure[name] = value
         return
     rows: ArrayLike
-    if field.dtype.names:  # tuples, one for each row
+    if field.dtype.names:  # a sequence of structures, each given as a tuple
         rows = cast("Sequence[tuple[float, ...]]", value)
         shape: tuple[int, ...] = (len(rows),)
     else:
@@ -150,15 +152,19 @@ def _set(structure: Structured, name: str, value: object) -> None:
 
 _KERNEL = constants_of(None)
 _OF = {name: _KERNEL[f"PMF_OF_{name.upper()}"] for name in ("speed", "square", "place", "wave")}
-#: Forces that it holds, and knots of all their tables.
+#: Largest number of forces of a given form, and of knots in all their tables.
 MOST_SHAPES, MOST_KNOTS = _KERNEL["PMF_MAX_SHAPES"], _KERNEL["PMF_MAX_KNOTS"]
 FIRST_NODE = _KERNEL["PMF_SIGNALS"]
 
 
 @dataclass(frozen=True)
 class ShapeTable:
-    """knots (k,) from `start` on in steps, of a speed or a place; beyond them the last one holds. Without knots:
-    "square" of the speed, and "wave": sin(2 pi (place - start) / step). positive: as of the `Shape`."""
+    """The form of a force, as a table of a speed or a place, or as a function without a table.
+
+    The knots (k,) are evenly spaced: the first is at `start`, and `step` separates them. The last value continues
+    beyond them. The form "square" is the square of the speed. The form "wave" is sin(2 pi (place - start) / step).
+    The coefficient of a `positive` form is never negative.
+    """
 
     of: Literal["speed", "square", "place", "wave"]
     knots: tuple[float, ...] = (0.0, 1.0)
@@ -167,16 +173,19 @@ class ShapeTable:
     positive: bool = False
 
 
-#: A table, and whether the force acts against the motion.
+#: A form, and whether its force acts against the motion.
 Acting = tuple[ShapeTable, bool]
 
 
 def shape_values(
     shapes: Sequence[Acting], nodes: Sequence[int], measured: Sequence[int] | None = None
 ) -> dict[str, object]:
-    """The fields of `pmf_shapes_config_t`; nodes: where the mean of each over an interval goes; measured: and where its
-    value at the place of the counts, 0: nowhere. Raises ValueError if the kernel has no room for the tables."""
-    rows, knots, sums = [], [0.0], [0.0]  # never none, for an array of C has one element or more
+    """Return the fields of `pmf_shapes_config_t`.
+
+    `nodes` lists the node of each form's mean over an interval. `measured` lists the nodes of their values at the
+    measured position, with 0 for none. Raises ValueError if the kernel has no room for the tables.
+    """
+    rows, knots, sums = [], [0.0], [0.0]  # an array in C has at least one element
     for (table, resists), node, seen in zip(shapes, nodes, measured or [0] * len(nodes), strict=True):
         own = np.array(table.knots)
         form = (_OF[table.of], int(resists), int(table.positive))
@@ -189,7 +198,7 @@ def shape_values(
 
 
 def too_many(tables: Sequence[ShapeTable]) -> str:
-    """Why the kernel cannot hold them, with a remedy; empty if it can."""
+    """Return why the kernel has no room for the tables, with a remedy. The text is empty if it has room."""
     knots = 1 + sum(len(table.knots) for table in tables)
     if len(tables) <= MOST_SHAPES and knots <= MOST_KNOTS:
         return ""
@@ -201,7 +210,7 @@ def too_many(tables: Sequence[ShapeTable]) -> str:
 
 @lru_cache
 def shape_bytes(shapes: tuple[Acting, ...]) -> bytes:
-    """The same for the simulation alone (`_kernel64.simulate`); empty without any."""
+    """Return the bytes of `pmf_shapes_config_t` for `_kernel64.simulate`. They are empty without shapes."""
     if not shapes:
         return b""
     config = np.zeros((), structures(None, "float64")["pmf_shapes_config_t"])
@@ -209,18 +218,21 @@ def shape_bytes(shapes: tuple[Acting, ...]) -> bytes:
     return config.tobytes()
 
 
-#: exp(-t / lag) over a part of a sample: its end, its integral, and the integral of t times it; t in samples.
+#: exp(-t / lag) over a part of a sample: its end value, its integral, and the integral of t exp(-t / lag), t in
+#: samples.
 Decay = tuple[float, float, float]
 
 
 def late_values(
     dt: float, dead_time: float, lag: float, room: int | None = None, precision: str = "float64"
 ) -> dict[str, object]:
-    """The fields of `pmf_late_config_t` for a dead time and a lag [s]; room: whole samples of the longest dead time,
-    None: of this one."""
+    """Return the fields of `pmf_late_config_t` for a dead time and a lag [s].
+
+    `room` is the longest dead time in whole samples. None takes the present dead time.
+    """
     room = max(1, math.ceil(dead_time / dt)) if room is None else room
     real = np.float32 if precision == "float32" else np.float64
-    samples = min(float(real(dead_time) * real(1 / dt)), float(room))  # as the kernel reckons it
+    samples = min(float(real(dead_time) * real(1 / dt)), float(room))  # with the kernel's rounding
     return {
         "room": room,
         "rate": 1 / dt,
@@ -235,7 +247,7 @@ def late_values(
 
 
 def decays(part: float, lag: float) -> list[Decay]:
-    """Of a lag > 0 [samples] over `part` of a sample and over the rest of it."""
+    """Return the decays of a lag > 0 [samples] over `part` of a sample and over its remainder."""
     return [_decay(part, lag), _decay(1 - part, lag)]
 
 

@@ -1,4 +1,4 @@
-"""Saved states: the bytes that firmware writes before it loses power, and Python reads; and the other way round."""
+"""Saved states, which Python and firmware exchange as bytes."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from pmfid.kernel.structures import (
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel, ManyKernel
 
-#: Forgetting from which on a sum of float32 may be full, and the samples that it then holds.
+#: Smallest forgetting factor at which a float32 sum may be full, and the number of samples that such a sum holds.
 LONG_MEMORY, MOST_WEIGHT = 0.999999, 2**19
 
 
 def configuration(kernel: Kernel, precision: str) -> Structured:
-    """The kernel's configuration, at the module's own sizes."""
+    """Return the configuration of the kernel in the layout of the module."""
     return np.frombuffer(kernel.raw_config(), structures(None, precision)["pmf_config_t"])[0]  # type: ignore[no-any-return]
 
 
 def shape_of(config: Structured) -> KernelSizes:
-    """The sizes and parts that a configuration needs."""
+    """Return the sizes and parts of the kernel that a configuration needs."""
     constants, network = constants_of(None), config["network"]
     linear, shapes = config["linear"], config["auxiliary"]["shapes"]
     recursions = recursions_of(config)
@@ -53,7 +53,7 @@ def shape_of(config: Structured) -> KernelSizes:
         max_order=int(linear["n"]) if linear["enabled"] else 1,
         max_shapes=int(shapes["n"]),
         max_knots=knots_of(shapes),
-        max_rates=max(1, 4 * -(-int(network["n_rates"]) // 4)),  # four at once
+        max_rates=max(1, 4 * -(-int(network["n_rates"]) // 4)),  # the kernel computes four rules at once
         window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
         max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
         with_dead_time=int(config["late"]["room"] > 0),
@@ -77,43 +77,42 @@ def shape_of(config: Structured) -> KernelSizes:
 
 
 def place_matters(shapes: Structured) -> bool:
-    """Does one of them depend on the position?"""
+    """Return whether any shape depends on the position."""
     return bool(np.any(shapes["shape"]["of"][: int(shapes["n"])] >= constants_of(None)["PMF_OF_PLACE"]))
 
 
 def knots_of(shapes: Structured) -> int:
-    """Knots in the tables of a `pmf_shapes_config_t`."""
+    """Return the number of knots in the tables of a `pmf_shapes_config_t`."""
     used = shapes["shape"][: int(shapes["n"])]
     return int(max(used["first"] + used["intervals"] + 1, default=0))
 
 
 def recursions_of(config: Structured) -> list[Structured]:
-    """The recursions that a configuration uses."""
+    """Return the recursions that a configuration uses."""
     two = config["auxiliary"]["enabled"] or config["linear"]["enabled"]
     return [config["direct"], config["instrument"]] if two else [config["direct"]]
 
 
 def long_memory(recursion: Structured) -> bool:
-    """Whether a recursion of float32 forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
+    """Return whether a float32 recursion forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
     return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
 
 
 def columns_of(config: Structured) -> int:
-    """Number of columns: the network's, then regressors, target and instruments of a linear process's model."""
+    """Return the number of columns in the network and in the model of a linear process."""
     n, linear = int(config["network"]["n_columns"]), config["linear"]
     return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
 
 
 def split_signals(turns: bool) -> list[int]:
-    """Nodes of the signals beyond input, velocity and direction, which only some models and methods use; turns: that of
-    reversals inside an interval is no such signal."""
+    """Return the nodes that only some models and methods use. With `turns` the node of reversals is not among them."""
     constants = constants_of(None)
     nodes = range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
     return [node for node in nodes if not (turns and node == constants["PMF_TURN"])]
 
 
 def tight_state(kernel: Kernel, precision: str, shape: KernelSizes, *, kept: bool = False) -> Structured:
-    """The kernel's state as firmware with its configuration has it; shape: of the configuration; kept: as saved."""
+    """Return the state in the layout of firmware with sizes `shape`; `kept` selects the form that is saved."""
     own = np.frombuffer(kernel.raw_state(kept), structures(None, precision)["pmf_state_t"])[0]
     state = resize_structure(own, structures(shape, precision)["pmf_state_t"])
     if not shape.with_split:
@@ -123,7 +122,7 @@ def tight_state(kernel: Kernel, precision: str, shape: KernelSizes, *, kept: boo
 
 
 def save_state(kernel: Kernel, precision: str) -> bytes:
-    """The bytes of the `pmf_saved_t` that firmware with the kernel's configuration would write."""
+    """Return the bytes of the `pmf_saved_t` that firmware with the kernel's configuration would write."""
     config = configuration(kernel, precision)
     shape = shape_of(config)
     types = structures(shape, precision)
@@ -134,8 +133,7 @@ def save_state(kernel: Kernel, precision: str) -> bytes:
 
 
 def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
-    """Restores the state of the kernel from bytes that `save_state` or firmware wrote. Raises UsageError for anything
-    else."""
+    """Restore the kernel's state from bytes of `save_state` or firmware. Raises UsageError for other bytes."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     config = configuration(kernel, precision)
@@ -155,7 +153,7 @@ def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
 
 
 def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
-    """Gives a kernel at its start what another one of the same encoder has learned of the motion."""
+    """Copy the learned limits of the motion from `other` to a kernel at its start. Both have the same encoder."""
     own, known = (
         np.frombuffer(one.raw_state(), structures(None, precision)["pmf_state_t"]).copy() for one in (kernel, other)
     )
@@ -163,15 +161,15 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
     kernel.set_raw_state(own.tobytes())
 
 
-#: What stands before the states of a fleet; checksum: CRC-32 of the words before it and the states.
+#: Envelope of a fleet's states. The checksum is the CRC-32 of the preceding words and the states.
 FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
-FLEET_MAGIC = 0x46464D50  # "PMFF"
-#: The version before the present one, whose states have also what each step computes again.
+FLEET_MAGIC = 0x46464D50  # the bytes "PMFF"
+#: The preceding version, whose states also contain values that each step computes again.
 OLDER = 2
 
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
-    """The bytes of all axes of a `ManyKernel`, after an envelope that identifies their configuration."""
+    """Return the states of all axes of a `ManyKernel`, after an envelope that identifies their configuration."""
     head = fleet_head(kernel, precision)
     states: bytes = kernel.states.tobytes()
     head["checksum"] = zlib.crc32(states, zlib.crc32(head.tobytes()[:-4]))
@@ -179,7 +177,7 @@ def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
 
 
 def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
-    """Sets the states of a `ManyKernel` to what `save_fleet` wrote. Raises UsageError for anything else."""
+    """Restore the states of a `ManyKernel` from bytes of `save_fleet`. Raises UsageError for other bytes."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
     data, place = bytes(data), FLEET_HEAD.itemsize
@@ -201,7 +199,7 @@ def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
 
 
 def fleet_head(kernel: ManyKernel, precision: str) -> Structured:
-    """What says whose the states of a `ManyKernel` are, still without the checksum."""
+    """Return the envelope of a fleet's states without the checksum."""
     head = np.zeros((), FLEET_HEAD)
     head["magic"], head["version"] = FLEET_MAGIC, kernel.packing
     head["layout"] = layout_number(structures(None, precision)["pmf_state_t"])
@@ -230,7 +228,7 @@ _FOREIGN = (
 
 
 def _envelope(config: Structured, shape: KernelSizes, precision: str) -> Structured:
-    """A `pmf_saved_t` of a configuration, still without state and checksum."""
+    """Return a `pmf_saved_t` that identifies the configuration, without state and checksum."""
     types, constants = structures(shape, precision), constants_of(shape)
     saved = np.zeros((), types["pmf_saved_t"])
     saved["magic"], saved["version"] = constants["PMF_STATE_MAGIC"], constants["PMF_STATE_VERSION"]

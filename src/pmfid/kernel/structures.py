@@ -1,6 +1,7 @@
-"""The structures of the kernel as NumPy types, read from csrc/pmf.h, so that Python and firmware share their bytes.
+"""The structures of the kernel as NumPy types, read from csrc/pmf.h. Python and firmware thus share their bytes.
 
-The module's structures have room for every configuration; an export and a saved state have room for one alone.
+The structures of the Python module have room for every configuration. Those of an export or a saved state have room
+for one configuration.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 
-#: Division as C does it for positive numbers.
+#: C divides positive integers in the same way.
 _OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -32,18 +33,18 @@ _OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
 }
 
 Structures = dict[str, np.dtype[np.void]]
-#: One structure, or a part of it, as NumPy sees it.
+#: A structure, or a part of one, as NumPy represents it.
 Structured = NDArray[np.void]
-#: Name, type and dimensions of a member.
+#: Name, type and dimensions of a field.
 Field = tuple[str, np.dtype[np.generic], tuple[int, ...]]
 
-#: What firmware includes, and what the kernel's sources share beyond it; all structures are in the first.
+#: Firmware includes the first header, which has all structures. The kernel's sources share the second.
 HEADERS = ("pmf.h", "pmf_internal.h")
 
 
 @dataclass(frozen=True)
 class KernelSizes:
-    """What a configuration needs of the kernel; the names are those in pmf_sizes.h, see `macros`."""
+    """The sizes and parts of the kernel that a configuration needs, named as in pmf_sizes.h."""
 
     max_stages: int
     max_taps: int
@@ -70,12 +71,12 @@ class KernelSizes:
     with_steps: int
 
     def macros(self) -> dict[str, int]:
-        """Name in pmf_sizes.h -> value."""
+        """The macros of pmf_sizes.h with their values."""
         return {f"PMF_{name.upper()}": value for name, value in vars(self).items()}
 
 
 def source_folder() -> Path:
-    """Folder of the kernel's sources: in the package, or in the checkout that it is installed from."""
+    """Return the folder of the kernel's sources, in the package or the checkout. Raises UsageError if it is missing."""
     import pmfid
 
     places = [Path(__file__).parents[3] / "csrc", *(Path(path) / "csrc" for path in pmfid.__path__)]
@@ -87,14 +88,14 @@ def source_folder() -> Path:
 
 @cache
 def header(name: str) -> str:
-    """A header of the kernel without comments."""
+    """Return a header of the kernel without its comments."""
     text = (source_folder() / name).read_text(encoding="ascii")
     return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
 
 
 @cache
 def structures(shape: KernelSizes | None, precision: str) -> Structures:
-    """Structure's name -> type, laid out as C does it. shape: None: the module's own sizes."""
+    """Return the NumPy type of each structure, in the layout of C. Without `shape` the module's sizes apply."""
     constants = constants_of(shape)
     whole, integer, real = (np.dtype(name) for name in ("<u4", "<i4", "<f4" if precision == "float32" else "<f8"))
     types: Structures = {"uint32_t": whole, "whole_t": whole, "int32_t": integer, "integer_t": integer}
@@ -105,9 +106,10 @@ def structures(shape: KernelSizes | None, precision: str) -> Structures:
 
 
 def value(text: str, constants: Mapping[str, int]) -> int:
-    """The integer that a constant expression of C stands for: whole numbers, names of `constants`, + - * / | ( ) and >.
+    """Return the value of a constant expression of C. The header is parsed, never executed.
 
-    Raises ValueError for anything else: the header is read, never run.
+    The expression consists of integers, names in `constants` and the signs + - * / | ( ) and >. Raises ValueError for
+    any other text.
     """
     plain = re.sub(r"\b(0x[0-9a-fA-F]+|\d+)[uU]\b", r"\1", " ".join(text.split()))
     try:
@@ -133,11 +135,11 @@ def _value(node: ast.AST, constants: Mapping[str, int]) -> int:
 
 @cache
 def constants_of(shape: KernelSizes | None) -> dict[str, int]:
-    """Integers that pmf_sizes.h and `HEADERS` name. shape: None: of the module."""
+    """Return the integers that pmf_sizes.h and `HEADERS` define. Without `shape` the sizes are those of the module."""
     constants = {} if shape is None else shape.macros()
     for text in map(header, ("pmf_sizes.h", *HEADERS)):
         for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
-            with suppress(ValueError):  # not an integer: a macro of the arithmetic
+            with suppress(ValueError):  # a macro of the arithmetic is not an integer
                 constants.setdefault(name, value(expression, constants))
         for body in re.findall(r"\benum \{(.*?)\}", text, re.DOTALL):
             following = 0
@@ -149,7 +151,7 @@ def constants_of(shape: KernelSizes | None) -> dict[str, int]:
 
 
 def _choose_lines(body: str, constants: Mapping[str, int]) -> str:
-    """The lines that the preprocessor leaves of a structure."""
+    """Return the lines of a structure that the C preprocessor keeps."""
     kept, conditions = [], [True]
     for line in body.splitlines():
         directive = line.strip()
@@ -175,14 +177,14 @@ def _fields(body: str, types: Structures, constants: Mapping[str, int]) -> list[
 
 
 def resize_structure(source: Structured, dtype: np.dtype[np.void]) -> Structured:
-    """A structure with the same values in a layout with other sizes, zeros where there was nothing."""
+    """Return the structure in a layout of other sizes. New elements are zero."""
     target = np.zeros((), dtype)
     copy_fields(source, target)
     return target
 
 
 def copy_fields(source: Structured, target: Structured) -> None:
-    """Copies what two records of structures have in common: fields of the same name, of arrays the first elements."""
+    """Copy the fields that two structures share. Of arrays that differ in size, the common elements are copied."""
     for name in set(source.dtype.names or ()) & set(target.dtype.names or ()):
         one, other = source[name], target[name]
         if one.dtype.names and one.ndim == 0:
@@ -197,7 +199,7 @@ def copy_fields(source: Structured, target: Structured) -> None:
 
 @cache
 def whole_words(precision: str) -> bytes:
-    """A flag for every four bytes of the module's state: 1 if they are a whole number, else 0."""
+    """Return a flag for every four bytes of the module's state, 1 for an integer and 0 for a scalar."""
     state = structures(None, precision)["pmf_state_t"]
     words = np.zeros(state.itemsize // 4, np.uint8)
     words[[place // 4 for place in _whole_places(state, 0)]] = 1
@@ -216,7 +218,7 @@ def _whole_places(dtype: np.dtype[np.generic], start: int) -> Iterator[int]:
 
 
 def layout_number(dtype: np.dtype[np.void]) -> int:
-    """CRC-32 of names, types and places of all fields, the number PMF_LAYOUT of an export."""
+    """Return the CRC-32 of the names, types and offsets of all fields, which an export calls PMF_LAYOUT."""
     return zlib.crc32("\n".join(_places(dtype, "")).encode())
 
 

@@ -1,4 +1,4 @@
-"""Cases: plants, records and tolerances."""
+"""Records on which the checks run estimators, and helpers of the checks."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True)
 class ContractRecord:
-    """A record and its parameters. u, counts: (n,); theta: (p,), None if it is not known."""
+    """A record u, counts (n,) and its true parameters theta (p,), which are None if unknown."""
 
     u: Floats
     counts: Counts
@@ -48,14 +48,14 @@ class ContractRecord:
 
 
 def wrap_record(u: Floats, counts: Counts) -> ContractRecord:
-    """A record of the user."""
+    """Return the caller's record as a `ContractRecord`."""
     return ContractRecord(_freeze(u), _freeze(counts), None)
 
 
 def plant_for(estimator: Estimator, per_sample: float, seed: int) -> ContractRecord:
-    """A record of the estimator's model; per_sample: counts that a drive moves in a sample, by the order of size.
+    """Simulate a record of the estimator's model. A drive moves about `per_sample` counts in a sample.
 
-    Raises UsageError if nothing simulates the equation.
+    Raises UsageError if the model cannot be simulated.
     """
     seen = min(per_sample, _most(estimator.encoder, estimator.dt))
     return _plant(RecordSetting(estimator.model, estimator.encoder, estimator.dt, estimator.cutoff, seen), seed)
@@ -66,7 +66,7 @@ def _plant(setting: RecordSetting, seed: int) -> ContractRecord:
     model, rng = setting.model, np.random.default_rng(seed)
     if isinstance(model, TransferFunction):
         return _process(setting, model, rng)
-    # at which speeds and places a form bends is its own matter: a made-up motion may not come there
+    # A shaped force may bend at speeds and places that a simulated motion does not reach.
     missing = model.equation.without_simulation or ("its forces of a given form" if model.equation.shaped else "")
     if missing:
         raise UsageError(f"no record can be simulated: {missing}; give check_estimator a record (u, counts)")
@@ -75,7 +75,7 @@ def _plant(setting: RecordSetting, seed: int) -> ContractRecord:
 
 @dataclass(frozen=True)
 class RecordSetting:
-    """Data from which a record is made; per_sample: counts."""
+    """The settings of a simulated record; `per_sample` is the motion of a drive in a sample [counts]."""
 
     model: Model
     encoder: Encoder
@@ -85,20 +85,19 @@ class RecordSetting:
 
 
 def _most(encoder: Encoder, dt: float) -> float:
-    """Counts in a sample: a quarter of what the encoder allows, and a part of its range."""
+    """Return a quarter of the encoder's greatest speed [counts per sample], at most a sixteenth of its range."""
     speed = math.inf if encoder.max_speed is None else 0.25 * encoder.max_speed * dt / encoder.resolution
     return min(speed, 2.0 ** (encoder.bits - 4))
 
 
 def _freeze(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """A read-only copy, which several cases share."""
     copy = array.copy()
     copy.setflags(write=False)
     return copy
 
 
 def _input(setting: RecordSetting, hold: float, rng: np.random.Generator) -> Floats:
-    """Random steps of four sizes, each for `hold` time constants of the filters."""
+    """Return random input steps of four sizes, each held for `hold` time constants of the filters."""
     samples = max(1, round(hold / (setting.cutoff * setting.dt)))
     changes = max(TUNING.case_changes, -(-TUNING.case_samples // samples))
     return rng.choice([-1.0, -0.6, 0.6, 1.0], changes).repeat(samples)
@@ -110,7 +109,7 @@ def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
     equation, cutoff = setting.model.equation, setting.cutoff
     resolution, dt, force = setting.encoder.resolution, setting.dt, abs(equation.input_gain)
     u = _input(setting, TUNING.drive_hold, rng)
-    viscous = force * dt / (setting.per_sample * resolution)  # at the steady speed: per_sample counts in a sample
+    viscous = force * dt / (setting.per_sample * resolution)  # the steady speed is per_sample counts in a sample
     mass = viscous * TUNING.drive_time / cutoff
     roles = np.zeros(len(equation.roles))
     roles[MASS], roles[OFFSET] = mass, TUNING.case_load * force
@@ -118,7 +117,7 @@ def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
         viscous,
         TUNING.case_coulomb * force,
     )
-    if equation.symmetric is not equation:  # what the two directions share is a friction and a constant load
+    if equation.symmetric is not equation:  # otherwise the directions share friction and load
         roles[COULOMB_BACKWARD] *= TUNING.case_backward
         roles[OFFSET] = 0.0
     roles[STIFFNESS] = mass * (TUNING.case_spring * cutoff) ** 2
@@ -152,7 +151,7 @@ def _process(setting: RecordSetting, model: TransferFunction, rng: np.random.Gen
 
 
 def _denominator(model: TransferFunction, cutoff: float) -> Floats:
-    """Descending powers; poles in damped pairs, and those at zero."""
+    """Return the coefficients in descending powers, with damped pairs of poles and poles at zero."""
     left = model.n - model.integrators
     coefficients: Floats = np.ones(1)
     for part in TUNING.case_frequencies:
@@ -164,7 +163,7 @@ def _denominator(model: TransferFunction, cutoff: float) -> Floats:
 
 
 def _respond(numerator: Floats, denominator: Floats, u: Floats, dt: float, late: float) -> Floats:
-    """Output (n,) from rest under a held input that comes `late` samples late, exact at the samples."""
+    """Return the exact output (n,) from rest under a held input that arrives `late` samples late."""
     n, whole, part = denominator.size - 1, int(late), late - int(late)
     b = np.r_[numerator[::-1], np.zeros(n + 1 - numerator.size)]
     C = b[:n] - b[n] * denominator[:0:-1]
@@ -183,7 +182,7 @@ T = TypeVar("T")
 
 
 class Again(Protocol):
-    """A way to copy an object."""
+    """A function that copies an object."""
 
     def __call__(self, one: T, /) -> T: ...
 
@@ -196,9 +195,9 @@ COPIES: Mapping[str, Again] = {
 
 
 class ContractError(PmfidError, AssertionError):
-    """Raised if an estimator breaks the contract; names the check and what was found.
+    """The error of an estimator that breaks the contract. Its message names the check and the finding.
 
-    It is an AssertionError, too.
+    The class is also an AssertionError.
 
     Examples
     --------
@@ -230,14 +229,17 @@ class OnLine(Protocol):
 
 @dataclass(frozen=True)
 class Case:
-    """estimator: at any point of its run, for its configuration is checked. record: (u, counts), None: simulated."""
+    """An estimator under test with its records. The estimator may have run, because only its configuration is checked.
+
+    `record` is (u, counts). Without it the record is simulated.
+    """
 
     estimator: Estimator
     record: tuple[ArrayLike, ArrayLike] | None = None
 
     @cached_property
     def configured(self) -> Estimator:
-        """The estimator at its start; without parameters to start from, which are those of the user's own plant."""
+        """The estimator at its start. On a simulated record the caller's start values are removed."""
         foreign = self.record is None and "initial" in configuration_of(self.estimator)
         return change_arguments(self.estimator, {"initial": None} if foreign else {})
 
@@ -252,7 +254,7 @@ class Case:
 
     @cached_property
     def coarse(self) -> ContractRecord:
-        """One with few counts in a sample; of another plant, in the encoder's view slower."""
+        """A record of a slower plant, with few counts in a sample."""
         return plant_for(self.configured, TUNING.case_coarse, 2) if self.record is None else self.fine
 
     @cached_property
@@ -262,7 +264,7 @@ class Case:
 
     @cached_property
     def short_result(self) -> Fit | Track:
-        """The result on the first part of the fine record, if the bits alone matter."""
+        """The result on the first part of the fine record, for checks that compare bits."""
         return result_of(self.configured, *self.short)
 
     @property
@@ -276,17 +278,17 @@ class Case:
 
     @property
     def endless(self) -> Estimator:
-        """The estimator at its start, without forgetting, where it has any."""
+        """The estimator at its start, without forgetting."""
         taken, endless = configuration_of(self.configured), {"forgetting": 1.0, "forgetting_of": None}
         return change_arguments(self.configured, {name: value for name, value in endless.items() if name in taken})
 
     @property
     def theta(self) -> Floats:
-        """(p,) on the fine record."""
+        """The estimated parameters (p,) on the fine record."""
         return last(self.result.theta)
 
     def start_estimator(self) -> OnLine:
-        """The estimator at its start, to run. Raises UsageError if it does not run sample by sample."""
+        """Return the estimator at its start, ready to run. Raises UsageError if it does not run sample by sample."""
         fresh = replace(self.configured)
         if not isinstance(fresh, OnLine):
             raise UsageError(f"{name_of(fresh)} does not run sample by sample")
@@ -294,12 +296,12 @@ class Case:
 
 
 def result_of(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Fit | Track:
-    """The result of an estimator in its start state, on a copy of a record."""
+    """Run an estimator from its start on a copy of a record, and return the result."""
     return call(estimator, copy.deepcopy(u), copy.deepcopy(counts))
 
 
 def call(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Fit | Track:
-    """The same with the arrays themselves."""
+    """Run an estimator from its start on the arrays themselves, and return the result."""
     fresh = replace(estimator)
     if isinstance(fresh, OffLine):
         return fresh.fit(u, counts)
@@ -309,7 +311,7 @@ def call(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Fit | Track:
 
 
 def last(rows: Floats) -> Floats:
-    """The last row of (n, p), or (p,) itself."""
+    """Return the last row of (n, p), or a vector (p,) itself."""
     return np.asarray(np.atleast_2d(rows)[-1])
 
 
@@ -318,13 +320,13 @@ def name_of(estimator: Estimator) -> str:
 
 
 def require(holds: bool, found: str) -> None:
-    """Raises ContractError, saying what was found instead."""
+    """Raise ContractError with the finding unless the condition holds."""
     if not holds:
         raise ContractError(found)
 
 
 def require_refusal(error: type[Exception], what: str, call: Callable[[], object]) -> None:
-    """Raises ContractError unless the call raises just that."""
+    """Raise ContractError unless the call raises the given error."""
     try:
         call()
     except error:

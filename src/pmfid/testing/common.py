@@ -1,4 +1,4 @@
-"""What every estimator owes, whether it takes whole records or runs."""
+"""Checks of all estimators, off-line and on-line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pmfid.types import Floats
 
 
 def configuration_is_a_value(case: Case) -> None:
-    """Frozen; equal to another of the same arguments, with the same hash, and to no other."""
+    """Check that a configuration is frozen, and equals (with its hash) only one with the same arguments."""
     estimator, same = case.configured, replace(case.configured)
     require_refusal(FrozenInstanceError, "a new value of dt", lambda: setattr(estimator, "dt", 1.0))
     require(estimator == same, "two of the same configuration are not equal")
@@ -33,7 +33,7 @@ def configuration_is_a_value(case: Case) -> None:
 
 
 def wrong_arguments_are_refused(case: Case) -> None:
-    """Impossible configurations are refused at construction, with a UsageError."""
+    """Check that the constructor refuses impossible configurations with a UsageError."""
     wrong: dict[str, tuple[object, ...]] = {
         "dt": (0.0, float("nan")),
         "cutoff": (-1.0, 2.1 / case.estimator.dt),
@@ -50,14 +50,14 @@ def wrong_arguments_are_refused(case: Case) -> None:
 
 
 def wrong_arrays_are_refused(case: Case) -> None:
-    """Two lengths, and counts that are no whole numbers, are refused with a UsageError."""
+    """Check that arrays of different lengths and fractional counts are refused with a UsageError."""
     u, counts = case.fine.u, case.fine.counts
     require_refusal(UsageError, "a count less than inputs", lambda: result_of(case.configured, u, counts[:-1]))
     require_refusal(UsageError, "counts of 0.5", lambda: result_of(case.configured, u, counts + 0.5))
 
 
 def names_are_of_the_parameters(case: Case) -> None:
-    """The names are as many as parameters and units, and all differ; a result is asked by them."""
+    """Check that each parameter has a unit and a name of its own, and that names index a result."""
     names, result = case.configured.names, case.result
     require(len(set(names)) == len(names), f"names are twice in {names}")
     require(len(names) == len(case.configured.units) == case.theta.size, "there are not as many names as parameters")
@@ -68,7 +68,7 @@ def names_are_of_the_parameters(case: Case) -> None:
 
 
 def inputs_stay_untouched(case: Case) -> None:
-    """u and counts are only read; lists and other integers give the same bits, and so does the next time."""
+    """Check that u and counts are only read. Lists and a repeated call give the same bits."""
     u, counts = (part.copy() for part in case.short)
     again = call(case.configured, u, counts)
     require(bool(np.all(u == case.short[0]) and np.all(counts == case.short[1])), "the arrays have changed")
@@ -79,7 +79,7 @@ def inputs_stay_untouched(case: Case) -> None:
 
 
 def finds_the_truth(case: Case) -> None:
-    """The estimator finds the truth on a fine record of its own model."""
+    """Check that the estimator finds the true parameters on a fine record of its own model."""
     if case.fine.theta is None:
         return
     known = case.fine.theta != 0
@@ -89,8 +89,7 @@ def finds_the_truth(case: Case) -> None:
 
 
 def more_data_make_shorter_error_bars(case: Case) -> None:
-    """Standard errors without forgetting and with few counts in a sample: the whole record's are below those of its
-    first third."""
+    """Check that the whole coarse record gives smaller standard errors than its first third, without forgetting."""
     u, counts = case.coarse.u, case.coarse.counts
     few, long = u.size // 3, last(case.coarse_result.theta_std)
     short = last(result_of(case.endless, u[:few], counts[:few]).theta_std)
@@ -99,13 +98,13 @@ def more_data_make_shorter_error_bars(case: Case) -> None:
 
 
 def mirrors(case: Case) -> None:
-    """Input and counts with the other sign: forward and backward change places, loads their sign."""
+    """Check that the reversed signs of input and counts exchange the directions and reverse the loads."""
     result = result_of(case.configured, -case.fine.u, -case.fine.counts)
     _require_near(last(result.theta), _mirror_theta(case.configured, case.theta), case.theta, TUNING.common_mirrored)
 
 
 def scales_with_the_units(case: Case) -> None:
-    """Position in a thousandth of its unit, forces as well: what does not depend on it stays, the rest goes with it."""
+    """Check that the parameters scale with the units if position and force are given in thousandths of their units."""
     configured, factors = case.configured, _factors(case.configured)
     changes: dict[str, object] = {
         "encoder": _scale_encoder(configured.encoder),
@@ -133,14 +132,14 @@ def _mirror_theta(estimator: Estimator, theta: Floats) -> Floats:
 
 
 def _factors(estimator: Estimator) -> Floats:
-    """The factors by which parameters grow when position and force have a thousandth of their unit."""
+    """Return the factors by which parameters grow when position and force are given in thousandths of their units."""
     return _each(
         estimator, lambda term: 1.0 if term.facts.measured or term.signal == "input" else TUNING.common_thousand
     )
 
 
 def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
-    """The value of each parameter's term; 1 for the coefficients of a pre-filter and a dead time."""
+    """Return the value of each parameter's term, and 1 for pre-filter coefficients and a dead time."""
     factors = [factor(term) for term in estimator.equation.unknown]
     return np.array(factors + [1.0] * (len(estimator.names) - len(factors)))
 
@@ -151,7 +150,7 @@ def _scale_encoder(encoder: Encoder) -> Encoder:
 
 
 def _scale_forces(model: object) -> object:
-    if isinstance(model, TransferFunction):  # its gains take it up
+    if isinstance(model, TransferFunction):  # the estimated gains contain the scale
         return model
     if isinstance(model, Drive):
         return replace(model, input_gain=TUNING.common_thousand * model.equation.input_gain)

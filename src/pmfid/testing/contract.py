@@ -33,7 +33,7 @@ from pmfid.types import Counts, Floats
 
 
 def copies_fit_alike(case: Case) -> None:
-    """Copies fit alike, also a copy of an estimator that has been at work."""
+    """Check that all copies of an estimator give the same bits, also if the estimator has run."""
     worker, expected = case.configured, case.short_result.theta
     for name, again in COPIES.items():
         found = result_of(again(worker), *case.short).theta
@@ -41,14 +41,14 @@ def copies_fit_alike(case: Case) -> None:
 
 
 def rest_is_not_identifiable(case: Case) -> None:
-    """An output that does not move says nothing: NotIdentifiableError, not numbers."""
+    """Check that an output at rest raises NotIdentifiableError."""
     n = case.fine.u.size
     still = np.zeros(n, np.int64)
     require_refusal(NotIdentifiableError, "a record at rest", lambda: result_of(case.configured, np.ones(n), still))
 
 
 def covariance_is_one(case: Case) -> None:
-    """Symmetric and positive definite; the residual is smaller than the target."""
+    """Check that the covariance is symmetric and positive definite, and the residual smaller than the target."""
     fit = case.coarse_result
     if not isinstance(fit, Fit):
         raise ContractError(f"fit gives a {type(fit).__name__}, not a Fit")
@@ -62,7 +62,7 @@ HOSTILE = (0.0, 3.0, -3.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40)
 
 
 def copies_go_on_alone(case: Case) -> None:
-    """After some samples: the copy goes on with the same bits, and the original does not move meanwhile."""
+    """Check that a copy of a running estimator continues with the same bits, and that the original stays."""
     u, counts = _later(case)
     for name, again in COPIES.items():
         estimator = _run_some(case)
@@ -73,14 +73,14 @@ def copies_go_on_alone(case: Case) -> None:
 
 
 def equality_is_of_the_configuration(case: Case) -> None:
-    """Not of the samples, so that a running estimator can be a key."""
+    """Check that samples change neither the equality nor the hash, so that a running estimator can be a key."""
     begun: object = _run_some(case)
     require(begun == case.configured, "samples make it another configuration")
     require(hash(begun) == hash(case.configured), "samples change the hash")
 
 
 def parts_are_the_whole(case: Case) -> None:
-    """A run in parts, the second of it by steps and from a saved state, has the bits of the whole run."""
+    """Check that a run in two parts has the bits of the whole run. The second part starts from a saved state."""
     u, counts = _later(case)
     whole = case.start_estimator().run(
         case.fine.u[: TUNING.contract_before + TUNING.contract_after],
@@ -103,8 +103,7 @@ def reset_is_a_start(case: Case) -> None:
 
 
 def a_foreign_state_is_refused(case: Case) -> None:
-    """A foreign state is refused with a UsageError, and without a trace: one of another configuration, a damaged one,
-    and no state at all."""
+    """Check that a foreign, damaged or empty state is refused with a UsageError and leaves no trace."""
     estimator = _run_some(case)
     before = estimator.get_state()
     other = Case(replace(case.configured, dt=TUNING.other_dt * case.configured.dt)).start_estimator()
@@ -119,7 +118,7 @@ def counts_are_integers(case: Case) -> None:
 
 
 def rest_says_poor_excitation(case: Case) -> None:
-    """No input and no motion: finite numbers, and the status says that nothing is learned."""
+    """Check that an axis at rest gives finite numbers and a status that reports no information."""
     n = 2 * case.fine.u.size // 3
     track = case.start_estimator().run(np.zeros(n), np.zeros(n, np.int64))
     require(bool(np.all(np.isfinite(track.theta))), "theta is not finite at rest")
@@ -128,7 +127,7 @@ def rest_says_poor_excitation(case: Case) -> None:
 
 
 def anything_leaves_numbers(case: Case) -> None:
-    """Inputs of any size, also none, and counts that jump: theta stays finite, and no error bar is NaN."""
+    """Check that extreme inputs, NaN and jumping counts leave theta finite and no standard error NaN."""
     rng = np.random.default_rng(9)
     u = rng.choice(HOSTILE, TUNING.hostile_samples)
     track = case.start_estimator().run(u, rng.integers(-(2**31), 2**31, TUNING.hostile_samples))
@@ -149,7 +148,7 @@ def precisions_agree(case: Case) -> None:
 
 
 def the_kernels_own(case: Case) -> None:
-    """What stands on the kernel: the public class of an estimate, runners that share nothing, axes side by side."""
+    """Check the class of a kernel estimator's estimate, its independent runners, and its axes side by side."""
     estimator = _run_some(case)
     if not isinstance(estimator, RecursiveEstimator):
         return
@@ -163,20 +162,20 @@ def the_kernels_own(case: Case) -> None:
 
 
 def _run_some(case: Case) -> OnLine:
-    """The estimator after contract_before samples."""
+    """Return the estimator after `contract_before` samples."""
     estimator = case.start_estimator()
     estimator.run(case.fine.u[: TUNING.contract_before], case.fine.counts[: TUNING.contract_before])
     return estimator
 
 
 def _later(case: Case) -> tuple[Floats, Counts]:
-    """The samples after those."""
+    """Return the samples that follow the first `contract_before`."""
     part = slice(TUNING.contract_before, TUNING.contract_before + TUNING.contract_after)
     return case.fine.u[part], case.fine.counts[part]
 
 
 def _bits(estimator: OnLine, u: Floats, counts: Counts) -> bytes:
-    """What the samples (n,) make of it, and its state after them."""
+    """Return the bits of the results of a run, and of the state after the run."""
     track = estimator.run(u, counts)
     return b"".join((track.theta.tobytes(), track.theta_std.tobytes(), track.status.tobytes(), estimator.get_state()))
 
@@ -219,22 +218,22 @@ def checks_of(
 ) -> list[tuple[str, Callable[[], None]]]:
     """Return the checks of an estimator, each with its name.
 
-    The checks share what they compute.
+    The checks share their intermediate results.
 
     Parameters
     ----------
     estimator, record
-        As of `check_estimator`.
+        The arguments of `check_estimator`.
 
     Returns
     -------
     list of tuple
-        (name, check) pairs; a check takes no argument and raises `ContractError`.
+        Pairs (name, check). A check takes no argument and raises `ContractError`.
 
     Raises
     ------
     UsageError
-        As `check_estimator`.
+        The cases of `check_estimator`.
 
     Examples
     --------
@@ -260,32 +259,32 @@ def check_estimator(estimator: Estimator, record: tuple[ArrayLike, ArrayLike] | 
     Parameters
     ----------
     estimator
-        Estimator of any configuration, also one that has run; it stays as it is.
+        An estimator with any configuration. It may have run, and does not change.
     record
-        u and counts, (n,) each with n >= 1400, in place of a simulated record. The truth is then unknown, and not
-        compared.
+        Arrays u and counts (n,), n >= 1400, in place of a simulated record. The true parameters are then unknown and
+        not compared.
 
     Raises
     ------
     ContractError
-        For the first check that fails, with its name and what was found. It is an AssertionError.
+        If a check fails. The message names the first failed check and the finding. The error is an AssertionError.
     UsageError
-        For an object that is no estimator, and without a record for an equation that cannot be simulated.
+        If the object is no estimator, or if the equation cannot be simulated and no record is given.
 
     Notes
     -----
-    For every method:
+    The contract of all estimators:
 
-    - The configuration is a value (frozen, `==`, `hash`). Errors in it are refused at construction with a UsageError.
-    - Arrays are only read, in any form.
+    - The configuration is a value (frozen, `==`, `hash`). The constructor refuses errors with a UsageError.
+    - Arrays and lists are only read.
     - Copies by `copy.copy`, `copy.deepcopy` and `pickle` give the same bits and share nothing.
     - Parameters have names and units.
-    - On a record of its own model the estimator finds the parameters within 10 %. It does the same in other units and
-      with both signs reversed. More data make smaller standard errors.
+    - On a record of its own model the estimator finds the parameters within 10 %. Other units and reversed signs give
+      the same accuracy. More data give smaller standard errors.
 
-    Over whole records: rest is not identifiable, and the covariance is one. Sample by sample: a run in parts, by steps
-    or from a saved state has the bits of the whole. Foreign states are refused. Rest and hostile input leave finite
-    numbers and a status. float32 is near float64.
+    An estimator over whole records refuses rest as not identifiable, and its covariance is positive definite. For an
+    estimator that runs sample by sample, steps, parts and saved states give the bits of one run. Foreign states are
+    refused. Rest and hostile input leave finite numbers and a status. Results in float32 are close to those in float64.
 
     Examples
     --------
