@@ -25,10 +25,8 @@ from pmfid.types import Counts, Floats
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """The last edge of each sample.
-
-    `instants` (m,) are times since the first sample [s], and `lines` (m,) are positions in counts.
-    """
+    """The last edge of each sample. `instants` (m,) are times since the first sample [s], and `lines` (m,) are
+    positions in counts."""
 
     instants: Floats
     lines: Counts
@@ -38,10 +36,8 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
     """Return the edges of `counts` (n,) at the times t (n,) [s].
 
     `ages` (n,) [s] are NaN in samples without an edge. An axis that turns between two samples may leave an edge without
-    a
-    change of the counts. The line of such an edge is unknown, and the function leaves the edge out. Raises UsageError
-    for
-    ages that do not fit the counts.
+    a change of the counts. The line of such an edge is unknown, and the function leaves the edge out. Raises UsageError
+    for ages that do not fit the counts.
     """
     given = np.asarray(ages, np.float64)
     if given.shape != counts.shape:
@@ -77,8 +73,7 @@ class EdgeDifference(Difference):
     delay, scaled to length 1. The difference excludes this effect.
 
     `margin` (m,) is the time between an edge and the nearest sample [s], and `age` (m,) the time to the next sample
-    [s].
-    `scatter` is the standard deviation of the instants [s]. `moved` counts the corrected lines.
+    [s]. `scatter` is the standard deviation of the instants [s]. `moved` counts the corrected lines.
     """
 
     at: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
@@ -117,8 +112,8 @@ class EdgeDifference(Difference):
         return np.asarray((self.y[self.at] - self.motion(q)[0][self.at]) / self.resolution)
 
     def whiten(self, left: Floats) -> Floats:
-        """Return the errors (m,) [counts] of the edges in their standard deviations, without the common error of
-        each line.
+        """Return the errors (m,) [counts] of the edges in their standard deviations, without the common error of each
+        line.
         """
         z, weight = left / self.deviation, 1 / self.deviation
         if not self.spread:
@@ -132,8 +127,7 @@ class EdgeDifference(Difference):
         """Return the difference with the variances that its edges show at q (q,).
 
         The variance of an edge is the variance of its place plus the squared velocity times the variance of its
-        instant. The
-        `spread` of the lines is the remaining scatter of the lines' mean errors.
+        instant. The `spread` of the lines is the remaining scatter of the lines' mean errors.
         """
         left, speed = self.left_at(q), self.speed(q)
         count = np.bincount(self.line)
@@ -160,9 +154,7 @@ class EdgeDifference(Difference):
         return replace(found, late=effect / np.linalg.norm(effect))
 
     def speed(self, q: Floats) -> Floats:
-        """Return the simulated velocity (m,) at the edges [counts per s] for a constant input on both sides of an
-        edge.
-        """
+        """Return the simulated velocity (m,) at the edges [counts per s] for a constant input around each edge."""
         mean, steps = self.motion(q)[1], np.broadcast_to(self.intervals, self.y.size)
         before, after = steps[self.at - 1], steps[self.at]
         found = (after * mean[self.at - 1] + before * mean[self.at]) / (before + after)
@@ -177,10 +169,8 @@ class EdgeDifference(Difference):
         """Return the difference with the lines that the motion at q (q,) passes.
 
         If an axis turns within a sample, its last edge may belong to a neighbouring line. After a lost count, all later
-        edges
-        belong to other lines. Each wrong line makes a step by a whole count from edge to edge, and no slow drift makes
-        such a
-        step. The lines repeat after `lines` counts.
+        edges belong to other lines. Each wrong line makes a step by a whole count from edge to edge, and no slow drift
+        makes such a step. The lines repeat after `lines` counts.
         """
         wrong = np.append(0.0, np.cumsum(np.rint(np.diff(self.left_at(q)))))
         wrong -= np.rint(np.median(wrong))
@@ -198,8 +188,7 @@ class EdgeDifference(Difference):
         """Return the difference without the edges whose sample depends on their lateness, at q (q,).
 
         A late instant may fall into the next sample. Edges close to a sample, and edges almost one step before a
-        sample, are
-        the last in their sample only if they are early or late.
+        sample, are the last in their sample only if they are early or late.
         """
         spacing = 1 / np.maximum(np.abs(self.speed(q)), TUNING.tiny)
         margin = np.minimum(self.margin, np.abs(spacing - self.age))
@@ -278,18 +267,15 @@ class EdgeFit(Following):
         """Return the estimate from the input u (n,), counts (n,) and ages of the last edges (n,) [s].
 
         An age is NaN if no edge occurred since the preceding sample. Raises UsageError if the arrays do not fit each
-        other,
-        and NotIdentifiableError if the record cannot identify every parameter.
+        other, and NotIdentifiableError if the record cannot identify every parameter.
         """
         if ages is None:
             raise UsageError("EdgeFit needs the age of the last edge of each sample; without ages use IntervalML")
         return self.examine(u, counts, ages)[0]
 
     def examine(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> tuple[Fit, Adequacy | None]:
-        """Return the estimate of `fit` and the adequacy of the model at the edges.
-
-        The adequacy is None if the simulated motion does not pass the edges.
-        """
+        """Return the estimate of `fit` and the adequacy of the model at the edges. The adequacy is None if the
+        simulated motion does not pass the edges."""
         known, whole = check_arrays(u, counts)
         if not np.all(np.isfinite(known)):
             raise UsageError("EdgeFit takes no gaps in u yet; cut the record at the gap")

@@ -35,9 +35,8 @@ class Facts:
     """k facts on p parameters and the input gain.
 
     `index` (k,) is the index of each fact's parameter; p stands for the gain. `value` and `std` (k,) are the facts'
-    values
-    and standard deviations. `forces` (p,) marks the parameters that scale with the gain. `free` is True for an unknown
-    gain.
+    values and standard deviations. `forces` (p,) marks the parameters that scale with the gain. `free` is True for an
+    unknown gain.
     """
 
     index: NDArray[np.intp]
@@ -53,8 +52,7 @@ class Combined:
 
     `theta` (n, p + 1) ends with the ratio of the gain to the estimate's gain, and `noise` (n, p + 1, p + 1) is its
     covariance. `moves` (n, p + 1, p) is the derivative of `theta` by the original estimate. `apart` (n, k) is the
-    distance
-    between each fact and all other information, in standard deviations.
+    distance between each fact and all other information, in standard deviations.
     """
 
     theta: Floats
@@ -87,10 +85,8 @@ class _Linear:
     """The facts, linearised at one place (a, b).
 
     `h` (n, k) are the predicted facts, with derivatives `by_a` (n, k, p) and `by_b` (n, k). The gains `gain_a` (n, p,
-    k)
-    and `gain_b` (n, k) convert errors of the facts to changes of a and b. `total` (n, k) are the variances of these
-    errors.
-    `left` (n, k) are the variances that remain after the adjustment of b.
+    k) and `gain_b` (n, k) convert errors of the facts to changes of a and b. `total` (n, k) are the variances of these
+    errors. `left` (n, k) are the variances that remain after the adjustment of b.
     """
 
     h: Floats
@@ -213,8 +209,7 @@ class Known:
         (mean, standard deviation) by name, Gaussian. A standard deviation of 0 makes the value a given one.
     find_gain : bool
         Whether the input gain is unknown. The estimator's `Drive` then has any gain of the right sign, and a known
-        force
-        determines the true gain. `input_gain` may have a prior in this case.
+        force determines the true gain. `input_gain` may have a prior in this case.
 
     Raises
     ------
@@ -286,10 +281,8 @@ class Known:
         """Return an estimate combined with the prior information.
 
         `model_spread` (p,) limits the shift of each parameter by unmodelled effects. It counts as an independent error
-        with
-        the weight of an error bar, and NaN counts as zero. Raises NotIdentifiableError if the estimate's error bars or
-        the
-        input gain are unknown.
+        with the weight of an error bar, and NaN counts as zero. Raises NotIdentifiableError if the estimate's error
+        bars or the input gain are unknown.
         """
         theta, covariance = np.asarray(found.theta), np.asarray(found.theta_cov)
         further = np.zeros(theta.size) if model_spread is None else np.nan_to_num(model_spread) ** 2
@@ -315,9 +308,7 @@ class Known:
     of = rename_method("of", "combine")
 
     def _spread(self, combined: Combined, model_spread: Floats, further: Floats) -> Floats:
-        """Return the change (q,) of the combined result by the model spread of each parameter. NaN stands for
-        unknown.
-        """
+        """Return the change (q,) of the combined result by each model spread. NaN stands for unknown."""
         spread = np.sqrt(combined.moves[0, : len(self.names)] ** 2 @ further) * np.abs(self._gain_scale)
         spread[: model_spread.size][np.isnan(model_spread)] = np.nan
         spread[[self.names.index(name) for name in self._given]] = 0.0
@@ -374,8 +365,7 @@ class Known:
         """Return a part of a track with prior information.
 
         `last` is the estimate at the end of this part. The correlations of `last` hold for the whole part. Before the
-        first
-        estimate, theta is 0 and the error bars are infinite, even for given values.
+        first estimate, theta is 0 and the error bars are infinite, even for given values.
         """
         std, (n, p) = track.theta_std, track.theta.shape
         theta, errors = np.zeros((n, len(self.names))), np.full((n, len(self.names)), np.inf)
@@ -409,10 +399,8 @@ def choose_naming(estimator: Estimator, known: Known | None) -> Estimator | Know
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Seen(Presentable):
-    """The estimate of one step, combined with prior information at the first use.
-
-    Before the first estimate, theta is 0 and the error bars are infinite.
-    """
+    """The estimate of one step, combined with prior information at the first use. Before the first estimate, theta is 0
+    and the error bars are infinite."""
 
     known: Known
     estimate: Estimate

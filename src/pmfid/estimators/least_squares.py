@@ -18,10 +18,8 @@ NO_SOLUTION = (
 
 
 def solve_with_instruments(columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return theta = (sum zeta phi^T)^-1 sum zeta z (p,) and the inverse (p, p) in this formula.
-
-    An orthogonal decomposition of the instruments avoids the square of their condition number.
-    """
+    """Return theta = (sum zeta phi^T)^-1 sum zeta z (p,) and the inverse (p, p) in this formula. An orthogonal
+    decomposition of the instruments avoids the square of their condition number."""
     scale = np.linalg.norm(columns.zeta, axis=0)
     Q, R = np.linalg.qr(columns.zeta / scale)
     inverse = inverse_of(Q.T @ columns.phi)
@@ -46,10 +44,8 @@ def solve_bounded(columns: Columns, positive: NDArray[np.bool_]) -> NDArray[np.f
 
 
 def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inverse of a matrix (p, p).
-
-    Raises NotIdentifiableError for a singular matrix or an inverse with infinite entries.
-    """
+    """Return the inverse of a matrix (p, p). Raises NotIdentifiableError for a singular matrix or an inverse with
+    infinite entries."""
     try:
         with np.errstate(all="ignore"):  # an overflow is checked below
             inverse = np.linalg.inv(matrix)
@@ -61,9 +57,7 @@ def inverse_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def long_run_covariance(scores: NDArray[np.float64], lags: int) -> NDArray[np.float64]:
-    """Return the covariance (p, p) of the sum of correlated scores (n, p), by Bartlett's window (Newey and West
-    1987).
-    """
+    """Return the covariance (p, p) of summed correlated scores (n, p) with Bartlett's window (Newey and West 1987)."""
     n = scores.shape[0]
     size = 2 ** int(np.ceil(np.log2(n + lags + 1)))
     spectrum = np.fft.rfft(scores, size, axis=0)
@@ -80,10 +74,8 @@ def parts_of_their_own(
     """Return the independent part (p,) of each column of `sensitivity` (n, p), and the pseudo-inverse (p, n).
 
     The independent part, from 0 to 1, is the part of a column that no combination of the other columns gives. It is 0
-    for
-    a column of zeros, and 0 for all columns if one overflows. The pseudo-inverse is that of the columns scaled to
-    length 1.
-    `rcond` is the argument of `numpy.linalg.pinv`.
+    for a column of zeros, and 0 for all columns if one overflows. The pseudo-inverse is that of the columns scaled to
+    length 1. `rcond` is the argument of `numpy.linalg.pinv`.
     """
     with np.errstate(over="ignore"):  # an overflow is checked below
         size = np.linalg.norm(sensitivity, axis=0)
@@ -105,8 +97,7 @@ class Level:
     """Indices of the parameters that contain the output's level.
 
     The equation of y also holds for y - first, with the constant theta[constant] - ratio * first * theta[lowest].
-    `lowest`
-    is None if no term contains the output itself; the constant is then the same.
+    `lowest` is None if no term contains the output itself; the constant is then the same.
     """
 
     constant: int
@@ -115,10 +106,8 @@ class Level:
 
 
 def level_of(equation: Equation) -> Level | None:
-    """Return the output's level in the equation, or None if the equation does not hold for y - first.
-
-    The equation does not hold for y - first if it has no unknown constant, or if it contains the plant's start.
-    """
+    """Return the output's level in the equation, or None if the equation does not hold for y - first. The equation does
+    not hold for y - first if it has no unknown constant, or if it contains the plant's start."""
     unknown = [(term.signal, term.derivative) for term in equation.unknown]
     known = {term.signal for term in equation.known}
     if ("constant", 0) not in unknown or "constant" in known or any(signal == "start" for signal, _ in unknown):

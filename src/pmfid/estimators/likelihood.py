@@ -55,8 +55,7 @@ def log_likelihood(best: Best, cutoff: float) -> float:
     """Return the log-likelihood of the counts under the better of two error models, in natural units.
 
     One error model is a noise within the counts. The other is unmodelled friction, which adds up to a random walk of
-    the
-    position. The high-pass of the random walk, at `cutoff` [rad/s], has a determinant of 1, so both likelihoods are
+    the position. The high-pass of the random walk, at `cutoff` [rad/s], has a determinant of 1, so both likelihoods are
     probabilities of the same counts.
     """
     high_passed = replace(best.difference, pole=cutoff)
@@ -68,9 +67,7 @@ def log_likelihood(best: Best, cutoff: float) -> float:
 
 
 def likeliest_of(found: Iterable[Best], cutoff: float) -> Best:
-    """Return the largest of several maxima from different starts. A maximum that explains every count ends the
-    search.
-    """
+    """Return the largest maximum from several starts. A maximum that explains every count ends the search."""
     kept = list[Best]()
     for one in found:
         kept.append(one)
@@ -83,9 +80,8 @@ def likeliest(difference: Difference, q: Floats) -> tuple[Floats, float]:
     """Return q (q,) and the noise [counts] of the largest likelihood, from the least squares q.
 
     A record with few counts has local maxima. A noise above the floor reveals a local maximum. The search then starts
-    again
-    from several points around q, with a noise that shrinks step by step, and returns the best result. The search ends
-    early if the first starts all find the same maximum.
+    again from several points around q, with a noise that shrinks step by step, and returns the best result. The search
+    ends early if the first starts all find the same maximum.
     """
     best = climb(difference, q, None)
     if (
@@ -152,12 +148,8 @@ def climb(
 
 
 def _widths(difference: Difference, q: Floats, step: Floats) -> Floats:
-    """Return the widths of the difference quotients at q (q,).
-
-    The quotients have the length and the direction of the last step (q,), because a start from rest has a different
-    effect
-    in each direction.
-    """
+    """Return the widths of the difference quotients at q (q,). The quotients have the length and the direction of the
+    last step (q,), because a start from rest has a different effect in each direction."""
     widths = np.clip(np.abs(step), TUNING.least_quotient, TUNING.likelihood_quotient)
     return np.asarray(np.where((step < 0) & (q - widths >= difference.lower), -widths, widths))
 
@@ -201,8 +193,7 @@ def top(error: Floats, jacobian: Floats, noise: float, lower: Floats | None = No
     """Return the step (q,), at least `lower`, to the largest likelihood of the linearised differences.
 
     The differences are error (n,) + jacobian (n, q) @ step [counts], and the search uses damped Newton steps. `tied` /
-    2 is
-    the cost of the summed squares of the step's effect on the differences.
+    2 is the cost of the summed squares of the step's effect on the differences.
     """
     step, damping = np.zeros(jacobian.shape[1]), TUNING.first_damping
     if step.size > TUNING.dense_columns:  # each window has its own start
@@ -228,10 +219,8 @@ def top(error: Floats, jacobian: Floats, noise: float, lower: Floats | None = No
 
 
 def _edge_cost(error: Floats, jacobian: Rows, noise: float) -> tuple[float, Floats, Floats]:
-    """Return the negative log-likelihood, gradient (q,) and curvature (q, q) of those counts whose edges are near.
-
-    The contribution of all other counts is zero in floating point.
-    """
+    """Return the negative log-likelihood, gradient (q,) and curvature (q, q) of those counts whose edges are near. The
+    contribution of all other counts is zero in floating point."""
     near = np.abs(error) > 0.5 - TUNING.likelihood_reach * noise
     rows = jacobian[near]
     now, slope, curvature = cost(error[near], noise)
@@ -282,8 +271,7 @@ def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Float
     """Return the logarithm of a count's probability P, -P'/P, and the negative of P''/P.
 
     The middle of the count is `apart` >= 0 (n,) [counts] from the position. The function computes with logarithms,
-    because
-    P itself is zero in floating point far outside the count.
+    because P itself is zero in floating point far outside the count.
     """
     log_p = log_probability(apart, noise)
     inner, outer = (0.5 - apart) / noise, (-0.5 - apart) / noise
@@ -292,9 +280,7 @@ def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Float
 
 
 def log_probability(apart: Floats, noise: float) -> Floats:
-    """Return the logarithm of the probability of a count whose middle is `apart` >= 0 (n,) [counts] from the
-    position.
-    """
+    """Return the log-probability of a count whose middle is `apart` >= 0 (n,) [counts] from the position."""
     log_inner = log_ndtr((0.5 - apart) / noise)
     log_outer = log_ndtr((-0.5 - apart) / noise)
     return np.asarray(log_inner + np.log(-np.expm1(np.minimum(log_outer - log_inner, -TUNING.tiny))))

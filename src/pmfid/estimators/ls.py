@@ -30,8 +30,8 @@ class Pass:
     """Columns of the equation at one theta.
 
     `phi` (N, p) are the regressors and `zeta` (N, p) the instruments. `error` (N,) is the error of the filtered
-    equation,
-    and `slope` (N, p) is the decrease of the error with theta. `known` (N,) is the known side of the filtered equation.
+    equation, and `slope` (N, p) is the decrease of the error with theta. `known` (N,) is the known side of the filtered
+    equation.
     """
 
     phi: Floats
@@ -115,11 +115,8 @@ class Exact:
 
 
 def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
-    """Return the exact columns for the record u and y (n,).
-
-    The equation consists of output terms and held signals, and the plant starts at rest. Raises UsageError for other
-    terms.
-    """
+    """Return the exact columns for the record u and y (n,). The equation consists of output terms and held signals, and
+    the plant starts at rest. Raises UsageError for other terms."""
     equation = estimator.equation
     names = {term.signal for term in (*equation.unknown, *equation.known)}
     if not names <= {*OUTPUTS, *SOURCES}:
@@ -137,9 +134,7 @@ def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
 @dataclass(frozen=True)
 class Refined:
     """Result of the exact passes: theta (p,), the last pass, its gain (p, p), and the history (passes, p) of theta.
-
-    `status` has the status bits of the record.
-    """
+    `status` has the status bits of the record."""
 
     theta: Floats
     last: Pass
@@ -149,10 +144,8 @@ class Refined:
 
 
 def refine_exactly(exact: Exact, theta: Floats, used: slice) -> Refined | None:
-    """Iterate from theta (p,) until sum zeta error = 0 with the exact columns, or return None without convergence.
-
-    Each pass is a Newton step that neglects the change of the instruments.
-    """
+    """Iterate from theta (p,) until sum zeta error = 0 with the exact columns, or return None without convergence. Each
+    pass is a Newton step that neglects the change of the instruments."""
     change, history = np.inf, []
     for count in range(1, TUNING.ls_passes + 1):
         with np.errstate(all="ignore"):
@@ -183,12 +176,8 @@ def fit_exactly(estimator: BatchEstimator, u: Floats, y: Floats) -> Fit:
 
 
 def refine_estimate(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
-    """Return the passes from the estimate with matched filters.
-
-    If these passes do not converge, new passes start from the filters' own poles. Raises NotIdentifiableError if the
-    new
-    passes do not converge, either.
-    """
+    """Return the passes from the estimate with matched filters. If these passes do not converge, new passes start from
+    the filters' own poles. Raises NotIdentifiableError if the new passes do not converge, either."""
     first = like(type(estimator), estimator, discretization="matched").fit_output(u, y)
     exact, used = make_exact(estimator, u, y), slice(estimator.settle_samples, None)
     found = refine_exactly(exact, first.theta, used)

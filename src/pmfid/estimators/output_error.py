@@ -1,4 +1,4 @@
-"""Output error, and the likelihood of counts as intervals."""
+"""Output error and the interval likelihood of counts."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ from pmfid.models.equation import ESTIMATE
 from pmfid.status import Status
 from pmfid.types import Floats
 
-#: The length of windows is chosen on the record.
+#: Request for a window length that the record determines.
 AUTO_WINDOW = "auto"
 
 
 @dataclass(frozen=True)
 class Following(Simulating, BatchEstimator):
-    """A `BatchEstimator` of the simulated motion that follows the counts best; arguments as for `OE`."""
+    """A `BatchEstimator` that finds the simulated motion closest to the counts. `OE` describes the arguments."""
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
     drift_cutoff: float | None = field(default=None, kw_only=True)
@@ -67,15 +67,15 @@ class Following(Simulating, BatchEstimator):
             )
 
     def best(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Best:
-        """The motion that fits a record best, the likeliest of those that the starts lead to; arguments and errors of
-        `fit_least_squares`."""
+        """Return the likeliest motion among those that the start values lead to. `fit_least_squares` describes the
+        arguments and errors."""
         u, counts = check_arrays(u, counts)
         if start is not None or not self.equation.searched:
             return best_of(*self.fit_least_squares(u, counts, start))
         return likeliest_of(self._maxima(u, counts), self.cutoff)
 
     def _maxima(self, u: Floats, counts: NDArray[np.int64]) -> Iterator[Best]:
-        """From each of the Stribeck speeds to start from. Raises NotIdentifiableError if none settles."""
+        """Yield the maximum from each Stribeck start speed. Raises NotIdentifiableError if no search converges."""
         refused, settled = None, False
         for theta, status in self._start_at_speeds(u, counts):
             try:
@@ -89,10 +89,10 @@ class Following(Simulating, BatchEstimator):
     def fit_least_squares(
         self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None
     ) -> tuple[Difference, Floats, int]:
-        """The difference as it is to be judged, its least squares q, and the status bits of the record.
+        """Return the difference in its final form, its least squares q, and the status bits of the record.
 
-        The first pass always has the high-pass: the position itself has local minima if friction drifts.
-        start: parameters (p,) to start from, None: the estimate of `IV`.
+        The first pass always has the high-pass, because the position itself has local minima if friction drifts.
+        `start` (p,) are start values of the parameters; None takes the estimate of `IV`.
         """
         u, counts = check_arrays(u, counts)
         theta, status = self._start(u, counts) if start is None else (start, 0)
@@ -116,7 +116,7 @@ class Following(Simulating, BatchEstimator):
         return *(found or self._fit_from_one_start(difference, q)), status
 
     def _fit_from_one_start(self, difference: Difference, q: Floats) -> tuple[Difference, Floats]:
-        """The difference as it is to be judged, and its least squares, from q (q,) on."""
+        """Return the difference in its final form and its least squares, starting from q (q,)."""
         q = self._find_least(difference, q)
         difference = difference.fine_at(q[:-2] * difference.scale[:-2])
         if self.drift_cutoff:
@@ -132,8 +132,8 @@ class Following(Simulating, BatchEstimator):
         return difference, q
 
     def _find_least(self, difference: Difference, q: Floats) -> Floats:
-        """Least squares from q (q,), first of a motion in fewer parts of a sample, if it has many: one of 16 parts
-        takes as long as five of 2."""
+        """Return the least squares from q (q,). A motion with many parts per sample is first fitted with fewer parts.
+        One search with 16 parts takes as long as five searches with 2 parts."""
         if difference.parts > TUNING.parts_roughly:
             coarse = replace(difference, parts=TUNING.parts_roughly)
             with suppress(NotIdentifiableError):
@@ -141,8 +141,8 @@ class Following(Simulating, BatchEstimator):
         return find_least_from_start(difference, q, self.cutoff)
 
     def _slowly(self, difference: Difference, q: Floats) -> Floats:
-        """Least squares of the position itself by way of ever slower high-passes: around local minima, or q itself
-        where that does not settle."""
+        """Return the least squares of the position itself by a series of ever slower high-passes. The series avoids
+        local minima. The result is the last q (q,) that converged."""
         try:
             for part in TUNING.output_error_slower:
                 q = least(replace(difference, pole=part * difference.pole), q)
@@ -151,12 +151,12 @@ class Following(Simulating, BatchEstimator):
         return q
 
     def make_least_squares_fit(self, best: Best) -> Fit:
-        """The result of the least squares."""
+        """Return the `Fit` of the least squares."""
         difference, q = best.difference, best.least
         moves, covariance = self._scatter_scores(difference, q)
         covariance = widen_covariance(covariance, lambda width: self._scatter_scores(difference, q, width)[1])
         if best.noise is not None:
-            # the motion that explains every count rests where the axis did: a controller parks it next to an edge
+            # the motion that explains every count rests where the axis rested: a controller parks the axis near an edge
             covariance = raise_variances(covariance, phase_scatter(difference, best.q, moves, None))
         covariance = self.with_drift(best, covariance) + _simulation_scatter(difference, q, moves)
         return self.result(difference, q, covariance, best.status)
@@ -164,16 +164,19 @@ class Following(Simulating, BatchEstimator):
     def _scatter_scores(
         self, difference: Difference, q: Floats, width: float = TUNING.quotient_step
     ) -> tuple[Floats, Floats]:
-        """(n, p) by how much an error of each sample moves the parameters, and their covariance (p, p) by how what is
-        left scatters; width: of the difference quotients."""
+        """Return the effect (n, p) of each sample's error on the parameters, and the parameters' covariance (p, p). The
+        covariance follows from the scatter of the residual. `width` is the width of the difference quotients."""
         sensitivity = self.own_sensitivity(difference, q, width=width)
         moves = sensitivity @ invert_information(sensitivity, self.names)
         return moves, scatter(difference.sum_by_sample(moves * difference(q)[:, None]), difference.recovery)
 
     def with_drift(self, best: Best, covariance: Floats) -> Floats:
-        """A covariance (p, p) with at least the variances that the high-pass gives, if the position shows more than the
-        encoder's error. Unmodelled effects add up in the position to a drift. One record under half a count shows too
-        little of this drift to measure its scatter."""
+        """Raise the variances of a covariance (p, p) to those of the high-pass if noise remains beyond the encoder's
+        error.
+
+        Unmodelled effects add up to a drift of the position. One record below half a count shows too little of this
+        drift to measure its scatter.
+        """
         if best.noise is None or best.clean:
             return covariance
         high_passed = replace(best.difference, pole=self.cutoff)
@@ -182,11 +185,11 @@ class Following(Simulating, BatchEstimator):
     def own_sensitivity(
         self, difference: Difference, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step
     ) -> Floats:
-        """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
+        """Return the effect (n, p) of each parameter on the difference that the start cannot reproduce."""
         return difference.own_sensitivity(q, root, width)
 
     def position(self, counts: NDArray[np.int64]) -> Floats:
-        """Position of the counts (n,), unwrapped, less the jumps beyond max_speed."""
+        """Return the unwrapped position of the counts (n,), without the jumps beyond max_speed."""
         y = self.encoder.position(counts)
         if self.encoder.max_speed is None:
             return y
@@ -195,7 +198,7 @@ class Following(Simulating, BatchEstimator):
         return np.asarray(y[0] + np.r_[0.0, np.cumsum(np.where(jump, 0.0, change))])
 
     def _start_at_speeds(self, u: Floats, counts: NDArray[np.int64]) -> list[tuple[Floats, int]]:
-        """theta (p,) to start from, and the status bits of the record, at each Stribeck speed that is gone on from."""
+        """Return start values (p,) and status bits for each promising Stribeck speed."""
         y, usual, near = self.position(counts), *self._usual_motion(u, counts)
 
         def fit_at(speed: float) -> tuple[float, Floats, int]:
@@ -203,7 +206,7 @@ class Following(Simulating, BatchEstimator):
             theta, status = known._start(u, counts, near)
             difference, q = known._prepare_difference(theta, u, y)
             follows = not (self.equation.place_matters and is_lost(replace(difference, pole=0.0), q))
-            if follows:  # what is lost from a single start is left to windows
+            if follows:  # windows handle what is lost from a single start
                 q = least(difference, q, [TUNING.output_error_roughly])
             return rms(difference(q)), np.r_[(q * difference.scale)[:-2], speed], status
 
@@ -211,8 +214,8 @@ class Following(Simulating, BatchEstimator):
         return [(theta, status) for _, (_, theta, status) in found]
 
     def _usual_motion(self, u: Floats, counts: NDArray[np.int64]) -> tuple[float, float]:
-        """Root mean square speed of the motion that the model without shapes makes, or the counts where it makes none;
-        and how late its input acts, if that is estimated [s]."""
+        """Return the root mean square speed of the usual motion, and the estimated delay of the input [s]. The speed
+        comes from the motion of the model without shapes, or from the counts if this model makes no motion."""
         plain = like(Instruments, self, model=self.model.symmetric, initial=None)
         theta = plain.start(u, counts)
         velocity = mean_velocity(plain.equation, theta, self.intervals, hold_last_input(u))
@@ -221,11 +224,12 @@ class Following(Simulating, BatchEstimator):
         return usual, float(theta[-1])
 
     def _start(self, u: Floats, counts: NDArray[np.int64], near: float | None = None) -> tuple[Floats, int]:
-        """theta (p,) of `IV`, or what that starts from, if it does not settle; and the status bits of the record. Where
-        a Stribeck speed is to be found, the best of those that are gone on from. near: about how late the input
-        acts, if that is estimated [s].
+        """Return the estimate (p,) of `IV` and the status bits of the record.
 
-        Raises NotIdentifiableError if the counts alone show that nothing can be identified."""
+        If `IV` does not converge, the result is its start value. If the model has an unknown Stribeck speed, the result
+        belongs to the best of the promising speeds. `near` is the approximate delay of the input [s], if the estimator
+        finds a delay. Raises NotIdentifiableError if the counts alone show that no parameter can be identified.
+        """
         if self.equation.searched:
             return self._start_at_speeds(u, counts)[0]
         first = like(Instruments, self)
@@ -239,13 +243,13 @@ class Following(Simulating, BatchEstimator):
         return theta, columns.status
 
     def _prepare_difference(self, theta: Floats, u: Floats, y: Floats) -> tuple[Difference, Floats]:
-        """The high-passed difference, and q to start from: theta (p,), at the first count. An input u (n,) that is no
-        number is a gap."""
+        """Return the high-passed difference, and the start value q for theta (p,) at the first count. A NaN in the
+        input u (n,) marks a gap."""
         breaks, u = gaps_in(u), hold_last_input(u)
         travel, dt = float(np.ptp(y)), self.dt
         force, mass = abs(self.equation.input_gain) * rms(u), abs(theta[self.equation.leading])
         drag = force * y.size * dt / travel
-        inertia = max(mass, drag * dt)  # less of it shows within a sample only
+        inertia = max(mass, drag * dt)  # a smaller inertia shows only within a sample
         natural = np.r_[[inertia, drag, drag, force, force, force, force / travel], self._sizes(theta, force, y)]
         size = np.abs(theta)
         for index, smallest in zip(self.equation.roles, np.r_[0.01 * natural, dt], strict=True):
@@ -262,19 +266,19 @@ class Following(Simulating, BatchEstimator):
         return difference, np.maximum(np.r_[theta, y[0], v0] / scale, difference.lower)
 
     def _sizes(self, theta: Floats, force: float, y: Floats) -> list[float]:
-        """Coefficients of the shapes with which they are as large as the force, at the speed of y (n,)."""
+        """Return the coefficients for which each shape equals the force at the speed of y (n,)."""
         shaped = self.equation.known_at(theta[len(self.equation.names) :]).shaped
         speed = rms(np.diff(y)) / self.dt
         return [force / term.shape.size(speed) for term in shaped if term.shape is not None]
 
     def make_difference(self, theta: Floats, u: Floats, y: Floats) -> Difference:
-        """The difference of a record, input u and position y (n,), without a high-pass; theta (p,): sizes of the
-        parameters."""
+        """Return the difference without a high-pass for an input u (n,) and a position y (n,). theta (p,) has the
+        typical sizes of the parameters."""
         return replace(self._prepare_difference(theta, u, y)[0], pole=0.0)
 
     def result(self, difference: Difference, q: Floats, q_cov: Floats, status: int) -> Fit:
-        """The `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError if it is no fit, or one
-        without a mass: what the bound leaves of it is no estimate."""
+        """Return the `Fit` at q with the scaled covariance (p, p). Raises NotIdentifiableError for an invalid result
+        and for a mass at its lower bound."""
         leading = difference.equation.leading
         if q[leading] < TUNING.at_bound * TUNING.least_mass:
             raise NotIdentifiableError(
@@ -299,11 +303,12 @@ class Following(Simulating, BatchEstimator):
 
 
 def _simulation_scatter(difference: Difference, q: Floats, moves: Floats) -> Floats:
-    """Covariance (p, p) of the change that a simulation in twice as many parts of a sample makes; moves (n, p): by how
-    much an error of each sample moves the parameters.
+    """Return the covariance (p, p) of the change by a simulation with twice as many parts per sample.
 
-    A motion may be so sensitive that an error of a millionth of a count grows to hundreds, as that of a pendulum driven
-    over its top. Many parameters then explain every count."""
+    `moves` (n, p) is the effect of each sample's error on the parameters. A motion may be so sensitive that an error of
+    a millionth of a count grows to hundreds of counts, like the motion of a pendulum driven over its top. Many
+    parameters then explain every count.
+    """
     if not (difference.equation.shaped or difference.equation.lag):
         return np.zeros((moves.shape[1], moves.shape[1]))
     change = moves.T @ (difference.finer(q) - difference(q))
@@ -312,36 +317,37 @@ def _simulation_scatter(difference: Difference, q: Floats, moves: Floats) -> Flo
 
 @dataclass(frozen=True)
 class OE(ProcessSolver, Following):
-    """Output error, off-line (Ljung 1999, sections 4.2 and 7.2; simulation: the kernel's body with stiction).
+    """Off-line output error (Ljung 1999, sections 4.2 and 7.2), which simulates the kernel's body with stiction.
 
     Parameters
     ----------
     model, encoder, dt, cutoff
-        As of `IV`.
+        See `IV`.
     drift_cutoff : float, optional
-        Pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt; 0: none. By default none if y - x is within what
-        the encoder explains (0.5 counts root mean square), and `cutoff` otherwise.
+        Pole of a first-order high-pass on y - x [rad/s], 0 to 2/dt. The value 0 means no high-pass. By default the
+        high-pass has the pole `cutoff` if y - x exceeds the encoder's error (0.5 counts root mean square).
     window : float or "auto", optional
-        For long predictions by a model whose friction is not quite the machine's: least squares of the position itself
-        over windows of this length [s] that overlap by half, each from a start of its own. "auto" is the length that
-        predicts best by a free run, on parts of the record that were not fitted. For machines, without drift_cutoff.
+        Length [s] of overlapping windows for a least squares fit of the position itself. Each window has its own start,
+        and neighbouring windows overlap by half. Windows suit long predictions by a model with inexact friction. "auto"
+        takes the length that predicts unfitted parts of the record best. Only machines without `drift_cutoff` take
+        windows.
     initial : mapping, optional
-        Parameters by name for `IV` to start from.
+        Start values for `IV` by parameter name.
 
     Notes
     -----
-    Least squares of y(k) - x(k), k = 0..n-1: y is the middle of the count, x the position that the input alone gives
-    from the start x0, v0. The start is fitted as well; mass > 0, frictions >= 0. The search starts from `IV`, or from
-    the start of `IV` if that does not settle.
+    The method minimises the sum of (y(k) - x(k))^2, k = 0..n-1. y is the middle of the count, and x is the position
+    that
+    the input alone gives from the start x0, v0. The fit includes the start and keeps mass > 0 and frictions >= 0. The
+    search starts from the estimate of `IV`, or from the start values of `IV` if `IV` does not converge.
 
-    theta_cov holds for residuals correlated in time, on whatever scale, and for the error that the encoder makes along
-    this very motion, wherever its lattice lies. The residual is y - x [unit of the resolution] after the high-pass;
-    relative_error is its norm over the norm of y less its mean. With windows the residual (n,) is the mean over the
-    windows.
+    theta_cov holds for residuals with any correlation in time, and for the encoder's error along this motion at any
+    place of the lattice. The residual is y - x [unit of the resolution] after the high-pass. relative_error is the norm
+    of the residual over the norm of y less its mean. If the fit uses windows, the residual (n,) is the mean over them.
 
-    Unmodelled friction adds up in the position to a random walk, and the high-pass whitens a random walk with white
-    noise on top. The high-pass costs information: on the cart with 128 increments and 20 rad/s the standard deviation
-    of the mass becomes 2.4 times, that of the frictions 7 times as large.
+    Unmodelled friction adds up to a random walk of the position, and the high-pass whitens a random walk plus white
+    noise. The high-pass costs information. On the cart with 128 increments, a high-pass of 20 rad/s multiplies the
+    standard deviation of the mass by 2.4, and those of the frictions by 7.
 
     Examples
     --------
@@ -372,7 +378,7 @@ class OE(ProcessSolver, Following):
         return solve_by_descent(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Raises NotIdentifiableError also where the simulation does not follow."""
+        """Return the fit. Raises NotIdentifiableError if the simulation does not follow the counts."""
         return (
             self.make_least_squares_fit(self.best(u, counts)) if self.window is None else self._fit_windows(u, counts)
         )
@@ -390,7 +396,7 @@ class OE(ProcessSolver, Following):
         return replace(fit, notes=(choice.says,)) if choice else fit
 
     def _window_covariance(self, windows: Windows, q: Floats) -> Floats:
-        """Covariance (p, p) of scaled parameters."""
+        """Return the covariance (p, p) of the scaled parameters from windows."""
         moves, covariance = self._scatter_scores(windows, q)
         covariance = widen_covariance(covariance, lambda width: self._scatter_scores(windows, q, width)[1])
         if rms(windows(q)) <= windows.explained:
@@ -410,29 +416,29 @@ def _check_window(window: object, dt: float) -> None:
 
 @dataclass(frozen=True)
 class IntervalML(Following):
-    """Maximum likelihood of the counts, off-line (Ljung 1999, section 7.4, for a quantised output).
+    """Off-line maximum likelihood of the counts (Ljung 1999, section 7.4, for a quantised output).
 
     Parameters
     ----------
     model, encoder, dt, cutoff
-        As of `IV`.
+        See `IV`.
     drift_cutoff : float, optional
-        Pole of a first-order high-pass on y - x [rad/s], 0: none. By default as for `OE`.
+        Pole of a first-order high-pass on y - x [rad/s]. The value 0 means no high-pass; the default is that of `OE`.
     initial : mapping, optional
-        Parameters by name to start from.
+        Start values by parameter name.
 
     Notes
     -----
-    log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)): x(k) is the simulated position, a = resolution * counts and b = a
-    + resolution are the edges of the count. s is the standard deviation of what else is in the position; it is
-    estimated, too, and is at least 0.02 counts. The search starts from `OE`.
+    The method maximises log L = sum log(Phi((b - x)/s) - Phi((a - x)/s)). x(k) is the simulated position, and a =
+    resolution * counts and b = a + resolution are the edges of the count. The fit also estimates s >= 0.02 counts, the
+    standard deviation of other errors of the position. The search starts from `OE`.
 
-    theta_cov is that of the expected information, not of the observed: far from the edges a count shows no curvature,
-    whatever it says. Where the scores scatter more, in blocks on every scale or over the places that the encoder's
-    lattice may have, that scatter counts.
+    theta_cov is the inverse of the expected information, because the observed likelihood has no curvature far from the
+    edges. If the scores scatter more than expected, theta_cov contains this scatter. The scatter is measured in blocks
+    of every length and over all places of the encoder's lattice.
 
-    Where y - x is more than the encoder explains, and wherever `OE` has a high-pass, the edges of the counts say
-    nothing on x. The result then comes from `OE`, with `Status.FALLBACK`.
+    If y - x exceeds the encoder's error, or if `OE` has a high-pass, the edges of the counts say nothing about x. The
+    result then comes from `OE`, with `Status.FALLBACK`.
 
     Examples
     --------
@@ -449,11 +455,11 @@ class IntervalML(Following):
     method: ClassVar[str] = "interval"
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Raises NotIdentifiableError also where the simulation does not follow."""
+        """Return the fit. Raises NotIdentifiableError if the simulation does not follow the counts."""
         return self.fit_of(self.best(u, counts))
 
     def fit_of(self, best: Best) -> Fit:
-        """The result at the motion that fits best."""
+        """Return the result for the best motion."""
         if best.noise is None:
             return self.make_least_squares_fit(replace(best, status=best.status | int(Status.FALLBACK)))
         difference, q, noise = best.difference, best.q, best.noise

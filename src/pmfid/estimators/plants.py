@@ -1,4 +1,4 @@
-"""What is particular to a kind of plant, for every estimator: machines that rest and reverse, and linear processes."""
+"""Defaults of the two kinds of plants: machines that rest and reverse, and linear processes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pmfid.types import Counts, Floats
 
 @dataclass(frozen=True)
 class PlantDefaults(ABC):
-    """A kind of plant.
+    """Defaults of one kind of plant.
 
-    regularization: information that is never forgotten, as a part of the largest seen. pivot: relative one of the
-    information matrix from which on a first estimate is given. least_part: of the power of a column that must not
-    follow from the others. spike: multiple of the largest recent input from which on an input is a spike, unless the
-    counts answer or it stays. rests: a motion rests and reverses inside a sample, and a large one says little of a
-    small. extended: takes the coefficients of the pre-filter as further unknowns. fewer: what to ask less of where
-    there are more unknowns than an estimator holds.
+    `regularization` is the part of the largest information that is never forgotten. `pivot` is the relative pivot of
+    the information matrix from which a first estimate exists. `least_part` is the least independent part of a column's
+    power. An input of `spike` times the largest recent input is a spike, unless the counts answer or the input stays.
+    `rests` is True if a motion may rest and reverse inside a sample, so that a large motion says little about a small
+    one. `extended` is True if the pre-filter's coefficients can be further unknowns. `fewer` names the unknowns that a
+    user can reduce.
     """
 
     regularization: float
@@ -35,31 +35,31 @@ class PlantDefaults(ABC):
 
     @abstractmethod
     def default_zeros(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
-        """Pre-filter zeros [rad/s] where nothing is known of the plant; memory: of the estimator [s]."""
+        """Return pre-filter zeros [rad/s] for an unknown plant and an estimator with this memory [s]."""
 
     @abstractmethod
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
-        """Sets of `needed` zeros [rad/s] that a record chooses from."""
+        """Return the sets of `needed` zeros [rad/s] from which a record chooses."""
 
     @abstractmethod
     def zeros_without_record(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
-        """Zeros [rad/s] of an estimator that is made before there is a record to choose by."""
+        """Return zeros [rad/s] for an estimator that is made before a record exists."""
 
     @abstractmethod
     def another_guess(self, equation: Equation, cutoff: float) -> Floats | None:
-        """theta (p,) to start from where least squares are too far off; None: there is no other."""
+        """Return a start value theta (p,) for records on which least squares fail, or None if the plant has none."""
 
     @abstractmethod
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
-        """(n,) of some plant of this kind that suits dt, cutoff and resolution, for an input u (n,) of up to one."""
+        """Return the counts (n,) of an example plant for an input u (n,) up to 1. The plant suits dt, cutoff and
+        resolution."""
 
 
 @dataclass(frozen=True)
 class MachineDefaults(PlantDefaults):
-    """Defaults for a machine with friction: position and direction matter, and so does every interval that moves only
-    partly."""
+    """Defaults for a machine with friction. Position, direction and intervals of partial motion matter."""
 
-    regularization: float = 1e-4  # P stays below 1e4 times its best
+    regularization: float = 1e-4  # P stays below 1e4 times its smallest value
     pivot: float = TUNING.start_pivot
     least_part: float = TUNING.start_pivot
     spike: float = 8.0
@@ -95,10 +95,10 @@ class MachineDefaults(PlantDefaults):
 
 @dataclass(frozen=True)
 class LinearProcess(PlantDefaults):
-    """A transfer function, where rest means nothing and counts are a reading.
+    """Defaults for a transfer function. Rest has no meaning for a process, and counts are a reading.
 
-    Its columns may nearly follow from each other: the third derivative of a lightly damped mode is hardly more than a
-    multiple of y'. And it answers late, so that a spike must be larger to be one.
+    The columns may nearly depend on each other. The third derivative of a lightly damped mode, for example, is almost a
+    multiple of y'. A process answers late, so its threshold for spikes is higher.
     """
 
     regularization: float = 1e-7
@@ -124,13 +124,13 @@ class LinearProcess(PlantDefaults):
         return self.candidate_zeros(cutoff, memory, needed)[0]
 
     def another_guess(self, equation: Equation, cutoff: float) -> Floats:
-        """All poles at the cutoff, and no input."""
+        """Return the parameters of a process with all poles at the cutoff and no input."""
         A = np.poly(np.full(equation.order, -cutoff))[::-1]
         outputs = [term.signal == "process_output" for term in equation.unknown]
         return np.array([A[t.derivative] if own else 0.0 for t, own in zip(equation.unknown, outputs, strict=True)])
 
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
-        """Counts of lags in series; some hundred of them."""
+        """Return the counts of a chain of lags, up to some hundred."""
         y, states, part = [], [0.0] * equation.order, min(0.5, cutoff * dt / 2)
         for value in u.tolist():
             y.append(states[-1])
@@ -143,33 +143,32 @@ MACHINE, LINEAR_PROCESS = MachineDefaults(), LinearProcess()
 
 
 def plant_of(equation: Equation) -> PlantDefaults:
-    """The defaults of the kind of plant that an equation describes; no other place decides this."""
+    """Return the defaults for the kind of plant that an equation describes. No other function makes this choice."""
     return LINEAR_PROCESS if equation.process else MACHINE
 
 
 def default_zeros(cutoff: float, memory: float = math.inf) -> tuple[float, float]:
-    """Pre-filter zeros where nothing is known of the plant: a tenth of the cutoff, and a thirtieth of that.
+    """Return pre-filter zeros for an unknown plant: -cutoff / 10 and -cutoff / 300.
 
-    The compensation is an instrumental variable method with s u/f and s^2 u/f for instruments. They resemble the
-    drive's velocity and acceleration most for zeros at its own poles, 0 and -d/m; with one slow zero the other may
-    lie anywhere near or above d/m.
-    memory: of the estimator [s], see `limit_zeros`.
+    The compensation is an instrumental variable method with the instruments s u/f and s^2 u/f. Zeros at the drive's own
+    poles, 0 and -d/m, make the instruments most similar to the velocity and the acceleration. With one slow zero, the
+    other zero may lie anywhere near d/m or above. `memory` is the estimator's memory [s]; see `limit_zeros`.
     """
     return limit_zeros(cutoff / 10, cutoff / 300, memory)
 
 
 def limit_zeros(fast: float, slow: float, memory: float) -> tuple[float, float]:
-    """Two pre-filter zeros [rad/s] from their sizes, fit for an estimator with this memory [s].
+    """Return two pre-filter zeros [rad/s] of these sizes, limited for an estimator with this memory [s].
 
-    A slow zero is a filter that remembers the input: where it did so for longer than a part of the memory, the
-    instruments after a large motion would be what is left of it, and weak. So it is faster then, but not as fast as
-    the other: too much alike, both would say the same.
+    A slow zero is a filter that remembers the input. If this filter remembered a large part of the memory, the
+    instruments after a large motion would be its weak remains. The slow zero therefore becomes faster, but stays apart
+    from the other zero, because two similar zeros give the same instrument.
     """
     return (-fast, -min(max(slow, TUNING.zero_memories / memory), max(slow, fast / TUNING.plants_apart)))
 
 
 def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:
-    """Pre-filter zeros for an unknown linear process: n, evenly in the logarithm from half the cutoff
-    down to a twentieth of it."""
+    """Return n pre-filter zeros for an unknown linear process. The zeros are evenly spaced on a logarithmic scale from
+    half the cutoff to a twentieth."""
     spread = np.geomspace(0.5, 0.05, n) if n > 1 else np.array([0.2])
     return tuple(-cutoff * float(part) for part in spread)

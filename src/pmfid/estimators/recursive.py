@@ -30,11 +30,12 @@ if TYPE_CHECKING:
 
 
 def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
-    """(p + 1, p + 1) covariance of the noise of regressors and target: sigma^2 sum g g^T, g the impulse responses of
-    the noisy columns. The target has noise only in an equation with known terms of the output.
+    """Return the noise covariance (p + 1, p + 1) of the regressors and the target.
 
-    noise_std: standard deviation of the position [unit of y]; None: resolution / sqrt(12), as of a quantiser whose
-    error is white, which holds from about one count of motion per sample on.
+    The covariance is sigma^2 sum g g^T with the impulse responses g of the noisy columns. The target is noisy only if
+    the equation has known output terms. `noise_std` is sigma, the standard deviation of the position [unit of y]. None
+    takes resolution / sqrt(12), the value for white quantisation. Quantisation is white above about one count of motion
+    per sample.
     """
     sigma = estimator.encoder.resolution / np.sqrt(12.0) if noise_std is None else noise_std
     network, columns = estimator._columns
@@ -42,22 +43,22 @@ def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[n
 
 
 def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
-    """(c, c): sum over time of the products of the columns' responses to one wrong position."""
+    """Return the sum (c, c) over time of all products of the columns' responses to one wrong position."""
     parts = impulse_responses(estimator, network, columns)
     return np.asarray(sum((g @ g.T for g in parts), start=np.zeros(2 * (len(columns),))))
 
 
 def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> Iterator[NDArray[np.float64]]:
-    """(c, n) one after the other: the columns' responses to one wrong position, of a low cutoff millions of samples."""
+    """Yield parts (c, n) of the columns' responses to one wrong position. A low cutoff makes millions of samples."""
     samples, memories = 4 * estimator.settle_samples, [0.0 for _ in network.stages]
     for first in range(0, samples, TUNING.recursive_part):
         nodes = [np.zeros(min(TUNING.recursive_part, samples - first)) for _ in range(network.first)]
         if first == 0:
-            nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # the mean velocities of one wrong position
+            nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # mean velocities that one wrong position causes
             nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
             nodes[LATE_POSITION][1:3] = 0.5
         for k, (source, a, b0, b1) in enumerate(network.stages):
-            if source == len(nodes):  # of the simulated motion, which an encoder's error does not reach
+            if source == len(nodes):  # an encoder's error does not reach the simulated motion
                 nodes.append(np.zeros_like(nodes[0]))
                 continue
             response, memories[k] = first_order(nodes[source], a, b0, b1, memories[k])
@@ -66,19 +67,16 @@ def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps
 
 
 def compute_encoder_floor(estimator: Estimator) -> float:
-    """The inverse square of what the encoder shows of the regressor of the highest derivative.
-
-    An error of half a step at every sample, at the frequency that matters most, makes no larger root mean square than
-    this: what is beyond is a motion.
-    """
+    """Return the inverse square of the encoder's error in the regressor of the highest derivative. The bound is the
+    error of half a count at every sample at the worst frequency. A larger root mean square is a motion."""
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.coefficient(estimator.equation.unknown[estimator.equation.leading], "measured")
     gain = np.max(np.abs(frequency_response(estimator, builder.network, column)))
-    return float(max(estimator.encoder.resolution / 2 * gain, TUNING.recursive_least) ** -2)  # float32 holds that, too
+    return float(max(estimator.encoder.resolution / 2 * gain, TUNING.recursive_least) ** -2)  # float32 holds this value
 
 
 def frequency_response(estimator: Estimator, network: Network, column: Taps) -> NDArray[np.complex128]:
-    """(recursive_frequencies,) of a column to a wrong position, up to half the sampling frequency."""
+    """Return the response (recursive_frequencies,) of a column to position errors up to half the sampling frequency."""
     late = np.exp(-1j * np.geomspace(np.pi * 10.0**-TUNING.recursive_decades, np.pi, TUNING.recursive_frequencies))
     nodes = [np.zeros(TUNING.recursive_frequencies, complex) for _ in range(network.first)]
     nodes[VELOCITY] = (1 - late) / estimator.dt
@@ -89,14 +87,14 @@ def frequency_response(estimator: Estimator, network: Network, column: Taps) -> 
     return np.asarray(sum(weight * nodes[node] for node, weight in column), complex)
 
 
-#: What becomes of old samples -> its number in the kernel.
+#: Number in the kernel for each forgetting scheme.
 FORGETTING_SCHEMES = {
     name: constants_of(None)[f"PMF_{name.upper().replace('-', '_')}"]
     for name in ("exponential", "directional", "constant-trace", "window")
 }
-#: The same of `forgetting_of`, which is a scheme of its own there.
+#: Number in the kernel for `forgetting_of`, which is a separate scheme there.
 SEPARATE = constants_of(None)["PMF_SEPARATE"]
-#: Samples from one look of the kernel at the size of the motion to the next.
+#: Samples between two checks of the motion's size by the kernel.
 LOOK = constants_of(None)["PMF_LOOK"]
 
 
@@ -104,25 +102,31 @@ LOOK = constants_of(None)["PMF_LOOK"]
 class RecursiveEstimator(Estimator):
     """An `Estimator` that runs sample by sample.
 
-    forgetting: weight of the past per sample, 0 < forgetting <= 1; the memory is dt / (1 - forgetting). With 1 float64
-    forgets nothing; a sum of float32 would take in no more after some millions of samples, so there what was gathered
-    counts by half whenever it is 2^19 samples.
-    forgetting_scheme: one of four; none winds up without excitation,
-    "exponential": every sample is forgotten alike; a small part of the largest information is never forgotten, and
-    theta is held where that is all there is (Levenberg-Marquardt, Ljung and Soderstrom 1983);
-    "directional": only in the directions that the samples excite (Cao and Schwartz 2000); least squares only. Nothing
-    is lost at rest or at constant speed, however long, but to the noise of a coarse encoder, which excites, too. The
-    memory of an excited direction is longer, by about the number of parameters;
-    "constant-trace": as much as keeps the mean of P, each entry relative to its value after the first memory, and at
-    most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3);
-    "window": the samples of the last memory alike, older ones not at all, in blocks of an eighth.
-    forgetting_of: factors of single parameters, by name, that change more slowly than the others or never (1):
-    {"b0": 1.0}. With the exponential scheme only; a parameter that is known to stay sharpens the others. In float32
-    the memory of each is at most 2^19 samples in which the others are excited.
-    The configuration is frozen; equality and hash are of it alone. What changes with the samples is a `Runner`:
-    `start()` makes as many as are needed. For a single one there is `runner`, the object's own: `step`, `run`, `reset`
-    and the like are short for its. A copy, by `copy`, `pickle` or a process pool, has a runner of its own that goes on
-    from the same state; `dataclasses.replace` starts without samples.
+    `forgetting` is the weight of the past per sample, 0 < forgetting <= 1. The memory is dt / (1 - forgetting). The
+    value 1 forgets nothing in float64. A float32 sum would ignore new samples after some millions of samples. In
+    float32, the gathered information is therefore halved whenever it reaches 2^19 samples.
+
+    `forgetting_scheme` is one of four. No scheme winds up without excitation.
+    - "exponential" forgets all samples alike. A small part of the largest information is never forgotten, and theta is
+    held
+      once only this part is left (Levenberg-Marquardt, Ljung and Soderstrom 1983).
+    - "directional" forgets only in the directions that the samples excite (Cao and Schwartz 2000), for least squares
+    only.
+      Rest and constant speed lose no information, except by the noise of a coarse encoder, which also excites. An
+      excited direction has a longer memory, by a factor of about the number of parameters.
+    - "constant-trace" keeps the mean of P constant, with each entry relative to its value after the first memory. The
+      forgetting is at most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3).
+    - "window" gives equal weight to the samples of the last memory, and zero weight to older ones, in blocks of an
+    eighth.
+
+    `forgetting_of` has factors by name for parameters that change more slowly than the others, or never: {"b0": 1.0}.
+    It requires the exponential scheme. A parameter that stays known sharpens the estimates of the others. In float32
+    the memory of each parameter is at most 2^19 samples in which the others are excited.
+
+    The configuration is frozen and alone decides equality and hash. A `Runner` holds the state that samples change, and
+    `start()` makes as many runners as needed. The attribute `runner` is the object's own one. `step`, `run`, `reset`
+    and similar methods call this runner. A copy by `copy`, `pickle` or a process pool has its own runner, which
+    continues from the same state. `dataclasses.replace` starts without samples.
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
@@ -139,7 +143,7 @@ class RecursiveEstimator(Estimator):
         self._check_scheme()
         self._check_room()
         object.__setattr__(self, "runner", self.start())
-        if type(self).step is RecursiveEstimator.step:  # bound here so that a call costs no look-up in Python
+        if type(self).step is RecursiveEstimator.step:  # an instance attribute saves a look-up in Python at each call
             object.__setattr__(self, "step", self.runner.kernel.step)
 
     def _check_scheme(self) -> None:
@@ -158,7 +162,9 @@ class RecursiveEstimator(Estimator):
             raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
 
     def scheme_refused(self) -> str:
-        """Why the method cannot forget in the way that is asked for, with a remedy; empty if it can."""
+        """Return the reason and a remedy if the method cannot use the forgetting scheme. Return an empty string
+        otherwise.
+        """
         if self.forgetting_scheme != "directional":
             return ""
         return (
@@ -176,14 +182,20 @@ class RecursiveEstimator(Estimator):
 
     @property
     def _slowest(self) -> float:
-        """Forgetting of a parameter that float32 can do: sums of such parameters are full at different samples, and no
-        longer fit each other then. At rest all hold still, so that it costs nothing there."""
+        """Return the slowest forgetting of one parameter that the precision allows.
+
+        In float32, sums with slower forgetting fill up at different samples and become inconsistent. All sums hold
+        still at rest, so the limit costs nothing there.
+        """
         return 1 - 1 / MOST_WEIGHT if self.precision == "float32" else 1.0
 
     @property
     def encoder_config(self) -> dict[str, float]:
-        """Positions of a process with a constant count from the first one, as off-line: far from zero the filters would
-        remember for long that they began there, and numbers of 32 bits do not hold its derivatives."""
+        """Return the encoder's configuration for the kernel.
+
+        Positions of a process with a constant count from the first position, as in off-line methods. Far from zero the
+        filters would remember their start for long, and 32-bit numbers do not hold the derivatives.
+        """
         return super().encoder_config | {"from_first": int(level_of(self.equation) is not None)}
 
     @property
@@ -195,7 +207,7 @@ class RecursiveEstimator(Estimator):
     ) -> dict[str, object]:
         config = super().recursion_config(parameters, instrumental, forgetting, first_column)
         level = level_of(self.equation)
-        if level is not None and level.lowest is not None:  # the constant is read for the output itself
+        if level is not None and level.lowest is not None:  # the kernel's constant refers to the output itself
             config["constant"], config["lowest"] = level.constant, level.lowest
             config["lift"] = level.ratio * self.encoder.resolution
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
@@ -205,9 +217,11 @@ class RecursiveEstimator(Estimator):
             config["haste"], config["leak"] = forgetting**TUNING.recursive_haste, math.exp(-TUNING.recursive_haste / 2)
             config["leading"], config["shown"] = self.equation.leading, compute_encoder_floor(self)
             directions = parameters if scheme == "directional" else 1
-            config["forgetting"] = forgetting**directions  # one direction at a time: only so all have the same memory
+            # a sample forgets one direction, and this power gives each direction the same memory
+            config["forgetting"] = forgetting**directions
             config["outgrown"] = TUNING.recursive_outgrown * LOOK
-        if self.forgetting_of and forgetting < 1:  # as with directional forgetting: innovations only
+        # the accumulated right-hand side does not follow this forgetting: innovations only
+        if self.forgetting_of and forgetting < 1:
             config["residual_updates"] = 0
             config["scheme"] = SEPARATE
             config["keep"] = [
@@ -215,7 +229,7 @@ class RecursiveEstimator(Estimator):
             ]
         if scheme == "directional":  # the accumulated right-hand side does not follow the forgetting: innovations only
             config["residual_updates"] = 0
-        if scheme == "constant-trace":  # bounds P by itself, but for a direction that others outgrow by far
+        if scheme == "constant-trace":  # the scheme itself bounds P, except in a direction that others outgrow by far
             config["regularization"] = TUNING.trace_regularization
         if scheme == "window":
             config["residual_updates"] = 2**32 - 1
@@ -223,10 +237,8 @@ class RecursiveEstimator(Estimator):
         return config
 
     def start(self, state: bytes | None = None) -> Runner[Self]:
-        """An independent estimation, from the beginning or from a saved state.
-
-        Raises UsageError for a state that is not of this configuration.
-        """
+        """Return an independent runner that starts without samples or from a saved state. Raises UsageError for a state
+        of another configuration."""
         runner = Runner(self, self._allocate_kernel())
         if state is not None:
             runner.set_state(state)
@@ -235,22 +247,22 @@ class RecursiveEstimator(Estimator):
     def _allocate_kernel(self) -> Kernel:
         try:
             return self.make_kernel(self.forgetting)
-        except ValueError as error:  # more than it holds
+        except ValueError as error:  # the system exceeds the kernel's size
             raise UsageError(str(error)) from None
 
     def __reduce__(self) -> tuple[object, ...]:
         return _resume_estimator, (type(self), configuration_of(self), self.get_state())
 
     def step(self, u: float, counts: int, dt: float | None = None) -> Estimate:
-        """One sample in, one estimate out: `Runner.step` of `runner`."""
+        """Process one sample with `Runner.step` and return the estimate."""
         return self.runner.step(u, counts, dt)
 
     def run(self, u: ArrayLike, counts: ArrayLike, steps: ArrayLike | None = None) -> Track:
-        """Many samples at once, from the present state: `Runner.run` of `runner`."""
+        """Process many samples from the present state with `Runner.run`."""
         return self.runner.run(u, counts, steps)
 
     def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """Many axes at once, each from the present state, which does not change: `Runner.run_many` of `runner`."""
+        """Run many axes with `Runner.run_many`, each from the present state, which does not change."""
         return self.runner.run_many(u, counts, every=every)
 
     @property
@@ -259,37 +271,37 @@ class RecursiveEstimator(Estimator):
         return self.runner.estimate
 
     def open_memory(self, keep: float, parameter: str | None = None) -> None:
-        """After a change of the plant: `Runner.open_memory` of `runner`."""
+        """Forget old samples after a change of the plant, with `Runner.open_memory`."""
         self.runner.open_memory(keep, parameter)
 
     def rebase(self, counts: int) -> None:
-        """The counter was set to another value: `Runner.rebase` of `runner`."""
+        """Follow a counter that was set to another value, with `Runner.rebase`."""
         self.runner.rebase(counts)
 
     def gap(self, counts: int) -> None:
-        """Samples were lost: `Runner.gap` of `runner`. Raises UsageError for a linear process."""
+        """Restart the filters after lost samples, with `Runner.gap`. Raises UsageError for a linear process."""
         self.check_gaps()
         self.runner.gap(counts)
 
     def check_gaps(self) -> None:
-        """Raises UsageError for a linear process, whose output says how it goes on only where nothing is missing."""
+        """Raise UsageError for a linear process, because its output continues predictably only without gaps."""
         if not self.plant.rests:
             raise UsageError(f"{self.method} of a linear process takes no gaps: reset it, or use srivc off-line")
 
     def doubt(self, samples: int) -> None:
-        """The next samples are guesses: `Runner.doubt` of `runner`."""
+        """Mark the next samples as guesses, with `Runner.doubt`."""
         self.runner.doubt(samples)
 
     def reset(self) -> None:
-        """Forgets all samples."""
+        """Forget all samples."""
         self.runner.reset()
 
     def get_state(self) -> bytes:
-        """The whole state, to go on from in Python or in firmware: `Runner.get_state` of `runner`."""
+        """Return the whole state as bytes, from which Python or firmware can continue, with `Runner.get_state`."""
         return self.runner.get_state()
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state: `Runner.set_state` of `runner`."""
+        """Continue from a saved state, with `Runner.set_state`."""
         self.runner.set_state(state)
 
 
@@ -308,16 +320,17 @@ class RLS(RecursiveEstimator):
     Parameters
     ----------
     model, encoder, dt, cutoff, forgetting
-        As of `RIV`.
+        See `RIV`.
     prefilter_zeros : sequence of float, optional
-        The estimate is then the biased one of the extended model (paper eq. 19 to 21), with the coefficients of f(s) as
-        further parameters. The paper's compensation starts from that estimate.
+        Zeros of the pre-filter [rad/s]. With these zeros, the result is the biased estimate of the extended model
+        (paper eq. 19 to 21). The coefficients of f(s) are further parameters. The paper's compensation starts from this
+        estimate.
 
     Notes
     -----
-    The estimate is biased where the output is noisy or coarse, and its standard errors do not contain this bias. Those
-    of `BCRLS` do not contain the bias from the direction of coarse counts. `identify` reports both as a model spread
-    and as findings.
+    A noisy or coarse output makes the estimate biased, and the standard errors do not contain this bias. The standard
+    errors of `BCRLS` exclude the bias from the direction of coarse counts. `identify` reports both biases as a model
+    spread and as findings.
 
     Examples
     --------
@@ -341,16 +354,17 @@ class BCRLS(RecursiveEstimator):
     Parameters
     ----------
     model, encoder, dt, cutoff, forgetting
-        As of `RIV`.
+        See `RIV`.
 
     Notes
     -----
     The method needs no noise variance. The noise may be coloured, as long as it is not correlated with the input. In
-    exact arithmetic the estimate equals the paper's recursion with the affine right-hand side of a known input gain. It
-    is computed as the instrumental variable estimate that it is (Soderstrom, Zheng and Stoica 1999 showed that for the
-    discrete-time method): the facts H^T theta = h determine the coefficients of f(s), the unknown correlation cancels
-    the normal equations of the noisy columns, and the noise-free columns are left as instruments. That costs less, and
-    stays quiet where H^T P G passes through singularity.
+    exact arithmetic the estimate equals the paper's recursion with the affine right-hand side of a known input gain.
+
+    The implementation computes an equivalent instrumental variable estimate. Soderstrom, Zheng and Stoica (1999) showed
+    the equivalence for discrete time. The facts H^T theta = h determine the coefficients of f(s). The unknown
+    correlation cancels the normal equations of the noisy columns, and the noise-free columns remain as instruments.
+    This computation is cheaper and stays smooth if H^T P G becomes singular.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Every estimator under its name; a new one adds a line here."""
+"""Registry of every estimator by name. A new estimator adds one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pmfid.estimators.recursive import BCRLS, RLS
 from pmfid.estimators.srivc import RSRIVC, SRIVC
 from pmfid.models.drive import Model
 
-#: Methods for a drive.
+#: Off-line methods for a drive.
 OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML)
 RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
 #: Methods for a linear process alone.
@@ -20,5 +20,5 @@ ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE,
 
 
 def methods_for(model: Model) -> list[str]:
-    """The methods that take this model."""
+    """Return the names of the methods that take this model."""
     return [name for name, cls in ESTIMATORS.items() if not cls.refuses(model.equation)]

@@ -1,4 +1,4 @@
-"""Results: a fit of a record, a track over its samples."""
+"""Results of estimators: the fit of a record, and the track over a record's samples."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ class Fit(Presentable):
     Attributes
     ----------
     names, units : tuple of str
-        Of the p parameters.
+        Names and units of the p parameters.
     theta : ndarray (p,)
-        Parameters; `fit["mass"]` is one of them.
+        Parameters; `fit["mass"]` returns one of them.
     theta_cov : ndarray (p, p)
-        Covariance, for coloured residuals (Newey and West 1987).
+        Covariance of the parameters for coloured residuals (Newey and West 1987).
     samples : int
-        n.
+        Number of used samples n.
     residual : ndarray (n,)
-        z - phi^T theta.
+        Residual z - phi^T theta.
     relative_error : float
         Norm of the residual over the norm of the target.
     status : int
         All `Status` bits that occurred.
     notes : tuple of str
-        What the method chose by itself.
+        Choices that the method made by itself.
 
     Examples
     --------
@@ -60,12 +60,12 @@ class Fit(Presentable):
 
     @property
     def theta_std(self) -> NDArray[np.float64]:
-        """(p,) standard deviations; NaN where rounding leaves no variance."""
+        """Standard deviations (p,). An entry is NaN if rounding leaves no positive variance."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
 
     def __getitem__(self, name: str) -> float:
-        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
         return float(self.theta[place_of(name, self.names)])
 
     @property
@@ -77,11 +77,11 @@ class Fit(Presentable):
         return self._parameters.summary(title, remarks_of(status_names(self.status), self.notes))
 
     def columns(self) -> dict[str, object]:
-        """A row for each parameter."""
+        """Table with a row for each parameter."""
         return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
-        """The result as a dict, without the residual."""
+        """Return the result as a dict, without the residual."""
         return {
             "samples": self.samples,
             "parameters": self._parameters.content,
@@ -93,8 +93,8 @@ class Fit(Presentable):
 
 @dataclass(frozen=True)
 class Columns:
-    """Filtered columns of the n samples in use: phi (n, p), z (n,), zeta (n, p); used (N,) of the whole record; the
-    status bits that occurred."""
+    """Filtered columns phi (n, p), z (n,), zeta (n, p) of the n samples in use, and the status bits that occurred.
+    `used` (N,) marks the samples in use within the whole record."""
 
     phi: NDArray[np.float64]
     z: NDArray[np.float64]
@@ -110,13 +110,13 @@ class Track(Presentable):
     Attributes
     ----------
     names, units : tuple of str
-        Of the p parameters.
+        Names and units of the p parameters.
     theta : ndarray (n, p)
-        Parameters; `track["mass"]` is one of them, (n,).
+        Parameters; `track["mass"]` returns one of them (n,).
     variance_factor : ndarray (n, p)
         Diagonal of P.
     inflation : ndarray (n, p)
-        Factor of the variances by coloured innovations; 0 while not known.
+        Factor by which coloured innovations raise the variances; 0 while unknown.
     innovation : ndarray (n,)
         A priori error [unit of the target].
     innovation_variance : ndarray (n,)
@@ -142,7 +142,7 @@ class Track(Presentable):
 
     @cached_property
     def theta_std(self) -> NDArray[np.float64]:
-        """(n, p) standard deviations, infinite until there is an estimate; scaled by the inflation once it is known."""
+        """Standard deviations (n, p), infinite before the first estimate and scaled by the inflation once known."""
         return bars(*map(np.ascontiguousarray, (self.variance_factor, self.innovation_variance, self.inflation)))
 
     def with_bars(
@@ -152,7 +152,7 @@ class Track(Presentable):
         theta: NDArray[np.float64],
         std: NDArray[np.float64],
     ) -> Track:
-        """The same samples with other parameters theta (n, q) and their standard deviations (n, q)."""
+        """Return a track of the same samples with other parameters theta (n, q) and standard deviations (n, q)."""
         variance = np.where(self.innovation_variance > 0, self.innovation_variance, np.inf)
         factor = np.where(np.isfinite(std), std, 0.0) ** 2 / variance[:, None]
         whole = np.where(np.all(np.isfinite(std), axis=1), self.innovation_variance, 0.0)
@@ -160,24 +160,24 @@ class Track(Presentable):
         return Track(names, units, theta, factor, inflation, self.innovation, whole, self.status)
 
     def repeat_last(self, samples: int, status: Status) -> Track:
-        """The last estimate for further samples, with a status bit."""
+        """Return a track that repeats the last estimate for further samples and adds a status bit."""
         own = {name: np.repeat(getattr(self, name)[-1:], samples, axis=0) for name in _signals()}
         own["innovation"][:] = 0.0
         own["status"] |= np.uint32(status)
         return Track(self.names, self.units, **own)
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """The (n,) track of one parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        """Return the track (n,) of one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
         return self.theta[..., place_of(name, self.names)]
 
     def has_status(self, bit: Status) -> NDArray[np.bool_]:
-        """(n,) where a status bit is set."""
+        """Return a mask (n,) of the samples that have a status bit."""
         return np.asarray((self.status & bit) != 0)
 
     flagged = rename_method("flagged", "has_status")
 
     def summary(self) -> Summary:
-        """The last estimate."""
+        """Return the summary of the last estimate."""
         if not self.status.size:
             return Summary("track of no samples", Parameters.header, [])
         last = Parameters(self.names, self.units, self.theta[-1], self.theta_std[-1])
@@ -185,14 +185,14 @@ class Track(Presentable):
         return last.summary(title, remarks_of(status_names(int(self.status[-1]))))
 
     def columns(self) -> dict[str, object]:
-        """A row for each sample, numbered from 0: parameters with their standard deviations, innovation, status."""
+        """Table of parameters, standard deviations, innovation and status, with a row for each sample from 0 on."""
         found: dict[str, object] = {"sample": np.arange(self.status.size)}
         for i, name in enumerate(self.names):
             found |= {name: self.theta[:, i], f"{name}_std": self.theta_std[:, i]}
         return found | {"innovation": self.innovation, "status": self.status}
 
     def to_dict(self) -> dict[str, object]:
-        """Lists over the samples."""
+        """Return a dict with lists over the samples."""
         return {
             "samples": int(self.status.size),
             "units": dict(zip(self.names, self.units, strict=True)),
@@ -201,24 +201,24 @@ class Track(Presentable):
 
 
 def _signals() -> list[str]:
-    """What a track has of every sample, by name."""
+    """Return the names of all arrays that a track has over the samples."""
     return [field.name for field in fields(Track) if field.name not in ("names", "units")]
 
 
 def join_tracks(parts: Sequence[Track]) -> Track:
-    """One track of pieces that follow each other."""
+    """Return one track from consecutive parts."""
     whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _signals()}
     return Track(parts[0].names, parts[0].units, **whole)
 
 
 @dataclass(frozen=True, repr=False)
 class Tracks(Track):
-    """Estimates of many axes: a `Track` whose arrays have the axis in front.
+    """Estimates of many axes, as a `Track` whose arrays have the axis as first dimension.
 
     Attributes
     ----------
     theta, variance_factor, inflation : ndarray (axes, m, p)
-        m is the number of samples that were kept. `tracks["mass"]` is (axes, m).
+        m is the number of kept samples. `tracks["mass"]` is (axes, m).
     innovation, innovation_variance, status : ndarray (axes, m)
     samples : ndarray (m,)
         Numbers of the kept samples.
@@ -236,7 +236,7 @@ class Tracks(Track):
     samples: NDArray[np.int64]
 
     def axis(self, index: int) -> Track:
-        """The track of one axis."""
+        """Return the track of one axis."""
         return Track(
             self.names,
             self.units,
@@ -249,7 +249,7 @@ class Tracks(Track):
         )
 
     def summary(self) -> Summary:
-        """The last estimates: their median over the axes, and between which values 90 % of them are."""
+        """Return the summary of the last estimates, with the median and the central 90 % over the axes."""
         axes, kept = self.status.shape
         title = f"tracks of {axes} axes, {kept} sample{'s' * (kept != 1)} kept, the last estimates:"
         header = ("parameter", "median", "5 %", "95 %", "unit")
@@ -266,7 +266,7 @@ class Tracks(Track):
         return [f"{value:.6g}" for value in np.quantile(last, (0.5, 0.05, 0.95))]
 
     def columns(self) -> dict[str, object]:
-        """A row for each sample of each axis."""
+        """Table with a row for each sample of each axis."""
         axes, kept = self.status.shape
         found: dict[str, object] = {"axis": np.repeat(np.arange(axes), kept), "sample": np.tile(self.samples, axes)}
         for i, name in enumerate(self.names):

@@ -1,4 +1,4 @@
-"""Runners own the state of the kernel, for one axis or many."""
+"""Runners, which own the state of the kernel for one axis or many."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
 N = TypeVar("N", bound=np.number)
-#: theta, diagonal of P, its inflation, innovation, its variance, status.
+#: Arrays of theta, the diagonal of P, its inflation, the innovation, its variance, and the status.
 Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
 
 
 @dataclass(frozen=True)
 class SampleBlock:
-    """The next samples of some axes, and room for what is kept of their estimates.
+    """The next samples of several axes, and arrays for the kept estimates.
 
-    u, counts: (axes, n) as the kernel reads them; every: samples from one kept estimate to the next, 0: the last alone;
-    samples: (m,) numbers of the samples with kept estimates.
+    `u` and `counts` (axes, n) have types that the kernel reads. `every` is the number of samples between two kept
+    estimates; 0 keeps the last estimate alone. `samples` (m,) are the numbers of the samples with kept estimates.
     """
 
     u: NDArray[np.floating]
@@ -47,7 +47,7 @@ class SampleBlock:
     def from_arguments(
         cls, u: ArrayLike, counts: ArrayLike, every: int | None, axes: int, parameters: int
     ) -> SampleBlock:
-        """Arguments and errors of `Fleet.run`."""
+        """Return the block for the arguments of `Fleet.run`. Raises as `Fleet.run`."""
         u_table, counts_table = _tables(u, counts, axes)
         if every is not None:
             every = whole_number("every", every, 1, "None keeps the last estimate alone")
@@ -56,7 +56,7 @@ class SampleBlock:
         return cls(u_table, counts_table, every or 0, samples, _room(axes, samples.size, parameters))
 
     def tracks(self, names: tuple[str, ...], units: tuple[str, ...], order: NDArray[np.int64] | None = None) -> Tracks:
-        """What was kept; order: (axes,) rows in which the axes shall come, None: as they are."""
+        """Return the kept estimates. `order` (axes,) sorts the rows, and None keeps their order."""
         rows = slice(None) if order is None else order
         theta, factor, inflation, innovation, variance, status = self.results
         return Tracks(
@@ -89,27 +89,28 @@ def _room(axes: int, kept: int, p: int) -> Results:
 
 
 def kept_samples(samples: int, every: int | None) -> NDArray[np.int64]:
-    """Numbers of the samples whose estimates are kept: one in `every`, and the last."""
+    """Return the numbers of the samples with kept estimates: every `every`-th sample, and the last."""
     last = np.arange(samples)[-1:]
     return last if every is None else np.union1d(np.arange(every - 1, samples, every), last)
 
 
 def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]) -> NDArray[N]:
-    """The array itself where the kernel can read it, else a copy as type `other`."""
+    """Return the array itself if the kernel can read it, or else a copy of type `other`."""
     native = array.dtype.type if array.dtype.type in readable else other
     return np.require(array, np.dtype(native), ["ALIGNED"])
 
 
 def threads(workers: int | None) -> int:
-    """Number of threads; None: as many as there are processors. Raises UsageError for what is no number of threads."""
+    """Return the number of threads. None means all processors. Raises UsageError for an invalid number."""
     remedy = "it is the number of threads; None: as many as there are processors"
     return _processors() if workers is None else whole_number("workers", workers, 1, remedy)
 
 
 class SideBySide:
-    """Axes from the present state of a kernel, which itself does not change; names, units: of its parameters.
+    """Many axes that start from the present state of a kernel. The kernel itself does not change.
 
-    axes, workers: see `Fleet`. Raises UsageError for other numbers, and for more axes than the memory holds.
+    `names` and `units` belong to the kernel's parameters. `Fleet` describes `axes` and `workers`. Raises UsageError for
+    invalid numbers and for more axes than the memory holds.
     """
 
     def __init__(
@@ -131,7 +132,7 @@ class SideBySide:
         self._way = self.kernel.fastest_way
 
     def run(self, u: ArrayLike, counts: ArrayLike, every: int | None = None) -> Tracks:
-        """The next n samples of every axis; arguments and errors of `Fleet.run`."""
+        """Process the next n samples of every axis. `Fleet.run` describes the arguments and errors."""
         work = SampleBlock.from_arguments(u, counts, every, self.axes, len(self.names))
         if work.samples.size:
             self._run_all(work.u, work.counts, work.every, work.results)
@@ -158,9 +159,9 @@ def _processors() -> int:
 
 
 class RunnerEstimator(Protocol):
-    """What a runner knows of its estimator (`RecursiveEstimator`): the configuration, and how one is begun with it."""
+    """Part of a `RecursiveEstimator` that a runner uses: the configuration and the start of an estimation."""
 
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # a dataclass
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # marks a dataclass
 
     @property
     def names(self) -> tuple[str, ...]: ...
@@ -169,7 +170,7 @@ class RunnerEstimator(Protocol):
     @property
     def precision(self) -> str: ...
     def start(self, state: bytes | None = None) -> Runner[Self]:
-        """An estimation of its own."""
+        """Return an independent runner."""
         ...
 
 
@@ -177,25 +178,25 @@ E = TypeVar("E", bound=RunnerEstimator)
 
 
 class Runner(Generic[E]):
-    """What a recursive estimator has gathered from the samples so far, and the only object that samples change.
+    """The state that a recursive estimator has gathered. Samples change no other object.
 
-    `estimator.start()` makes one. Copies, also by `copy.deepcopy`, `pickle` and process pools, go on from the present
-    state with the same bits and share nothing with the original. Two runners are equal only if they are one.
+    `estimator.start()` makes a runner. Copies by `copy.deepcopy`, `pickle` and process pools continue from the present
+    state with the same bits and share nothing with the original. A runner is equal only to itself.
     """
 
     def __init__(self, estimator: E, kernel: Kernel) -> None:
-        # not the estimator itself, which has a runner of its own: the two would keep each other alive
+        # keeping the estimator, which has its own runner, would keep both objects alive
         self._type: type[E] = type(estimator)
         self._configuration = configuration_of(estimator)
         self.names, self.units, self.precision = estimator.names, estimator.units, estimator.precision
         self.kernel = kernel
         kernel.names = self.names
-        # bound here so that a call costs no look-up in Python
+        # an instance attribute saves a look-up in Python at each call
         self.__dict__["step"] = kernel.step
 
     @property
     def estimator(self) -> E:
-        """The configuration, as a new estimator."""
+        """A new estimator with the same configuration."""
         return construct_estimator(self._type, self._configuration)
 
     def __repr__(self) -> str:
@@ -205,21 +206,20 @@ class Runner(Generic[E]):
         return _resume_runner, (self._type, self._configuration, self.get_state())
 
     def step(self, u: float, counts: int, dt: float | None = None) -> Estimate:
-        """One sample: the input applied from now on, the count read now; dt: time since the last sample [s], of an
-        estimator with `steps`; None: the sample period.
+        """Process one sample and return the estimate.
 
-        The estimate has theta (p,), theta_cov (p, p), theta_std (p,), innovation, innovation_variance and status.
-        A value that is not finite is flagged in the status and never enters. Raises TypeError for counts that are no
-        integer.
+        `u` is the input from now on, and `counts` is the present count. `dt` is the time since the last sample [s] for
+        an estimator with `steps`; None takes the sample period. The estimate has theta (p,), theta_cov (p, p),
+        theta_std (p,), innovation, innovation_variance and status. The status flags a non-finite value, which never
+        enters the estimate. Raises TypeError for a count that is no integer.
         """
         return self.kernel.step(u, counts, dt)
 
     def run(self, u: ArrayLike, counts: ArrayLike, steps: ArrayLike | None = None) -> Track:
-        """Many samples at once, from the present state; u, counts: (n,); steps: (n,) time of each sample since the one
-        before [s], of an estimator with `steps`. The same bits as `step` in a loop.
+        """Process samples u and counts (n,) from the present state, with the same bits as `step` in a loop.
 
-        Raises UsageError if the arrays differ in length, the counts are no integers, or steps are given to an
-        estimator without or not given to one with `steps`.
+        `steps` (n,) are the times between consecutive samples [s], for an estimator with `steps`. Raises UsageError if
+        the arrays differ in length, if the counts are no integers, or if `steps` does not suit the estimator.
         """
         u, counts = check_arrays(u, counts)
         return Track(self.names, self.units, *self.kernel.run(u, counts, self._steps_of(steps, u.size)))
@@ -235,17 +235,17 @@ class Runner(Generic[E]):
         return found
 
     def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """Many axes at once, each from the present state, which itself does not change.
+        """Run many axes at once, each from the present state, which does not change.
 
-        u: (axes, n), or (n,) the same for all; counts: (axes, n). The result has the last estimate of each axis, or
-        one in `every` samples as well. Each axis has the bits of `run`. To go on with further samples use a `Fleet`.
-        Raises UsageError like `Fleet.run`.
+        u is (axes, n), or (n,) for the same input on all axes; counts are (axes, n). The result has the last estimate
+        of each axis, or one estimate for every `every` samples and the last. Each axis has the bits of `run`. A `Fleet`
+        can continue with further samples. Raises UsageError like `Fleet.run`.
         """
         table = integer_counts(counts)
         return self.side_by_side(max(1, table.shape[0]) if table.ndim else 1).run(u, table, every)
 
     def side_by_side(self, axes: int, workers: int | None = None) -> SideBySide:
-        """Axes from the present state; arguments and errors of `Fleet`, which keeps them."""
+        """Return axes that start from the present state. `Fleet` describes the arguments and errors."""
         if self._configuration["steps"] is not None:
             raise UsageError(
                 "many axes at once take an even clock: run each by itself, or make the estimator without steps"
@@ -258,11 +258,12 @@ class Runner(Generic[E]):
         return self.kernel.estimate()
 
     def open_memory(self, keep: float, parameter: str | None = None) -> None:
-        """After a change of the plant: only the part `keep` in (0, 1] of what was gathered counts from now on.
+        """Reduce the weight of the gathered information to the part `keep` in (0, 1], after a change of the plant.
 
-        parameter: what changed; what is known of the others for a given value of it stays. None: all. The estimate
-        stays where it is and its variance grows (covariance reset, Goodwin and Sin 1984, in information form); filters
-        and auxiliary model go on. Raises UsageError for another keep or an unknown parameter.
+        `parameter` is the name of the changed parameter. The information on the other parameters, given its value,
+        stays. None reduces all information. The estimate stays and its variance grows (covariance reset in information
+        form, Goodwin and Sin 1984). Filters and auxiliary model continue. Raises UsageError for an invalid `keep` or an
+        unknown parameter.
         """
         if not isinstance(keep, Real) or not 0 < keep <= 1:
             raise UsageError(f"keep must be in (0, 1], got {keep!r}; 0.001 lets new samples prevail at once")
@@ -271,43 +272,49 @@ class Runner(Generic[E]):
         self.kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
 
     def rebase(self, counts: int) -> None:
-        """The counter was set to another value, as in a homing: it would have read `counts` at the last sample.
+        """Follow a counter that was set to another value, as in a homing.
 
-        The estimate stays. Without this call a jump beyond the motion limits of the axis is found and flagged, and the
-        motion in its sample is lost (`Encoder.guard`).
+        `counts` is the new counter's value for the last sample. The estimate stays. Without this call, the estimator
+        flags a jump beyond the motion limits of the axis and loses the motion of this sample (`Encoder.guard`).
         """
         self.kernel.rebase(counts)
 
     def gap(self, counts: int) -> None:
-        """Samples were lost, and the next one has these counts. Filters and auxiliary model restart with its motion.
-        The information stays. A gap of a few samples is better stepped through, with input and counts on the straight
-        lines between its neighbours; call `doubt` before, if the input may have leapt in it. Raises TypeError for
-        counts that are no integer."""
+        """Restart filters and auxiliary model after lost samples, from the next sample with these counts.
+
+        The information stays. A better way through a gap of few samples is a linear interpolation of input and counts,
+        after `doubt` if the input may have leapt in the gap. Raises TypeError for counts that are no integer.
+        """
         self.kernel.gap(counts)
 
     def doubt(self, samples: int) -> None:
-        """The next `samples` samples are guesses, as in a gap in which the input switched: nothing is learnt from them.
-        In slow motion some further samples are left out, at most as many as the filters take to settle. The status is
-        `SETTLING` then. Filters and auxiliary model go on. Raises UsageError for a number that is negative or no
-        integer."""
+        """Mark the next `samples` samples as guesses, from which nothing is learnt.
+
+        A gap in which the input switched needs this call. In slow motion the estimator skips some further samples, at
+        most the settling time of the filters, with the status `SETTLING`. Filters and auxiliary model continue. Raises
+        UsageError for a negative or fractional number.
+        """
         if isinstance(samples, bool) or not isinstance(samples, Integral) or not samples >= 0:
             raise UsageError(f"samples must be a whole number from 0 on, got {samples!r}")
         self.kernel.doubt(min(int(samples), 2**31))
 
     def reset(self) -> None:
-        """Forgets all samples."""
+        """Forget all samples."""
         self.kernel.reset()
 
     def get_state(self) -> bytes:
-        """The whole state, with a version and checksums; `set_state` of a runner with the same configuration, or the
-        firmware exported from it, continues from it."""
+        """Return the whole state as bytes, with a version and checksums. `set_state` of a runner with the same
+        configuration continues from this state, and so does exported firmware."""
         from pmfid.kernel.saved import save_state
 
         return save_state(self.kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continues from a saved state. Raises UsageError, and stays as it was, for one of another configuration, a
-        damaged one, and numbers that no sample could have made, whatever their checksum."""
+        """Continue from a saved state.
+
+        Raises UsageError, without a change of the runner, for a damaged state and for a state of another configuration.
+        Numbers that no sample could have made are refused even with a correct checksum.
+        """
         from pmfid.kernel.saved import load_state
 
         load_state(self.kernel, self.precision, state)

@@ -1,4 +1,4 @@
-"""The times between the samples of an uneven clock."""
+"""Times between the samples of an uneven clock."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from pmfid.errors import UsageError
 from pmfid.kernel.structures import constants_of
 from pmfid.types import Floats
 
-#: Sample periods; a longer step is a gap, not the clock.
+#: Longest step of a clock in sample periods. A longer step is a gap.
 LONGEST = constants_of(None)["PMF_LONGEST"]
-#: Each sample comes with the time since the last one.
+#: Value of `steps` for samples that arrive with the time since their predecessor.
 GIVEN: Literal["given"] = "given"
 
 
 @dataclass(frozen=True, eq=False)
 class SampleSteps:
-    """before: (n,) time of each sample since the one before [s], > 0; the first one is a period."""
+    """Times `before` (n,) between each sample and its predecessor [s], all positive. The first time is a period."""
 
     before: Floats
 
@@ -36,22 +36,24 @@ class SampleSteps:
 
     @cached_property
     def after(self) -> Floats:
-        """(n,) time from each sample to the next [s]."""
+        """Times (n,) from each sample to the next [s]."""
         return np.append(self.before[1:], self.before[:1])
 
     def weights(self, dt: float) -> Floats:
-        """(n,) half of the steps before and after each row of columns, which is one sample late, in sample periods dt
-        [s]: a sum over rows is then an integral over time."""
+        """Return the weight (n,) of each row of columns for an integral over time, in sample periods dt [s]. A row is
+        one sample late. Its weight is half the sum of the steps before and after the sample."""
         step = np.minimum(np.append(dt, self.before) / dt, LONGEST)
         return np.asarray((step[:-1] + step[1:]) / 2)
 
     def part(self, first: int, last: int) -> SampleSteps:
-        """Of samples first to last - 1."""
+        """Return the steps of the samples first to last - 1."""
         return SampleSteps(self.before[first:last])
 
 
 def read_steps(steps: object) -> SampleSteps | Literal["given"] | None:
-    """The argument `steps` of an estimator. Raises UsageError for anything but None, "given" and positive numbers."""
+    """Return the argument `steps` of an estimator. Raises UsageError for anything but None, "given" and positive
+    numbers.
+    """
     if steps is None or isinstance(steps, SampleSteps):
         return steps
     if isinstance(steps, str):
@@ -67,7 +69,7 @@ def read_steps(steps: object) -> SampleSteps | Literal["given"] | None:
 
 
 def check_steps(steps: ArrayLike) -> Floats:
-    """(n,) positive numbers [s]. Raises UsageError for anything else."""
+    """Return the steps (n,) [s] as floats. Raises UsageError for anything but positive finite numbers."""
     try:
         found = np.ascontiguousarray(steps, dtype=np.float64)
     except (TypeError, ValueError):

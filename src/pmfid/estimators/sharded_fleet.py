@@ -40,8 +40,12 @@ __all__ = ["Restored", "restored_from"]
 
 @dataclass(frozen=True)
 class Restored:
-    """What a fleet began with. sequence: number of the checkpoint, 0: none; mark: stored with it; damaged: files that
-    were not whole and are set aside, each with its reason; lost: handles of axes that were reset for that reason."""
+    """The state with which a fleet began.
+
+    `sequence` is the number of the checkpoint; 0 means no checkpoint. `mark` was stored with the checkpoint. `damaged`
+    lists incomplete files that were set aside, with reasons. `lost` (k,) are the handles of the axes that were
+    therefore reset.
+    """
 
     sequence: int
     mark: object
@@ -51,7 +55,7 @@ class Restored:
 
 @dataclass(frozen=True)
 class Taken:
-    """Shards as a checkpoint has them. broken: numbers of the damaged ones, which are reset, and the reason."""
+    """The shards of a checkpoint. `broken` maps the numbers of damaged shards, which are reset, to the reason."""
 
     listing: Listing
     shards: list[Shard]
@@ -60,7 +64,7 @@ class Taken:
 
 @dataclass(frozen=True)
 class Content:
-    """All that a fleet has. size: places of a shard."""
+    """The whole content of a fleet. `size` is the number of places in a shard."""
 
     restored: Restored
     size: int
@@ -69,9 +73,12 @@ class Content:
 
 
 def restored_from(vault: CheckpointFolder, groups: Mapping[bytes, ShardGroup], each: Each) -> Content | None:
-    """The newest checkpoint with whole shards only. If there is none, the newest checkpoint, with its damaged shards
-    reset. None: there is no checkpoint. groups: the configurations by their identity. Raises UsageError for axes of
-    another configuration."""
+    """Return the content of the newest complete checkpoint.
+
+    If no checkpoint is complete, the function resets the damaged shards of the newest one. It returns None if no
+    checkpoint exists. `groups` maps identities to configurations. Raises UsageError for axes of a configuration outside
+    `groups`.
+    """
     reports = list[Event]()
     readable = _listings(vault, reports.append)
     for listing in readable:
@@ -87,7 +94,7 @@ def restored_from(vault: CheckpointFolder, groups: Mapping[bytes, ShardGroup], e
 
 
 def _listings(vault: CheckpointFolder, tell: Callable[[Event], None]) -> list[Listing]:
-    """The listings of the present checkpoints, the newest first."""
+    """Return the listings of the readable checkpoints, the newest first."""
     readable = list[Listing]()
     for found in vault.whole(tell):
         try:
@@ -122,7 +129,7 @@ def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGro
 
 
 def _say(path: Path, problem: str, tell: Callable[[Event], None]) -> None:
-    """Says that a file is not whole, and sets it aside if it is there."""
+    """Report a damaged file, and set the file aside if it exists."""
     if path.exists():
         set_aside(path, problem, tell)
     else:
@@ -145,29 +152,28 @@ Estimator = RecursiveEstimator | Runner[RecursiveEstimator]
 
 
 class ShardedFleet:
-    """Axes of any number of configurations, in shards that are stepped and saved apart.
+    """Axes of any number of configurations, in shards that are stepped and saved separately.
 
-    Each axis has the bits that its estimator alone would give. An axis is called by its handle, a number that `add`
-    gives and that no other axis ever gets; its place in memory is used again after `remove`. One thread at a time may
-    use a fleet.
+    Each axis has the bits that its estimator alone would give. `add` gives each axis a handle, a number that no other
+    axis ever gets. After `remove`, another axis may use the place in memory. Only one thread at a time may use a fleet.
 
     Parameters
     ----------
     folder : path, optional
-        Of the checkpoints, one fleet at a time. The fleet resumes from the last whole checkpoint there, see `restored`.
-        Without a folder there are no checkpoints.
+        Folder of the checkpoints, for one fleet at a time. The fleet resumes from the last complete checkpoint; see
+        `restored`. A fleet without a folder has no checkpoints.
     estimators : iterable of recursive estimators
-        The configurations of the axes in the folder, and others.
+        Configurations, among them those of the axes in the folder.
     shard : int
-        Axes of a shard, if the folder does not say.
+        Number of axes in a shard of a new folder.
     workers : int, optional
         Number of threads. By default as many as there are processors.
 
     Raises
     ------
     UsageError
-        Other numbers, an estimator that is not recursive, a folder that cannot be used, or axes in the folder whose
-        configuration is not among the estimators.
+        A number is invalid, an estimator is not recursive, the folder cannot be used, or `estimators` omits the
+        configuration of an axis in the folder.
 
     Examples
     --------
@@ -219,7 +225,7 @@ class ShardedFleet:
 
     @property
     def axes(self) -> int:
-        """How many there are now."""
+        """The number of axes."""
         return int(np.count_nonzero(self._handles.taken))
 
     @property
@@ -228,8 +234,8 @@ class ShardedFleet:
         return tuple(group.runner.estimator for group in self._groups.values())
 
     def handles(self, estimator: Estimator | None = None) -> NDArray[np.int64]:
-        """(k,) of all axes, or of those with the configuration of an estimator, in the order of their places, in which
-        `run` is fastest."""
+        """Return the handles (k,) of all axes, or of those with an estimator's configuration. The handles are in the
+        order of the places in memory. `run` is fastest in this order."""
         places = np.flatnonzero(self._handles.taken)
         if estimator is not None:
             identity = identity_of(runner_of(estimator))
@@ -237,11 +243,12 @@ class ShardedFleet:
             places = places[own[places // self._size]] if places.size else places
         return self._handles.make_handles(places)
 
-    # --- axes come and go ---------------------------------------------------------------------------------------------
+    # --- addition and removal of axes
+    # -----------------------------------------------------------------------------------
 
     def add(self, estimator: Estimator, axes: int = 1) -> NDArray[np.int64]:
-        """Adds axes, which begin in the present state of an estimator or `Runner`; returns their handles (axes,).
-        Raises UsageError for another number, an estimator that is not recursive, and more than the memory holds."""
+        """Add axes in the present state of an estimator or `Runner`, and return their handles (axes,). Raises
+        UsageError for an invalid number, an estimator that is not recursive, and more axes than the memory holds."""
         runner = runner_of(estimator)
         number = whole_number("axes", axes, 0, "it is how many are added")
         if number > stored.MOST - self._size * (len(self._shards) + 1):
@@ -256,15 +263,15 @@ class ShardedFleet:
         return self._handles.take(places)
 
     def remove(self, handles: ArrayLike) -> None:
-        """Remove these axes. Their handles are refused from now on, also if their places are used again. The memory
-        stays for added axes. Raises UsageError for an axis that is not there or comes twice."""
+        """Remove these axes. The fleet refuses their handles from now on, even after another axis has taken their
+        place. The memory stays for new axes. Raises UsageError for an unknown axis or a repeated one."""
         self._handles.release(self._handles.places(handles))
 
     def _group(self, runner: Runner[RecursiveEstimator]) -> ShardGroup:
         return self._groups.setdefault(identity_of(runner), ShardGroup(runner))
 
     def _places_for(self, group: ShardGroup, axes: int) -> NDArray[np.int64]:
-        """Free places of a configuration for new axes: places that have been in use first, then new shards."""
+        """Return free places for new axes of a configuration: first places that were in use, then new shards."""
         found, left = [np.zeros(0, np.int64)], axes
         for shard in self._shards:
             if left and shard.group is group:
@@ -277,7 +284,7 @@ class ShardedFleet:
         return np.concatenate([*found, np.arange(left) + first * self._size])
 
     def _split_by_shard(self, places: NDArray[np.int64]) -> list[tuple[Shard, NDArray[np.int64]]]:
-        """Shards and rows of ascending places."""
+        """Return the shards and rows of ascending places."""
         if not places.size:
             return []
         numbers = places // self._size
@@ -287,11 +294,11 @@ class ShardedFleet:
     # --- samples ------------------------------------------------------------------------------------------------------
 
     def run(self, handles: ArrayLike, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """The next n samples of the axes `handles` (k,), each at most once and all of one configuration.
+        """Process the next n samples of the axes `handles` (k,), which are distinct and have the same configuration.
 
-        u: (k, n), or (n,) the same for all; counts: (k, n); every and what is read in place: as in `Fleet.run`. The
-        estimates are in the order of the handles. Raises UsageError for an axis that is not there or comes twice, for
-        several configurations, and like `Fleet.run`.
+        u is (k, n), or (n,) for the same input on all axes; counts are (k, n). `Fleet.run` describes `every` and the
+        types that need no copy. The estimates are in the order of the handles. Raises UsageError for an unknown or
+        repeated axis, for several configurations, and like `Fleet.run`.
         """
         places = self._handles.places(handles)
         runner = self._only(places).runner
@@ -304,7 +311,7 @@ class ShardedFleet:
         return work.tracks(runner.names, runner.units, None if order is None else np.argsort(order))
 
     def _only(self, places: NDArray[np.int64]) -> ShardGroup:
-        """The configuration of some axes."""
+        """Return the only configuration of these places. Raises UsageError for several configurations."""
         numbers: list[int] = np.unique(places // self._size).tolist()
         found = {self._shards[number].group.identity for number in numbers}
         if len(found) != 1:
@@ -315,7 +322,7 @@ class ShardedFleet:
         return self._shards[numbers[0]].group
 
     def _run(self, places: NDArray[np.int64], work: SampleBlock) -> None:
-        """Ascending places."""
+        """Process the samples of ascending places."""
         pieces, at = list[ShardPiece](), 0
         for shard, rows in self._split_by_shard(places):
             shard.changed = True
@@ -327,7 +334,7 @@ class ShardedFleet:
         self._each(lambda piece: piece.run(work, way), pieces, worth=work.counts.size >= TUNING.runner_small)
 
     def _each(self, action: Callable[[T], None], some: Sequence[T], worth: bool = True) -> None:
-        """Does something with all of some; worth: more threads than this one."""
+        """Apply an action to each element, in several threads if the work is `worth` them."""
         if self.workers == 1 or not worth:
             for one in some:
                 action(one)
@@ -336,8 +343,8 @@ class ShardedFleet:
             list(pool.map(action, some))
 
     def axis(self, handle: int) -> RecursiveEstimator:
-        """A new estimator in the state of one axis; its `get_state` is what firmware and Python share. Raises
-        UsageError for one that is not there."""
+        """Return a new estimator in the state of one axis. `get_state` of the estimator returns the state that firmware
+        and Python share. Raises UsageError for an unknown axis."""
         shard, row = self._row(handle)
         single, kernel = shard.group.runner.estimator, shard.group.borrow()
         kernel.hold(shard.states[row : row + 1])
@@ -346,7 +353,7 @@ class ShardedFleet:
         return single
 
     def gap(self, handle: int, counts: int) -> None:
-        """Samples of one axis were lost, and its next one has these counts: `Fleet.gap`, and its errors."""
+        """Restart one axis after lost samples, from its next sample with these counts. Raises as `Fleet.gap`."""
         shard, row = self._row(handle)
         shard.group.runner.estimator.check_gaps()
         kernel = shard.group.borrow()
@@ -365,13 +372,15 @@ class ShardedFleet:
     # --- checkpoints --------------------------------------------------------------------------------------------------
 
     def checkpoint(self, mark: object = None, *, sync: bool = True) -> int:
-        """Writes the shards that have changed since the last checkpoint; their bytes. When it returns, the whole fleet
-        is on disk as it is now; a kill before that leaves the last one.
+        """Write the shards that have changed since the last checkpoint, and return the number of written bytes.
 
-        mark: a JSON value stored with the checkpoint, as how far the samples have been read. sync: waits until the disk
-        has the checkpoint, so that it outlives a loss of power; False: it outlives the process alone, and its checksum
-        shows what a loss of power destroyed. Raises OSError if the disk does not take it, and the last one counts then.
-        Raises UsageError without a folder, after `close`, or for another mark.
+        After the return, the disk has the whole present fleet. After an earlier kill, the disk has the last checkpoint.
+
+        `mark` is a JSON value that is stored with the checkpoint, for example the number of samples read. If `sync` is
+        True, the method waits for the disk, and the checkpoint survives a loss of power. If `sync` is False, the
+        checkpoint survives only the process, and its checksum reveals damage by a loss of power. Raises OSError if the
+        disk refuses the checkpoint; the last one then stays valid. Raises UsageError without a folder, after `close`,
+        or for a mark that JSON cannot hold.
         """
         if self._vault is None:
             raise UsageError("this fleet has no folder for checkpoints; give one as in ShardedFleet('state')")
@@ -390,8 +399,8 @@ class ShardedFleet:
         self.close()
 
     def close(self) -> None:
-        """Another fleet may have the folder; nothing is written, and `checkpoint` is refused from now on. A `with`
-        statement does it at its end."""
+        """Release the folder for another fleet. The method writes nothing, and the fleet refuses `checkpoint` from now
+        on. A `with` statement calls the method at its end."""
         self._closed = True
         if self._vault is not None:
             self._vault.close()

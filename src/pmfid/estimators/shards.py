@@ -26,45 +26,45 @@ if TYPE_CHECKING:
 
 __all__ = ["LAST", "Handles"]
 
-#: Axes that a place has had before its last one; after the last one the place stays empty, for its number would recur.
+#: Largest number of previous axes of a place. After this many, the place stays empty, because its number would recur.
 LAST = 2**31 - 1
 _BITS, _PLACE = 32, 2**32 - 1
 
 
 class Handles:
-    """The places of all axes. before: (places,) axes that each has had before; taken: (places,) whether it has one."""
+    """The places of all axes. `before` (places,) is the number of previous axes of each place, and `taken` (places,)
+    marks the places in use."""
 
     def __init__(self, places: int = 0) -> None:
         self.before = np.zeros(places, np.uint32)
         self.taken = np.zeros(places, np.bool_)
 
     def grow(self, places: int) -> None:
-        """Adds places."""
+        """Add places."""
         self.before = np.concatenate([self.before, np.zeros(places, np.uint32)])
         self.taken = np.concatenate([self.taken, np.zeros(places, np.bool_)])
 
     def take(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Gives free places to axes; their handles."""
+        """Mark free places as taken and return the handles of their new axes."""
         self.taken[places] = True
         return self.make_handles(places)
 
     def make_handles(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Handles of the axes that have these places."""
+        """Return the handles of the axes at these places."""
         return (self.before[places].astype(np.int64) << _BITS) | places
 
     def release(self, places: NDArray[np.int64]) -> None:
-        """The axes of these places are gone: their handles are refused from now on."""
+        """Free these places. Their axes' handles are refused from now on."""
         self.taken[places] = False
         self.before[places] += 1
 
     def free(self, first: int, end: int) -> NDArray[np.int64]:
-        """Places in a range that an axis may have."""
+        """Return the usable free places of a range."""
         own = slice(first, end)
         return first + np.flatnonzero(~self.taken[own] & (self.before[own] <= LAST))
 
     def places(self, handles: ArrayLike) -> NDArray[np.int64]:
-        """(k,) places of axes. Raises UsageError for what is no handle, for an axis that is gone or never was, and for
-        one that comes twice."""
+        """Return the places (k,) of axes. Raises UsageError for invalid, removed and repeated handles."""
         numbers = np.asarray(handles)
         if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
             raise UsageError(
@@ -91,8 +91,12 @@ class Handles:
 
 
 class ShardGroup:
-    """A configuration. runner: that it came with; identity: distinguishes its states from others; older: in the version
-    before; start: (bytes,) the state in which axes begin where nothing else is said."""
+    """One configuration of axes.
+
+    `runner` is the runner from which the configuration came. `identity` distinguishes its states from those of other
+    configurations, and `older` is the identity in the preceding version. `start` (bytes,) is the default state of new
+    axes.
+    """
 
     def __init__(self, runner: Runner[RecursiveEstimator]) -> None:
         self.runner = runner
@@ -102,14 +106,14 @@ class ShardGroup:
         self.fastest_way = _many(runner).fastest_way
 
     def borrow(self) -> ManyKernel:
-        """A kernel of the configuration, which a thread has for itself until it gives it back."""
+        """Return a kernel of the configuration, which one thread owns until `give_back`."""
         try:
             return self._idle.get_nowait()
         except Empty:
             return _many(self.runner)
 
     def give_back(self, kernel: ManyKernel) -> None:
-        """It is free again."""
+        """Return a borrowed kernel to the group."""
         kernel.hold(self.start[None])
         self._idle.put(kernel)
 
@@ -119,25 +123,29 @@ def _many(runner: Runner[RecursiveEstimator]) -> ManyKernel:
 
 
 def state_of(runner: Runner[RecursiveEstimator]) -> NDArray[np.uint8]:
-    """(bytes,) the present state, packed."""
+    """Return the present state (bytes,), packed."""
     return np.array(_many(runner).states[0])
 
 
 def identity_of(runner: Runner[RecursiveEstimator], version: int | None = None) -> bytes:
-    """The prefix of a configuration's states: it identifies kernel, layout and configuration. version: an older one."""
+    """Return the prefix of a configuration's states, which identifies kernel, layout and configuration. `version`
+    selects an older version."""
     many = _many(runner)
     head = fleet_head(many, runner.precision)
     head["axes"] = 0
     if version is not None:
         head["version"], head["size"] = version, many.older_size(version, whole_words(runner.precision))
-    return head.tobytes()[:-4]  # without the checksum
+    return head.tobytes()[:-4]  # removes the checksum
 
 
 @dataclass(eq=False)
 class Shard:
-    """Up to `size` axes. number: its own in the fleet; rows: places that have been in use; changed: since the last
-    checkpoint; side, sequence: the file that holds it in the last checkpoint, if there is one; synced: the disk is
-    known to have that file."""
+    """Up to `size` axes of one configuration.
+
+    `number` identifies the shard in the fleet, and `rows` counts the places that have been in use. `changed` is True if
+    the shard differs from the last checkpoint. `side` and `sequence` identify the file of the shard in the last
+    checkpoint. `synced` is True if the disk surely has that file.
+    """
 
     group: ShardGroup
     number: int
@@ -147,7 +155,7 @@ class Shard:
     side: int = 1
     sequence: int = 0
     synced: bool = False
-    #: (size, bytes); unused rows have no memory yet.
+    #: states (size, bytes); unused rows have no memory yet
     states: NDArray[np.uint8] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -155,25 +163,25 @@ class Shard:
 
     @property
     def used(self) -> NDArray[np.uint8]:
-        """(rows, bytes) the states."""
+        """The states (rows, bytes) of the used rows."""
         return self.states[: self.rows]
 
     def begin(self, rows: NDArray[np.int64], start: NDArray[np.uint8]) -> None:
-        """Axes begin in these rows."""
+        """Begin axes in these rows."""
         self.states[_span(rows)] = start
         self.rows = max(self.rows, int(rows.max()) + 1)
         self.changed = True
 
 
 def _span(rows: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """Ascending rows, as a slice where they follow one another."""
+    """Return ascending rows, as a slice if they are consecutive."""
     first, end = int(rows[0]), int(rows[-1]) + 1
     return slice(first, end) if end - first == rows.size else rows
 
 
 @dataclass(frozen=True)
 class ShardPiece:
-    """Axes of a shard that a thread steps at once. rows: (k,) ascending; at: where they are in the tables."""
+    """Axes of a shard that a thread steps at once. `rows` (k,) are ascending, and `at` is their place in the tables."""
 
     shard: Shard
     rows: NDArray[np.int64]
@@ -188,25 +196,25 @@ class ShardPiece:
         kernel.hold(states)
         kernel.run(work.u[self.at], work.counts[self.at], 0, self.rows.size, work.every, results, way)
         self.shard.group.give_back(kernel)
-        if not isinstance(span, slice):  # then they are copies
+        if not isinstance(span, slice):  # other indices made copies
             self.shard.states[span] = states
 
 
-#: Points of `crash` that a checkpoint passes, before the vault's points.
+#: Points of `crash` in a checkpoint before those of the vault.
 POINTS = ("shard.half", "shard.written", "shard.synced", "shards.synced")
-#: No fleet has more places, and no shard: what a file says is not believed beyond that.
+#: Largest numbers of places in a fleet and in a shard. A file with larger numbers is damaged.
 MOST, MOST_OF_SHARD = 2**28, 2**20
-#: _SHARD: number of a shard and its rows, after the identity of its configuration.
+#: _SHARD packs the number of a shard and its rows, and follows the configuration's identity.
 _LENGTH, _SHARD = struct.Struct("<Q"), struct.Struct("<II")
-#: Bytes of a place in a list: axes before, whether there is one.
+#: Bytes of a place in a list: the number of previous axes, and a flag for the present axis.
 _PLACE_BYTES = 5
-#: Does something with all of some shards.
+#: Function that applies an action to each of several shards.
 Each = Callable[[Callable[[Shard], None], Sequence[Shard]], None]
 
 
 @dataclass(frozen=True)
 class Listed:
-    """A shard in a checkpoint. identity: of its configuration; the others as in `Shard`."""
+    """A shard in a checkpoint. `identity` is that of the configuration; `Shard` describes the other fields."""
 
     identity: bytes
     rows: int
@@ -220,7 +228,7 @@ class Listed:
 
 @dataclass(frozen=True)
 class Listing:
-    """A checkpoint. size: places of a shard; mark: what the caller stored with the checkpoint."""
+    """The content list of a checkpoint. `size` is the number of places in a shard, and `mark` is the caller's value."""
 
     sequence: int
     size: int
@@ -230,15 +238,15 @@ class Listing:
 
 
 def place_of(folder: Path, number: int, side: int) -> Path:
-    """The file of a side."""
+    """Return the path of one side of a shard."""
     return folder / f"shard-{number:06}-{side}"
 
 
 def write(
     vault: CheckpointFolder, shards: Sequence[Shard], handles: Handles, mark: object, each: Each, sync: bool
 ) -> int:
-    """A checkpoint; the bytes of states that it wrote. sync: it shall outlive the power as well. Raises OSError, and
-    TypeError for a mark that JSON does not know."""
+    """Write a checkpoint and return the number of written bytes of states. If `sync` is True, the checkpoint survives a
+    loss of power. Raises OSError, and TypeError for a mark that JSON cannot hold."""
     sequence, changed = vault.sequence + 1, [shard for shard in shards if shard.changed]
     listing = [_describe_shard(shard, sequence) for shard in shards]
     body = _body(shards[0].size if shards else 0, listing, handles, mark)
@@ -264,7 +272,7 @@ def _body(size: int, shards: list[tuple[str, int, int, int]], handles: Handles, 
 
 
 def _write_shard(folder: Path, shard: Shard, sequence: int, sync: bool) -> None:
-    """Writes the side that the last checkpoint does not use: a failed write leaves the last checkpoint whole."""
+    """Write the side that the last checkpoint does not use, so that a failed write leaves that checkpoint complete."""
     path = place_of(folder, shard.number, 1 - shard.side)
     head = shard.group.identity + _SHARD.pack(shard.number, shard.rows)
     number = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
@@ -279,17 +287,17 @@ def _write_shard(folder: Path, shard: Shard, sequence: int, sync: bool) -> None:
 
 
 def _sync_shard(folder: Path, shard: Shard) -> None:
-    """What an earlier checkpoint wrote without waiting for the disk, or another process did."""
+    """Force a shard's file to the disk if an earlier checkpoint or another process did not wait for the disk."""
     with open(place_of(folder, shard.number, shard.side), "r+b") as file:
         os.fsync(file.fileno())
     shard.synced = True
 
 
-# --- and back ---------------------------------------------------------------------------------------------------------
+# --- reading --------------------------------------------------------------------------------------------------------
 
 
 def read_listing(sequence: int, body: bytes) -> Listing:
-    """What `write` put into the vault. Raises ValueError for anything else."""
+    """Return the listing that `write` put into the vault. Raises ValueError for other content."""
     try:
         (length,) = _LENGTH.unpack_from(body)
         raw = json.loads(body[_LENGTH.size : _LENGTH.size + length])
@@ -320,8 +328,11 @@ def _handles(table: bytes, places: int) -> Handles:
 
 
 def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
-    """Gives a shard what it had in a checkpoint. Raises DamagedError, and leaves it as it was, where the file is not
-    there or not whole, is of another shard or checkpoint, or has numbers that no sample could have made."""
+    """Load a shard's content from a checkpoint.
+
+    Raises DamagedError, without a change of the shard, if the file is missing, incomplete or from another shard or
+    checkpoint. Numbers that no sample could have made raise the error, too.
+    """
     path = place_of(folder, shard.number, listed.side)
     try:
         found = map_file(path)
@@ -341,7 +352,7 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
 
 
 def _convert_states(shard: Shard, states: NDArray[np.uint8], *, older: bool) -> NDArray[np.uint8]:
-    """Raises DamagedError if a state has another number of bytes."""
+    """Return the states in the present version. Raises DamagedError if a state has an unexpected number of bytes."""
     if older:
         kernel, shard.changed = shard.group.borrow(), True
         try:

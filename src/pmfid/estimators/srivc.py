@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProcessFit(Fit):
-    """A `Fit` of a transfer function. process: the transfer function itself, with poles, zeros, responses;
-    passes: of the iteration."""
+    """A `Fit` of a transfer function. `process` is the transfer function itself, with poles, zeros and responses.
+    `passes` counts the iterations."""
 
     process: Process
     passes: int
@@ -55,14 +55,12 @@ class ProcessFit(Fit):
 
 @dataclass(frozen=True)
 class ProcessSolver(BatchEstimator):
-    """A `BatchEstimator` that simulates any transfer function, with initial conditions that are always part of the fit.
-
-    What it does with another equation, if it takes any, is its `_fit`.
-    """
+    """A `BatchEstimator` that simulates any transfer function and always fits its initial conditions. A subclass that
+    takes another equation implements `_fit` for this equation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.model, TransferFunction):  # no parameters of its own
+        if isinstance(self.model, TransferFunction):  # initial conditions are no parameters of the model
             object.__setattr__(self, "model", replace(self.model, initial_conditions=False))
 
     @classmethod
@@ -75,14 +73,15 @@ class ProcessSolver(BatchEstimator):
         return super().fit(u, counts)
 
     def fit_experiments(self, experiments: Sequence[Experiment]) -> ProcessFit:
-        """Estimates from several records at once; `dt` of the estimator is the period that `delay` counts in.
+        """Return the estimate from several records at once.
 
-        Raises UsageError without a usable record, or for another model than a `TransferFunction`, and
-        NotIdentifiableError as `fit`."""
+        `delay` of the model counts in periods of the estimator's `dt`. Raises UsageError without a usable record, or
+        for another model than a `TransferFunction`, and NotIdentifiableError as `fit`.
+        """
         return fit_process(self, experiments, self.solve_problem)
 
     def solve_problem(self, problem: ProcessProblem) -> Solution:
-        """The method's own solution."""
+        """Return the method's own solution."""
         raise NotImplementedError
 
 
@@ -117,13 +116,15 @@ class SRIVC(ProcessSolver, ProcessOnly):
 
     Notes
     -----
-    sum zeta (z - phi^T theta) = 0. All signals are filtered by 1/A(s) of the estimate; the instruments zeta come from
-    the output that the estimate simulates from the input. The iteration starts from least squares with filters of the
-    pole `cutoff`. Unstable intermediate models are reflected. If the iteration does not settle, output error by
-    Levenberg and Marquardt takes over, and further filters are tried. There is no error of discretisation. Initial
-    conditions are always unknown and part of the fit. For white noise on the output the method is efficient; for any
-    noise that is not correlated with the input it is consistent. theta_cov holds for noise of any colour. `fit` takes u
-    and counts; `fit_experiments` takes records with gaps, missing samples, other holds and a reference.
+    The method solves sum zeta (z - phi^T theta) = 0. The filter 1/A(s) of the estimate applies to all signals. The
+    instruments zeta come from the output that the estimate simulates from the input. The iteration starts from least
+    squares with filters of the pole `cutoff`. Unstable intermediate models are reflected. If the iteration does not
+    converge, the method minimises the output error (Levenberg and Marquardt) and tries further filters.
+
+    The method has no discretisation error. Initial conditions are always unknown and part of the fit. The method is
+    efficient for white output noise, and consistent for any noise without correlation to the input. theta_cov holds for
+    noise of any colour. `fit` takes u and counts. `fit_experiments` takes records with gaps, missing samples, other
+    holds and a reference.
 
     Examples
     --------
@@ -144,8 +145,8 @@ class SRIVC(ProcessSolver, ProcessOnly):
     method: ClassVar[str] = "srivc"
 
     def fit(self, u: ArrayLike, counts: ArrayLike) -> ProcessFit:
-        """Estimates from u, counts: (n,). Raises UsageError for arrays that do not fit each other and
-        NotIdentifiableError where the record cannot identify every parameter."""
+        """Return the estimate from u and counts (n,). Raises UsageError for arrays that do not fit each other, and
+        NotIdentifiableError if the record cannot identify every parameter."""
         return self.fit_experiments([make_experiment(self, u, counts)])
 
     def solve_problem(self, problem: ProcessProblem) -> Solution:
@@ -153,7 +154,7 @@ class SRIVC(ProcessSolver, ProcessOnly):
 
 
 def make_experiment(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment:
-    """The record as an `Experiment`: the position of the counts, an input that is not finite replaced."""
+    """Return the record as an `Experiment` with the position of the counts. Held values replace non-finite inputs."""
     u, counts = check_arrays(u, counts)
     check_size(u)
     if u.size < 2:
@@ -164,11 +165,11 @@ def make_experiment(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Ex
 def fit_process(
     estimator: Estimator, experiments: Sequence[Experiment], solver: Callable[[ProcessProblem], Solution] = solve
 ) -> ProcessFit:
-    """The estimate from all records, by refined instrumental variables or another solver."""
+    """Return the estimate from all records by refined instrumental variables, or by another `solver`."""
     check_experiments(estimator, experiments)
     problem = make_problem(estimator, experiments)
     check_signals(problem, estimator.names)
-    with np.errstate(all="ignore"):  # a model on the way may be far off; what is not finite is not taken
+    with np.errstate(all="ignore"):  # an intermediate model may be far off, and non-finite values are rejected
         if problem.structure.latest is None:
             solution = solver(problem)
         else:
@@ -182,7 +183,7 @@ def fit_process(
 
 
 def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -> None:
-    """Raises UsageError without experiments, or where the estimator has another sample period than they."""
+    """Raise UsageError for missing experiments, or for experiments with another sample period than the estimator's."""
     listed = isinstance(experiments, Sequence) and all(isinstance(part, Experiment) for part in experiments)
     if not listed or not experiments:
         raise UsageError("experiments must be a list of one Experiment or more; write [experiment] for a single one")
@@ -196,17 +197,17 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
 
 
 def fixed_filters(problem: ProcessProblem) -> Solution:
-    """Instrumental variables with the filters of the estimator's cutoff."""
+    """Solve by instrumental variables with the filters of the estimator's cutoff."""
     return with_fixed_filter(problem, 1.0)
 
 
 def solve_by_descent(problem: ProcessProblem) -> Solution:
-    """Least squares of the output error."""
+    """Solve by least squares of the output error."""
     return descend(problem, refine(problem, first_guess(problem, 1.0)).point)
 
 
 def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> ProcessProblem:
-    """The stretches of all records, in units of the filters' time constant. Raises UsageError if none is usable."""
+    """Return the stretches of all records in filter time constants. Raises UsageError if none is usable."""
     model = estimator.model
     if not isinstance(model, TransferFunction):
         raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
@@ -214,7 +215,7 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
     stretches = [replace(stretch, record=i) for i, some in enumerate(parts) for stretch in some]
     structure = make_structure(model, estimator.dt, estimator.cutoff)
     scaled = tuple(stretch.scale_time(estimator.cutoff) for stretch in stretches)
-    # what the initial conditions take up, a stretch must have more of
+    # a stretch must have more outputs than the initial conditions absorb
     usable = keep_outputs_after(scaled, structure.dead_time, model.n + 2)
     for name, signals in (("output", [part.y for part in experiments]), ("input", [part.u for part in experiments])):
         if not any(np.any(np.isfinite(signal)) for signal in signals):
@@ -225,14 +226,14 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
 
 
 def make_structure(model: TransferFunction, dt: float, rate: float) -> Structure:
-    """The structure with time in units of 1/rate; dt: sample period [s]."""
+    """Return the model's structure with the time in units of 1/rate, for the sample period dt [s]."""
     fixed = 0.0 if isinstance(model.dead_time, str) else model.dead_time * rate
     latest = MAX_DELAY * dt * rate if model.dead_time == ESTIMATE else None
     return Structure(model.n, model.m, model.offset, model.integrators, model.unstable, fixed, latest)
 
 
 def check_signals(problem: ProcessProblem, names: tuple[str, ...]) -> None:
-    """Raises NotIdentifiableError if input or output say nothing, whatever the method."""
+    """Raise NotIdentifiableError if the input or the output contains no information for any method."""
     samples = sum(stretch.rows.size for stretch in problem.stretches)
     if samples <= 2 * len(names):
         raise NotIdentifiableError(f"only {samples} samples for {len(names)} parameters: record longer")
@@ -243,7 +244,7 @@ def check_signals(problem: ProcessProblem, names: tuple[str, ...]) -> None:
 
 
 def result(estimator: Estimator, problem: ProcessProblem, solution: Solution) -> ProcessFit:
-    """The `ProcessFit` in seconds. Raises NotIdentifiableError if a sensitivity follows from the others."""
+    """Return the `ProcessFit` in seconds. Raises NotIdentifiableError if a sensitivity depends on the others."""
     point = solution.point
     check_apart(point, estimator.names)
     scale = problem.structure.scale(problem.rate)
@@ -276,7 +277,7 @@ def process_of(estimator: Estimator, theta: NDArray[np.float64], cov: NDArray[np
 
 
 def with_dead_time(estimator: Estimator, theta: NDArray[np.float64]) -> Estimator:
-    """The estimator with the dead time that was found, the last of theta (p,), as a known one."""
+    """Return a copy of the estimator whose known dead time is the last entry of theta (p,)."""
     model = estimator.model
     if not isinstance(model, TransferFunction) or model.dead_time != ESTIMATE:
         return estimator
@@ -284,8 +285,8 @@ def with_dead_time(estimator: Estimator, theta: NDArray[np.float64]) -> Estimato
 
 
 def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
-    """Raises NotIdentifiableError if a sensitivity is zero or a combination of the others, naming the parameter."""
-    with np.errstate(over="ignore"):  # looked at
+    """Raise NotIdentifiableError with the parameter's name if a sensitivity is zero or depends on the others."""
+    with np.errstate(over="ignore"):  # an overflow is checked below
         countable = np.all(np.isfinite(np.linalg.norm(point.zeta, axis=0)))
     parts = parts_of_their_own(point.zeta, rcond=1e-13)[0] if countable else np.zeros(len(names))
     worst = int(np.argmin(parts))
@@ -297,7 +298,7 @@ def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
 
 
 def spread(problem: ProcessProblem) -> float:
-    """Sum of squares of the output about the mean of each stretch."""
+    """Return the sum of squares of the output about the mean of each stretch."""
     return sum(
         float(np.sum((y := stretch.y[stretch.rows]) ** 2) - y.size * np.mean(y) ** 2) for stretch in problem.stretches
     )
@@ -305,13 +306,13 @@ def spread(problem: ProcessProblem) -> float:
 
 @dataclass(frozen=True)
 class RSRIVC(ProcessOnly, RecursiveEstimator):
-    """Recursive simplified refined instrumental variables, continuous time (Young and Jakeman 1980).
+    """Recursive simplified refined instrumental variables for continuous time (Young and Jakeman 1980).
 
     Parameters
     ----------
     model : TransferFunction
     encoder, dt, cutoff, order, prefilter_zeros, forgetting
-        As of `BCRLS`. The time of the slow copy goes with cutoff.
+        See `BCRLS`. The time constant of the slow copy scales with 1 / cutoff.
 
     Raises
     ------
@@ -320,14 +321,18 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
 
     Notes
     -----
-    The process is simulated from the input alone with a slow copy of the estimate; the simulated output, filtered by 1
-    / A(s) like the measured one, is the instrument. For white noise on the output no unbiased method has a smaller
-    variance. The filters follow the copy and are updated once per filter time constant. The filters of the input are
-    exact for its hold, so there is no error of discretisation. A copy that would be unstable, or have poles beyond 2 /
-    dt, is not taken; the last one stays. If the process rings for a good part of the record so far, the data have
-    filters that settle sooner, and only the instruments have the filters of the process; the error bars are then too
-    long rather than too short. Until the model is there and as good as `BCRLS`, the estimate is that of `BCRLS`
-    (`Status.FALLBACK`).
+    A slow copy of the estimate simulates the process from the input alone. The simulated output, filtered by 1 / A(s)
+    like
+    the measured output, is the instrument. For white output noise, no unbiased method has a smaller variance. The
+    filters
+    follow the copy and are updated once per filter time constant. The input filters are exact for the input's hold, so
+    the
+    method has no discretisation error.
+
+    The method refuses a copy that is unstable or has poles beyond 2 / dt, and keeps the last copy. If the process rings
+    for a large part of the record so far, the data get faster filters, and only the instruments get the filters of the
+    process. The error bars are then too long rather than too short. The estimate is that of `BCRLS` (`Status.FALLBACK`)
+    until the model exists and is as good as `BCRLS`.
 
     Examples
     --------
@@ -373,7 +378,7 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
         )
 
     def _linear_config(self, builder: ColumnBuilder, first: int) -> dict[str, object]:
-        """The model's part of the kernel configuration."""
+        """Return the kernel configuration of the model."""
         model, per_sample = cast(TransferFunction, self.model), self.cutoff * self.dt
         n, update = model.n, max(1, round(1 / per_sample))
         return {

@@ -1,4 +1,4 @@
-"""Error bars: how scores scatter, and where the encoder's lattice may lie."""
+"""Error bars from the scatter of scores and from the unknown place of the encoder's lattice."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pmfid.types import Floats
 
 
 def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
-    """Variances (p,) of the sum of scores (n, p), as the scatter of their sums over blocks says (tapered segments that
-    overlap by half: Welch 1967): the largest over blocks of `shortest`, twice that, and so on, as long as 24 of them
-    are left.
+    """Return variances (p,) of the sum of scores (n, p) by the scatter of block sums.
 
-    shortest: samples over which scores cancel each other, as the differences of a coarse count do.
+    The blocks are tapered segments that overlap by half (Welch 1967). The result is the largest variance over block
+    lengths of `shortest` and its doublings that leave at least 24 blocks. `shortest` is the number of samples over
+    which scores cancel each other, as the differences of a coarse count do.
     """
     n = scores.shape[0]
     length = max(1, min(shortest, n // TUNING.uncertainty_fewest))
@@ -34,7 +34,8 @@ def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
 
 
 def scatter(scores: Floats, shortest: int = 1) -> Floats:
-    """Covariance (p, p) of the sum of scores (n, p): variances of `block_scatter`, correlations of its middle scale."""
+    """Return the covariance (p, p) of the sum of scores (n, p). The variances are those of `block_scatter`, and the
+    correlations are those of the middle block length."""
     n = scores.shape[0]
     length = max(1, min(shortest, n // TUNING.uncertainty_fewest), round(np.sqrt(n / TUNING.uncertainty_fewest)))
     sums = _blocks(scores, length)
@@ -45,8 +46,8 @@ def scatter(scores: Floats, shortest: int = 1) -> Floats:
 
 
 def _blocks(scores: Floats, length: int) -> Floats:
-    """Sums (count, p) of scores less their mean over blocks of `length` samples, each beginning in the middle of the
-    one before, with weights that are zero at their ends and of squares that add up to 1."""
+    """Return the sums (count, p) of centred scores over blocks of `length` samples. Neighbouring blocks overlap by
+    half. The weights are zero at the ends of a block, and their squares add up to 1."""
     weight = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
     weight /= np.linalg.norm(weight)
     around = scores - scores.mean(axis=0)
@@ -55,19 +56,19 @@ def _blocks(scores: Floats, length: int) -> Floats:
 
 
 def raise_variances(covariance: Floats, variances: Floats) -> Floats:
-    """A covariance (p, p) with its variances raised to at least `variances` (p,), correlations as they are."""
+    """Return a covariance (p, p) with variances of at least `variances` (p,) and unchanged correlations."""
     diagonal = np.maximum(np.diagonal(covariance), TUNING.tiny)
     factor = np.sqrt(np.maximum(variances / diagonal, 1.0))
     return np.asarray(covariance * np.outer(factor, factor))
 
 
 def widen_covariance(covariance: Floats, at: Callable[[float], Floats]) -> Floats:
-    """A covariance (p, p) of fine difference quotients, raised to the variances of wider ones if these are larger.
+    """Raise the variances of fine difference quotients (p, p) to those of wider quotients if these are larger.
 
-    A body with friction sticks and breaks away: the simulated motion jumps where a parameter crosses the value at which
-    one more stroke happens. A fine quotient across such a jump takes the parameter for known to the quotient's width,
-    though a change ten times as large may explain the record as well. A smooth dependence gives the same variances at
-    every width; for a rough one the largest counts. `at` gives the covariance at a width. Raises what `at` raises.
+    A body with friction sticks and breaks away. The simulated motion therefore jumps at parameter values at which one
+    more stroke happens. A fine quotient across such a jump makes the parameter seem known to the quotient's width,
+    although a ten times larger change may explain the record as well. A smooth dependence gives the same variances at
+    every width, and a rough one gets the largest. `at` returns the covariance at a width. Raises the errors of `at`.
     """
     variances, coarse = np.diagonal(covariance), np.diagonal(at(TUNING.uncertainty_coarse))
     if np.all((coarse < TUNING.uncertainty_smooth * variances) & (variances < TUNING.uncertainty_smooth * coarse)):
@@ -85,8 +86,11 @@ def lattice_scatter(
     columns_of: Callable[[NDArray[np.int64]], Columns],
     gain: Floats,
 ) -> Floats:
-    """Variances (p,) of the parameters over the places of the lattice, for counts of the motion simulated at theta (p,)
-    under u (n,). columns_of: the estimator's columns for counts (n,); gain (p, p): by how much a sum moves theta."""
+    """Return variances (p,) of the parameters over the places of the lattice.
+
+    The counts are those of the motion simulated at theta (p,) under u (n,). `columns_of` returns the estimator's
+    columns for counts (n,), and `gain` (p, p) converts a sum to a change of theta.
+    """
     place, sums = _simulate_position(estimator, theta, u, counts), []
     for k in range(TUNING.uncertainty_places):
         read = columns_of(np.floor(place + k / TUNING.uncertainty_places).astype(np.int64))
@@ -95,7 +99,7 @@ def lattice_scatter(
 
 
 def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Floats:
-    """The simulated position (n,) [counts], with the start velocity of the counts."""
+    """Return the simulated position (n,) [counts] with the start velocity that the counts show."""
     start = first_speed(counts, estimator.intervals, estimator.cutoff, 1.0)
     step = estimator.encoder.resolution
     velocity = mean_velocity(estimator.equation, theta, estimator.intervals, hold_last_input(u), start * step)
@@ -110,11 +114,11 @@ def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: N
 
 
 def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise: float | None) -> Floats:
-    """Variances (p,) of sum sensitivity (n, p) * score over the places of the lattice, for counts of the motion
-    simulated at q.
+    """Return the variances (p,) of sum sensitivity (n, p) * score over the places of the lattice.
 
-    noise: of the position [counts], of an interval likelihood; None: the score is the position's error itself. Zero
-    where the position has noise of its own, which breaks every pattern.
+    The counts are those of the motion simulated at q. `noise` is the position's noise [counts] in an interval
+    likelihood; None takes the position's error itself as score. The result is zero for a larger noise, which breaks
+    every pattern.
     """
     if noise is not None and noise > TUNING.given_away * TUNING.noise_floor:
         return np.zeros(sensitivity.shape[1])
@@ -129,13 +133,15 @@ def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise:
 
 
 def likelihood_covariance(best: Best, weighted: Floats, scores: Floats) -> Floats:
-    """Covariance (p, p) of the parameters of largest likelihood; weighted (n, p): sensitivities times the roots of the
-    samples' information, scores (n, p): of the likelihood.
+    """Return the covariance (p, p) of the parameters of largest likelihood.
 
-    That of the information where the position has noise. Where it has none the likelihood is all but a box, in which
-    the score at the true parameters says little on where its top lies: an axis that is parked near the edge of a count
-    has a large score, and is known all the better. So there the tops themselves are looked for, over the places of the
-    lattice. Or what the scores scatter over blocks, where that is more.
+    `weighted` (n, p) are the sensitivities times the square roots of the samples' information, and `scores` (n, p) are
+    those of the likelihood. For a noisy position, the covariance is the inverse information.
+
+    Without noise the likelihood is almost a box, and the score at the true parameters says little about its top. An
+    axis parked near the edge of a count, for example, has a large score and is known all the better. The variances then
+    come from the tops themselves, over the places of the lattice. A larger scatter of the scores over blocks always
+    prevails.
     """
     inverse = np.linalg.inv(weighted.T @ weighted)
     alone = np.diagonal(inverse)
@@ -147,8 +153,8 @@ def likelihood_covariance(best: Best, weighted: Floats, scores: Floats) -> Float
 
 
 def _tops(best: Best) -> Floats:
-    """(places, q): by how much the place of the largest likelihood differs from q, for counts of the motion simulated
-    at q on lattices that are shifted under it."""
+    """Return the shifts (places, q) of the largest likelihood against q. The counts are those of the motion simulated
+    at q on shifted lattices."""
     difference, noise = best.difference, best.noise or TUNING.noise_floor
     place, jacobian = difference.motion(best.q)[0] / difference.resolution, difference.jacobian(best.q)
     errors = [
