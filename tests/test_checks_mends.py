@@ -123,3 +123,11 @@ def test_a_motion_that_starts_with_all_its_force_has_no_wrong_first_row() -> Non
 
 def test_findings_are_reported_by_their_weight() -> None:
     assert codes((Finding("saturated", "at a limit", severity="note"),)) == ()
+
+
+def test_a_large_load_is_named_and_not_its_consequences() -> None:
+    log = clean(3, {"slide": ALL["slide"]})
+    heavier = {**log.columns, "u": log.columns["u"] + 3 * float(np.std(log.columns["u"]))}
+    found = check_record(replace(log, columns=heavier).record(), log.configuration)
+    assert codes(check_record(log.record(), log.configuration)) == ()
+    assert [one.remedy for one in found if one.code == "unmodelled"] == ["set offset = true in [model]"]

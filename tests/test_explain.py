@@ -157,3 +157,8 @@ def test_every_key_of_a_plant_says_what_it_is() -> None:
 )
 def test_keys_of_a_plant_are_explained_under_the_names_that_stand_there(word: str, wanted: str) -> None:
     assert wanted in said(word)
+
+
+def test_several_keys_are_explained_in_their_order() -> None:
+    text = said("resolution", "model.offset", "unmodelled")
+    assert text.index("[encoder] resolution") < text.index("[model] offset") < text.index("unmodelled: status")

@@ -15,8 +15,9 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.config.axis import Axis, load_axis
+from pmfid.config.units import Unit
 from pmfid.errors import UsageError
-from pmfid.pipeline.guess.axis_file import Reader, guess, read_duration, read_gain, read_travel
+from pmfid.pipeline.guess.axis_file import Reader, guess, read_duration, read_gain, read_travel, read_yes
 from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import kind_of
@@ -112,7 +113,7 @@ def test_of_several_inputs_the_one_that_explains_the_motion_is_taken(tmp_path: P
 
 
 def test_what_is_asked_is_written(tmp_path: Path) -> None:
-    answers = iter([str(RESOLUTION), "2,0"])
+    answers = iter([str(RESOLUTION), "2,0", "n"])
     text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
     assert f"resolution = {RESOLUTION!r}" in text
     assert "input_gain = 2.0" in text
@@ -120,7 +121,7 @@ def test_what_is_asked_is_written(tmp_path: Path) -> None:
 
 
 def test_an_answer_may_have_a_unit_and_may_be_left_out(tmp_path: Path) -> None:
-    answers = iter(["2,5 um", "0.42 N/A"])
+    answers = iter(["2,5 um", "0.42 N/A", "n"])
     text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
     assert 'resolution = "2.5 um"' in text
     assert 'input_gain = "0.42 N/A"' in text
@@ -307,3 +308,44 @@ def test_a_column_in_turns_is_no_velocity(tmp_path: Path) -> None:
     columns = {"t [s]": run().motion.t, "voltage [V]": run().motion.u, "position [turns]": run().motion.v}
     pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
     assert tomllib.loads(guess(tmp_path / "log.csv").text)["record"]["output_kind"] == "position"
+
+
+def test_a_load_is_seen_and_otherwise_asked(tmp_path: Path) -> None:
+    record = run()
+    columns = {"t": record.motion.t, "force [N]": record.motion.u + 5.0, "pos [m]": position()}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    assert "offset = true  # a constant load" in guess(tmp_path / "log.csv").text
+    assert "offset = true  # as answered" in guess(tmp_path / "log.csv", lambda question, read: read("yes")).text
+    columns["force [N]"] -= 5.0
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    assert "offset = false  # no constant load is seen" in guess(tmp_path / "log.csv").text
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "said"),
+    [
+        (read_travel, "-5", "negative"),
+        (read_travel, "3 rpm", "a travel is a length or an angle"),
+        (read_gain, "-5", "negative"),
+        (lambda text: read_gain(text, Unit("N/A", "force", 1.0)), "31 N/V", "does not fit"),
+        (lambda text: read_gain(text, Unit("N m/", "torque", 1.0)), "31 N/V", "does not fit"),
+        (read_yes, "perhaps", "neither y nor n"),
+    ],
+)
+def test_an_answer_that_does_not_fit_is_asked_again(read: Reader, text: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        read(text)
+
+
+def test_counts_of_a_revolution_stay_a_whole_number_and_make_the_axis_rotary(tmp_path: Path) -> None:
+    answers = iter(["4096 counts/rev", "0.08 N m", "n"])
+    text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
+    assert 'resolution = "4096 counts/rev"' in text
+    assert 'axis = "rotary"' in text
+
+
+def test_what_is_left_to_do_is_said(tmp_path: Path) -> None:
+    path, place = saved("counts", tmp_path), tmp_path / "AXIS.toml"
+    assert CliRunner().invoke(main, ["init", str(path), "--out", str(place)]).exit_code == 0
+    printed = CliRunner().invoke(main, ["check", str(path), "--config", str(place)]).stdout
+    assert "AXIS.toml still has the mark TO DO at resolution, input_gain" in printed

@@ -16,6 +16,7 @@ from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, printable
+from pmfid.io.csv_text import parse_csv
 from pmfid.io.reading import read_table
 from pmfid.io.tables import column
 from pmfid.records.record import read_experiment
@@ -111,3 +112,12 @@ def test_a_period_that_nothing_has_and_a_mask_are_refused() -> None:
     masked = np.ma.masked_greater(np.arange(50.0), 40)
     with pytest.raises(UsageError, match="u has masked elements"):
         pmfid.LS(pmfid.Drive(1.0), Encoder(1e-3), 0.01, 20.0).fit(masked, np.arange(50))
+
+
+@pytest.mark.parametrize(
+    ("end", "cut"),
+    [("0.30,7.25\n", False), ("0.30,7.25", False), ("0.30,7.2", True), ("0.30", True), ("0.30,12\n", False)],
+)
+def test_a_text_that_ends_within_its_last_line_is_said(end: str, cut: bool) -> None:
+    table = parse_csv(b"t,u\n0.10,1.25\n0.20,2.50\n" + end.encode())
+    assert any("ends early" in note for note in table.notes) == cut

@@ -85,8 +85,14 @@ def make_notes(code: str, sentences: Iterable[str]) -> list[Finding]:
 
 
 def sort_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings without duplicates, the most important first. Findings of equal severity keep their order."""
-    return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
+    """Return the findings without duplicates, the most important first. Findings of equal severity keep their order.
+
+    Of findings with the same sentence, only the most important one remains.
+    """
+    found: dict[tuple[str, str], Finding] = {}
+    for one in sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity)):
+        found.setdefault((one.code, one.sentence), one)
+    return tuple(found.values())
 
 
 def codes(findings: Iterable[Finding]) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     """
     with progress("check"):
         from pmfid.config.axis import load_axis
+        from pmfid.pipeline.guess.axis_file import find_to_do
         from pmfid.pipeline.identify import check as run
         from pmfid.pipeline.identify import kind_of
 
@@ -38,7 +39,7 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
         kind = kind_of(axis)
         data = kind.read(records, axis)
         name, samples = kind.name_and_samples(data)
-        found = run(data, axis)
+        found = (*run(data, axis), *find_to_do(config))
     faults = codes(found)
     if as_json:
         print_json({"record": name, "samples": samples, "findings": [finding.to_json() for finding in found]})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 @click.option("--page", "as_page", is_flag=True, help="Print the page of all keys, in Markdown.")
 @JSON
 def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> None:
-    """Explain KEY, which is a key of a file, a section, or a word of a status.
+    """Explain each KEY, which is a key of a file, a section, or a word of a status.
 
     Examples of keys are record.time_unit in AXIS.toml, service.window in PLANT.toml and sources.mqtt.qos in PLANT.toml.
     An example of a status is poor_excitation. Without KEY, the command lists all keys of AXIS.toml and all words of a
@@ -30,13 +31,25 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
     if as_page:
         click.echo(plant_page() if plant else page(), nl=False)
         return
-    found = _find_entries(" ".join(key), plant) if key else plant_entries() if plant else entries()
+    found = _find_all(key, plant) if key else plant_entries() if plant else entries()
     if as_json:
         from pmfid.cli.terminal import print_json
 
         print_json({"entries": [entry.to_json() for entry in found]})
     else:
         click.echo(explain_entries(found))
+
+
+def _find_all(words: Sequence[str], plant: bool) -> list[ReferenceEntry]:
+    """Return the entries of one name in several words, such as "time unit", or otherwise of each word."""
+    from pmfid.errors import UsageError
+
+    try:
+        return _find_entries(" ".join(words), plant)
+    except UsageError:
+        if len(words) == 1:
+            raise
+    return [entry for word in words for entry in _find_entries(word.rstrip(","), plant)]
 
 
 def _find_entries(word: str, plant: bool) -> list[ReferenceEntry]:

@@ -47,8 +47,9 @@ def init(record: Path, out: Path, output: str | None) -> None:
                     raise click.BadParameter(printable(str(error))) from None
 
             tell.end()
+            untold = "as guessed" if question.endswith("y or n") else "TO DO"
             answer: float | None = click.prompt(
-                f"{question} (Enter: TO DO)", default="", show_default=False, value_proc=convert, err=True
+                f"{question} (Enter: {untold})", default="", show_default=False, value_proc=convert, err=True
             )
             return answer
 

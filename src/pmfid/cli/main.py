@@ -122,11 +122,12 @@ def identify(
         return
     with progress("identify") as tell:
         from pmfid.config.axis import load_axis
+        from pmfid.pipeline.guess.axis_file import find_to_do
         from pmfid.pipeline.identify import identify as run
         from pmfid.pipeline.identify import kind_of
 
         axis = load_axis(config, changes)
-        result = run(kind_of(axis).read(records, axis, quantize), axis, tell)
+        result = run(kind_of(axis).read(records, axis, quantize), axis, tell).with_findings(*find_to_do(config))
         if out is not None:
             from pmfid.report.result import write_result
 

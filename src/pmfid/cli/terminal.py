@@ -73,8 +73,11 @@ class ProgressReport:
         self._thread.start()
 
     def __call__(self, done: float) -> None:
-        """Set the completed part of the work, from 0 to 1. A part of 1 means that the remaining time is unknown."""
-        self.done = done
+        """Set the completed part of the work, from 0 to 1. A part of 1 means that the remaining time is unknown.
+
+        A smaller part than before has no effect, because a search may learn of more work.
+        """
+        self.done = max(self.done, done)
 
     @property
     def measured(self) -> bool:

@@ -237,7 +237,12 @@ class _Search:
         candidates = propose_candidates(trial, trial.weigh_forces(self.places))
         looking = self.looking and trial.model.cogging is None and not trial.best.clean
         number += pitches(trial.best).size if looking else 0
-        again = () if trial.best.clean else (*_otherwise_late(trial), *_list_retries(trial, self.steps, candidates))
+        again = (
+            *_otherwise_loaded(trial, candidates),
+            *_otherwise_late(trial),
+            *_list_retries(trial, self.steps, candidates),
+        )
+        again = () if trial.best.clean else again
         judged = self._judge_steps(self._fit_candidates(trial, candidates[: TUNING.most_tried], again, number))
         if looking and not any(step.kept for step in judged):
             judged = self._judge_steps(
@@ -400,6 +405,17 @@ def _simplest_first(found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
 def _is_special_case(step: FittedCandidate, other: FittedCandidate) -> bool:
     """Return whether a term is a special case of another term, as a load is of directional friction."""
     return step.candidate.key == "offset" and other.candidate.key == "friction"
+
+
+def _otherwise_loaded(trial: Trial, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return a load as a candidate if the model has none.
+
+    The best motion without a large load is far from the record, and the score of the load is then meaningless.
+    """
+    tried = (one.key for one in candidates[: TUNING.most_tried])
+    if _has(trial.model, LOAD) or trial.model.friction == "directional" or "offset" in tried:
+        return []
+    return [Candidate(LOAD, "a constant load", 0.0, 1.0, 0.0, math.inf)]
 
 
 def _otherwise_late(trial: Trial) -> list[Candidate]:

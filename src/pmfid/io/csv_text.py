@@ -243,7 +243,18 @@ def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
     text = _text(unpack_file(data))
     head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
     layout = layout_of(head.splitlines(), stated)
-    return NotedTable(_columns(text[_end_of_line(text, layout.first) :], layout), layout.notes)
+    cut = () if text.endswith(b"\n") else (_describe_cut(text, layout),)
+    return NotedTable(_columns(text[_end_of_line(text, layout.first) :], layout), (*layout.notes, *filter(None, cut)))
+
+
+def _describe_cut(text: bytes, layout: Layout) -> str:
+    """Return a note on a last line with fewer fields or decimals than the lines before, or an empty text."""
+    *before, last = (split(line, layout.separator) for line in text[-_FIRST:].decode("utf-8", "replace").splitlines())
+    decimals = {len(fields[-1].partition(layout.decimal)[2]) for fields in before[1:]}
+    whole = len(decimals) != 1 or decimals == {len(last[-1].partition(layout.decimal)[2])}
+    if not before or (whole and len(last) == len(before[-1])):
+        return ""
+    return "the last line of the file ends early: the file is cut, and its last row may be wrong"
 
 
 def _text(data: bytes) -> bytes:

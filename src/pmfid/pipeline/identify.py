@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 from pmfid.config.axis import Axis
-from pmfid.diagnostics.matter import OF_LOG, is_small_doubt, weigh_findings
+from pmfid.diagnostics.matter import OF_LOG, OF_MODEL, is_small_doubt, weigh_findings
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.findings import Finding, codes, make_notes, sort_findings
@@ -51,6 +51,8 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
         raise explain_error(error, kind.check_record(data, axis)) from error
     suspicious = bool(SUSPICIOUS & set(result.status))
     log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
+    if "unmodelled" in codes(log):  # the log names the effect, and the model's doubts come from it
+        result = replace(result, findings=tuple(one for one in result.findings if one.code not in OF_MODEL))
     return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
 
 

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.config.axis import Axis, check_sampling
+from pmfid.config.units import OUTPUTS, Quantity, column_unit
 from pmfid.diagnostics.balance import Balance, make_balance
 from pmfid.diagnostics.matter import weigh_findings
 from pmfid.diagnostics.term_fits import Bench, choose_cutoff, shortest_part
@@ -179,6 +180,8 @@ AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
 #: Flags of `pmfid identify` whose advice on [model] the search replaces.
 UNMODELLED, LATE = "unmodelled", "dead_time"
 UNEXPLAINED = "something is left that no term of the list explains on data that it was not fitted to"
+#: Keys of [model] with a period of the position.
+PERIODS = ("cogging", "friction_period", "gravity")
 #: Findings on the chosen model, and whether they matter.
 Said = tuple[tuple[Finding, ...], bool]
 
@@ -211,6 +214,8 @@ class TermSearch(Presentable):
         Terms that are not in the chosen model.
     status, notes : tuple of str
         The codes and sentences of the findings, as in `Result`.
+    unit : str
+        Unit of the periods in `lines`, if AXIS.toml needs one because the column of the output is not in SI.
 
     Examples
     --------
@@ -233,6 +238,7 @@ class TermSearch(Presentable):
     hidden: tuple[Hidden, ...]
     status: tuple[str, ...]
     notes: tuple[str, ...]
+    unit: str = ""
 
     @property
     def chosen(self) -> NestedModel:
@@ -252,7 +258,14 @@ class TermSearch(Presentable):
     def lines(self) -> tuple[str, ...]:
         """The lines of [model] for AXIS.toml."""
         values = [(field.name, getattr(self.model, field.name), field.default) for field in fields(Drive)]
-        return ("[model]", 'kind = "drive"', *(setting(key, value) for key, value, usual in values if value != usual))
+        return ("[model]", 'kind = "drive"', *(self._line(*pair) for *pair, usual in values if pair[1] != usual))
+
+    def _line(self, key: str, value: object) -> str:
+        """Return a line of [model], with the unit that the file needs."""
+        if isinstance(value, Quantity):
+            return setting(key, f"{float(value) / value.unit.factor:.9g} {value.unit.name}")
+        periodic = key in PERIODS and isinstance(value, float) and self.unit
+        return setting(key, f"{value:.9g} {self.unit}" if periodic else value)
 
     @property
     def sentence(self) -> str:
@@ -379,7 +392,9 @@ def search_drive(
         raise explain_error(error, Drives().check_record(data, axis)) from None
     notes = tuple(filter(None, (*data.notes, known.sentence)))
     own = None if found.added else _judge_initial_model(data, axis)
-    return _assemble_search(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
+    result = _assemble_search(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
+    unit = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
+    return replace(result, unit=model.equation.motion.travel if unit else "")
 
 
 def _judge_initial_model(data: Record, axis: Axis) -> Said | None:

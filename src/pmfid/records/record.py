@@ -97,6 +97,20 @@ def _check_position(output: Floats, axis: Axis) -> None:
         )
 
 
+def _check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
+    """Raise UsageError for a column of counts that has fractions, and say so if the input has whole numbers instead."""
+    known, u = (columns[key][np.isfinite(columns[key])] for key in ("output", "input"))
+    try:
+        _whole(known)
+    except UsageError:
+        if np.unique(u[: TUNING.record_distinct]).size <= TUNING.most_whole or np.any(u != np.rint(u)):
+            raise
+        raise UsageError(
+            f"the output column {config.output!r} has fractions, but the input column {config.input!r} has whole "
+            "numbers as counts have: exchange input and output"
+        ) from None
+
+
 def _whole(output: Floats) -> Counts:
     rounded = np.rint(output)
     off = np.subtract(output, rounded)
@@ -293,6 +307,8 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     columns, topic_notes = join_topics(columns)
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
+    if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
+        _check_counts(columns, config)
     columns, found, clock_notes = _resample(axis, columns, units.y)
     jitter = 0.0 if found is None else found.jitter
     rows, row_notes = _rows(table, config, columns)

@@ -7,11 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from pmfid.config.units import OUTPUTS, column_unit
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.findings import Finding
 from pmfid.models.drive import Drive
 from pmfid.pipeline.checks.timing import drifts, too_slow
-from pmfid.pipeline.checks.view import MASS, PLAIN, VISCOUS, CheckedLog, View, best_view, hasty, liveliest
+from pmfid.pipeline.checks.view import (
+    COULOMB,
+    LOAD,
+    MASS,
+    PLAIN,
+    VISCOUS,
+    CheckedLog,
+    View,
+    best_view,
+    hasty,
+    liveliest,
+)
 from pmfid.pipeline.guess.roles import is_position
 from pmfid.pipeline.known import set_any_gain
 from pmfid.pipeline.tuning import TUNING
@@ -52,6 +64,20 @@ def find_gravity(log: CheckedLog) -> Iterator[Finding]:
         and _is_one_body(hanging)
     ):
         yield _make_finding("gravity", "gravity turns the load", "set gravity = true in [model]", left)
+
+
+def find_load(log: CheckedLog) -> Iterator[Finding]:
+    """Yield a finding if a large constant load acts on an axis whose model has no load."""
+    model, view = set_any_gain(log.axis).model.make(), log.closest_view
+    if not (log.is_machine and isinstance(model, Drive) and view is not None and model.friction != "directional"):
+        return
+    if model.offset or model.gravity or model.spring or view.unexplained > TUNING.readings_follows:
+        return
+    small = abs(view.theta[LOAD]) < abs(view.theta[COULOMB])  # the tests of an estimate name a small load
+    if not small and view.shows_load(TUNING.readings_better, TUNING.readings_certain):
+        size = f"{abs(view.theta[LOAD]):.2g} {model.equation.motion.force}"
+        says = f"a constant load of about {size} acts, as on a vertical axis, and the model has none"
+        yield Finding("unmodelled", says, "set offset = true in [model]")
 
 
 def _other_reading(log: CheckedLog) -> Finding | None:
@@ -162,7 +188,10 @@ def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) ->
 
 def _exchange(log: CheckedLog) -> str:
     config = log.axis.record
-    return f'give [record] input = "{config.output}" and output = "{config.input}"'
+    names = f'input = "{config.output}" and output = "{config.input}"'
+    if np.array_equal(log.record.u, np.rint(log.record.u)) and column_unit(config.input, OUTPUTS) is None:
+        return f'give [record] {names}, output_kind = "counts", and the travel of a count in [encoder]'
+    return f"give [record] {names}"
 
 
 def integrate_velocity(velocity: Floats, dt: float) -> Floats:

@@ -21,7 +21,7 @@ from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
-__all__ = ["PARTS", "View", "best_view", "view", "with_friction"]
+__all__ = ["COULOMB", "LOAD", "PARTS", "View", "best_view", "view", "with_friction"]
 
 #: Number of pieces of a record for standard deviations, and smallest number of samples in a piece.
 PARTS, SHORTEST = 8, 20
@@ -52,6 +52,19 @@ class View:
     def unexplained(self) -> float:
         """The part of the input that no sum of the columns explains."""
         return float(self.measure_rest(self.z))
+
+    @property
+    def unexplained_without_load(self) -> float:
+        """The part of the input that no sum of the columns without the load explains."""
+        return View(self.time, np.delete(self.phi, LOAD, axis=1), self.z).unexplained
+
+    def shows_load(self, better: float, sure: float) -> bool:
+        """Return whether a constant load is visible.
+
+        The load must leave less than `better` of what the other columns leave, and have `sure` standard deviations.
+        """
+        certain = abs(self.sure(np.eye(self.theta.size)[LOAD])) > sure
+        return not self.one_way and certain and self.unexplained < better * self.unexplained_without_load
 
     def measure_rest(self, z: Floats) -> float:
         """Return the part of another filtered input (n,) that no sum of the columns explains."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from pmfid.config.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 from pmfid.errors import UsageError, did_you_mean
+from pmfid.findings import Finding
 from pmfid.io.reading import read_table
 from pmfid.io.tables import Table
 from pmfid.pipeline.guess.columns import Pair, numeric, pair_of, rounding_of, step_of, time_of
@@ -20,7 +22,7 @@ from pmfid.records.clock import UNITS, even_grid, named_unit
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
 
-__all__ = ["AxisGuess", "guess"]
+__all__ = ["AxisGuess", "find_to_do", "guess"]
 
 #: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
 Reader = Callable[[str], float]
@@ -49,6 +51,18 @@ class AxisGuess:
         """The text of the whole file."""
         parts = ["\n".join([f"[{name}]", *lines]) for name, lines in self.sections.items()]
         return "\n".join([HEADING.format(name=self.name), "\n\n".join(parts), ""])
+
+
+def find_to_do(path: Path) -> list[Finding]:
+    """Return a note on the keys of an AXIS.toml that still have the mark TO DO. A file that is unreadable has none."""
+    with suppress(OSError, UnicodeDecodeError):
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        keys = [line.partition("=")[0].strip() for line in lines if TO_DO in line.partition("#")[2]]
+        keys = [key for key in keys if key.isidentifier()]
+        if keys:
+            says = f"{path.name} still has the mark TO DO at {', '.join(keys)}"
+            return [Finding("to_do", says, "write the value of the machine there, and delete the mark", "note")]
+    return []
 
 
 def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> AxisGuess:
@@ -88,8 +102,9 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
         )
     result = AxisGuess(path.name)
     _record(result, pair, found, dt)
-    _encoder(result, pair, columns[pair.output], dt, ask)
-    _model(result, pair, ask)
+    travel = _encoder(result, pair, columns[pair.output], dt, ask)
+    _model(result, pair, travel, ask)
+    _load(result, pair, ask)
     return result
 
 
@@ -148,7 +163,8 @@ def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
     return not written and named_unit(name) is None and bool(np.all(np.diff(values) == 1))
 
 
-def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> None:
+def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> Unit | None:
+    """Add the section [encoder], and return the unit of the output, or None if neither column nor user has one."""
     wrap = wrap_of(output.astype(np.int64)) if pair.kind == "counts" else None
     if pair.kind == "counts":
         question = 'travel per count, in m or rad, or as "0.01 mm" or "2000 counts/rev"'
@@ -161,7 +177,7 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
         elif wrap is not None:
             size = float(step) * wrap.span
             result.add("encoder", f"range = {size!r}", f"it wraps, the first time at row {wrap.row}")
-        return
+        return step.unit if isinstance(step, Quantity) else None
     step, found = step_of(output)
     if pair.kind == "velocity" and found and abs(step / max(rounding_of(output), 1e-300) - 1) < TUNING.columns_exact:
         step, found = float(np.ptp(output)) / TUNING.columns_fine, False  # the step is a digit of the log
@@ -177,6 +193,7 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
     if wrap is not None:
         size = float(f"{wrap.span * step:.9g}")
         result.add("encoder", f"range = {_format_number(size, unit)}", f"it wraps, the first time at row {wrap.row}")
+    return column_unit(pair.output, OUTPUTS)
 
 
 def _format_number(value: float, unit: Unit | None) -> str:
@@ -184,16 +201,16 @@ def _format_number(value: float, unit: Unit | None) -> str:
     return repr(value) if unit is None or unit.plain else f'"{value:.12g} {unit.name}"'
 
 
-def _model(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
+def _model(result: AxisGuess, pair: Pair, travel: Unit | None, ask: Ask | None) -> None:
     result.add("model", 'kind = "drive"', "mass and friction")
-    turns = column_unit(pair.output, OUTPUTS)
-    if pair.gravity or (turns is not None and "ang" in turns.of):
-        reason = f"{pair.output} is in {turns.name}" if turns else "a force in the sine of the position fits an angle"
+    rotary = pair.gravity or (travel is not None and "ang" in travel.of)
+    if rotary:
+        reason = f"{pair.output} is in {travel.name}" if travel else "a force in the sine of the position fits an angle"
         result.add("model", 'axis = "rotary"', reason)
     if pair.gravity:
         result.add("model", "gravity = true", "a force in the sine of the angle explains most of the input")
     unit = column_unit(pair.input, INPUTS)
-    force = "N m" if (measured := column_unit(pair.output, OUTPUTS)) and "ang" in measured.of else "N"
+    force = "N m" if rotary else "N"
     if unit is not None and unit.of in ("force", "torque"):
         own = -1.0 if pair.turned else 1.0
         written = repr(own) if unit.plain else f'"{own:g} {SI[unit.of]}/{SI[unit.of]}"'
@@ -201,13 +218,24 @@ def _model(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
         return
     per = f"per {SI[unit.of]} of" if unit else "per unit of"
     question = f'force or torque {per} the input, in N or N m, or as "{"0.42 N m/A" if force == "N m" else "55 N/A"}"'
-    answer = ask(question, read_gain) if ask else None
+    usual = Unit(f"{force}/{SI[unit.of] if unit else ''}", "torque" if rotary else "force" if travel else "", 1.0)
+    answer = ask(question, lambda text: read_gain(text, usual)) if ask else None
     reason = f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
     value = 1.0 if answer is None else answer
     if not isinstance(value, Quantity) and unit is not None and not unit.plain:
         value = Quantity(value, Unit(f"{force}/{SI[unit.of]}", "gain", 1.0))
     written = _format_answer(value, pair.turned)
     result.add("model", f"input_gain = {written}", (reason if answer is None else "as answered") + _sign(pair))
+
+
+def _load(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
+    loaded = ask("does a constant load act, such as the weight of a vertical axis? y or n", read_yes) if ask else None
+    if loaded is not None:
+        result.add("model", f"offset = {'true' if loaded else 'false'}", "as answered")
+    elif pair.load:
+        result.add("model", "offset = true", "a constant load, or friction that differs with the direction, is seen")
+    elif not pair.gravity:
+        result.add("model", "offset = false", "no constant load is seen; true for a vertical axis")
 
 
 def _sign(pair: Pair) -> str:
@@ -231,14 +259,36 @@ def read_duration(text: str) -> float:
     return abs(_number(number)) * UNITS[unit.strip() or "s"]
 
 
+def read_yes(text: str) -> float:
+    """Return 1.0 for yes and 0.0 for no. Raises ValueError for any other answer."""
+    if text.strip().lower() not in ("y", "yes", "n", "no"):
+        raise ValueError(f"{text!r} is neither y nor n")
+    return float(text.strip().lower().startswith("y"))
+
+
 def read_travel(text: str) -> float:
-    """Return a travel from a number in SI, or from a number with a unit. Raises ValueError otherwise."""
-    return _read(text, quantity)
+    """Return a positive travel from a number in SI, or from a number with a unit. Raises ValueError otherwise."""
+    value = _read(text, quantity)
+    if isinstance(value, Quantity) and value.unit.of not in ("length", "angle"):
+        raise ValueError(f'{text!r} is a {value.unit.of}, and a travel is a length or an angle, as "0.01 mm"')
+    if value < 0:
+        raise ValueError(f"{text!r} is negative; the sign of the motion belongs to input_gain")
+    return value
 
 
-def read_gain(text: str) -> float:
-    """Return a gain from a number in SI, or from a number with a unit. Raises ValueError otherwise."""
-    return _read(text, gain)
+def read_gain(text: str, usual: Unit | None = None) -> float:
+    """Return a positive gain from a number in SI, or from a number with a unit. Raises ValueError otherwise.
+
+    `usual` is the unit of the answer as far as the columns determine it, with "force", "torque" or nothing as `of`.
+    """
+    value = _read(text, gain)
+    if value < 0:
+        raise ValueError(f"{text!r} is negative; give its size, for the record shows the sign")
+    if isinstance(value, Quantity) and usual is not None:
+        own, per = value.unit.of.partition("/")[::2]
+        if usual.of not in ("", own) or usual.name.partition("/")[2] not in ("", SI[per]):
+            raise ValueError(f"{text!r} does not fit these columns, whose gain is in {usual.name}")
+    return value
 
 
 def _read(text: str, read: Callable[[object], object]) -> float:
@@ -264,7 +314,9 @@ def _format_answer(value: float, turned: bool = False) -> str:
     `turned` makes the number negative.
     """
     unit = value.unit if isinstance(value, Quantity) else None
-    number = (-abs(float(value)) if turned else float(value)) / (unit.factor if unit else 1.0)
+    number = (-float(value) if turned else float(value)) / (unit.factor if unit else 1.0)
+    if unit is not None and unit.name in ("rev", "turn") and abs(1 / number - round(1 / number)) < 1e-6:
+        return f'"{round(1 / number)} counts/{unit.name}"'
     return repr(number) if unit is None else f'"{number:.12g} {unit.name}"'
 
 

@@ -94,7 +94,7 @@ class Pair:
 
     `kind` is "counts", "position" or "velocity". `turned` says whether the input drives against the output. `explained`
     is the part of the input that the motion explains. `reason` is a text for the user. `gravity` says whether a force
-    in the sine of the angle explains the input much better.
+    in the sine of the angle explains the input much better, and `load` whether a constant load does.
     """
 
     input: str
@@ -104,6 +104,7 @@ class Pair:
     explained: float
     reason: str = ""
     gravity: bool = False
+    load: bool = False
 
 
 def numeric(table: Table) -> dict[str, Floats]:
@@ -236,10 +237,19 @@ def _try_pair(columns: Mapping[str, Floats], name: str, output: str, role: Role,
         return Pair(name, output, _whole(output, columns[output], kinds[0]), False, 0.0)
     kind, view = min(seen, key=lambda pair: _cost_of_kind(role, *pair))
     explained = max(0.0, 1 - _cost(view))
+    load = view.shows_load(TUNING.hanging_better, TUNING.hanging_likely)
     if kind == "velocity":
-        return Pair(name, output, kind, is_turned(view), explained)
+        return Pair(name, output, kind, is_turned(view), explained, load=load)
     gravity = _hangs(columns[name], columns[output], column_unit(output, OUTPUTS), dt, view.unexplained)
-    return Pair(name, output, _whole(output, columns[output], kind), is_turned(view), explained, gravity=gravity)
+    return Pair(
+        name,
+        output,
+        _whole(output, columns[output], kind),
+        is_turned(view),
+        explained,
+        gravity=gravity,
+        load=load and not gravity,
+    )
 
 
 def _cost_of_kind(role: Role, kind: str, view: View) -> float:
