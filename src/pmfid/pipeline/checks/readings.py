@@ -76,7 +76,7 @@ def find_load(log: CheckedLog) -> Iterator[Finding]:
     small = abs(view.theta[LOAD]) < abs(view.theta[COULOMB])  # the tests of an estimate name a small load
     if not small and view.shows_load(TUNING.readings_better, TUNING.readings_certain):
         size = f"{abs(view.theta[LOAD]):.2g} {model.equation.motion.force}"
-        says = f"a constant load of about {size} acts, as on a vertical axis, and the model has none"
+        says = f"a constant load acts on the axis, about {size}, and the model has none"
         yield Finding("unmodelled", says, "set offset = true in [model]")
 
 
