@@ -1,4 +1,4 @@
-"""Simulated motions, and their difference from the counts."""
+"""Simulated motions, and their differences from the counts."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from pmfid.kernel.configuration import Decay, decays, shape_bytes
 from pmfid.models.equation import ESTIMATE, LATE, MASS, MOST_LATE, VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.types import Flags, Floats
 
-#: Sample period, or (n,) time from each sample to the next [s].
+#: Sample period, or times (n,) from each sample to the next [s].
 Intervals = float | Floats
 
 
 def sum_travel(velocity: Floats, dt: Intervals) -> Floats:
-    """(..., n) position at the samples from 0 on, of mean velocities (..., n) between them."""
+    """Return the positions (..., n) at the samples, starting from 0, for mean velocities (..., n) between the samples."""
     travel = np.zeros_like(velocity)
     steps = velocity * dt if isinstance(dt, np.ndarray) else velocity
     np.cumsum(steps[..., :-1], axis=-1, out=travel[..., 1:])
@@ -44,10 +44,13 @@ def mean_velocity(
     before: Floats | None = None,
     on_top: Floats | None = None,
 ) -> Floats:
-    """(n,) of every interval at theta (p,), shape parameters included, under u (n,), held; velocity, position: at the
-    start, the position as the equation counts it. parts: of a sample, of an equation with shapes or a lag; without them
-    the motion is exact. before: inputs before the first (m,), for a dead time or a lag; None: zero. on_top:
-    (n,) what acts at once in addition to the input, in its unit."""
+    """Return the mean velocity (n,) in every interval at theta (p,) under the held input u (n,).
+
+    theta includes the shape parameters. `velocity` and `position` are those of the start; the equation defines the
+    origin of the position. `parts` is the number of parts per sample for an equation with shapes or a lag. Without
+    these, the motion is exact. `before` (m,) has earlier inputs for a dead time or a lag, and None stands for zeros.
+    `on_top` (n,) acts at once in addition to the input, in the unit of the input.
+    """
     return simulate_motion(equation, theta, dt, u, velocity, position, parts, before, on_top)[0]
 
 
@@ -62,7 +65,7 @@ def simulate_motion(
     before: Floats | None = None,
     on_top: Floats | None = None,
 ) -> tuple[Floats, float]:
-    """`mean_velocity`, and the velocity at the end."""
+    """Return `mean_velocity` and the velocity at the end."""
     at = np.array([[velocity, position]])
     found, ends = simulate_motions(equation, np.asarray(theta)[None], dt, u, at, parts, before, on_top)
     return np.asarray(found[0]), float(ends[0])
@@ -79,9 +82,12 @@ def simulate_motions(
     on_top: Floats | None = None,
     split: int = 1,
 ) -> tuple[Floats, Floats]:
-    """Of m motions under one input mean velocities (m, split n) over `split` equal pieces of every interval, and the
-    velocities at the end (m,); thetas: (m, p), starts: (m, 2) velocity and position; parts: of a piece; on_top:
-    (split n,), or a row for each motion. Motions whose shapes have the same parameters are computed side by side."""
+    """Return the mean velocities (m, split n) of m motions under one input, and their final velocities (m,).
+
+    Every interval has `split` equal pieces. `thetas` is (m, p), and `starts` (m, 2) has velocities and positions.
+    `parts` is the number of parts per piece. `on_top` is (split n,), or has a row for each motion. Motions with equal
+    shape parameters are computed side by side.
+    """
     from pmfid import _kernel64
 
     p, past = len(equation.names), np.zeros(1) if before is None else before
@@ -102,7 +108,7 @@ def simulate_motions(
             continue
         if shapes or known.lag:
             pieces *= parts
-            for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # without what the kernel adds to each part
+            for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # removes the damping that the kernel adds to each part
                 less = parts * TUNING.little_damping * roles[:, MASS] / (period / split)
                 roles[:, viscous] = np.maximum(roles[:, viscous] - less, 0.0)
         velocity[rows], _, _, ends[rows] = _kernel64.simulate_many(
@@ -133,7 +139,7 @@ def _simulate_late(
     past: Floats,
     force: Floats | None,
 ) -> tuple[Floats, float]:
-    """`simulate_motion` of intervals dt (n,) [s] under an input that acts late, in the pieces between its switches."""
+    """Run `simulate_motion` for intervals dt (n,) [s] and a delayed input, in the pieces between the input's switches."""
     from pmfid import _kernel64
 
     shapes = shape_bytes(known.shapes)
@@ -157,8 +163,8 @@ def _simulate_late(
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Pieces (k,) of uneven intervals, in each of which one input acts: that input, their lengths [s] and the intervals
-    that they are of; firsts: (n,) the first piece of each interval."""
+    """Pieces (k,) of uneven intervals with one input in each piece. `u` are the inputs, `steps` the lengths [s], and
+    `interval` the indices of the pieces' intervals. `firsts` (n,) are the first pieces of the intervals."""
 
     u: Floats
     steps: Floats
@@ -167,8 +173,8 @@ class _Pieces:
 
 
 def _cut_pieces(u: Floats, past: Floats, dt: Floats, late: float, lag: float, parts: int) -> _Pieces:
-    """The pieces of intervals dt (n,) [s] under inputs u (n,) that act later, each piece in equal parts. Of a lag [s]
-    the mean over the part counts."""
+    """Return the pieces of intervals dt (n,) [s] under delayed inputs u (n,), each piece in equal parts. For a lag [s],
+    each part has the mean of the lagging input."""
     ends = np.append(0.0, np.cumsum(dt))
     switches = np.append(-float(np.mean(dt)) * np.arange(past.size, 0, -1), ends[:-1]) + late
     values = np.append(past, u)
@@ -184,7 +190,7 @@ def _cut_pieces(u: Floats, past: Floats, dt: Floats, late: float, lag: float, pa
 
 
 def _lag_input(u: Floats, steps: Floats, lag: float) -> Floats:
-    """Means (k,) over steps (k,) [s] of inputs u (k,) after a first-order lag [s]."""
+    """Return the means (k,) over steps (k,) [s] of the inputs u (k,) after a first-order lag [s]."""
     left, mean = np.exp(-steps / lag), -np.expm1(-steps / lag) * lag / steps
     now, found = float(u[0]), np.empty(u.size)
     for k, (target, rest, part) in enumerate(zip(u.tolist(), left.tolist(), mean.tolist(), strict=True)):
@@ -194,7 +200,7 @@ def _lag_input(u: Floats, steps: Floats, lag: float) -> Floats:
 
 
 def _decays(equation: Equation, roles: Floats, dt: float) -> list[list[Decay]] | None:
-    """What the kernel needs for the lag of an equation, in steps of dt [s], of each motion; None: there is none."""
+    """Return the kernel's decay factors of the lag for each motion, in steps of dt [s], or None without a lag."""
     if not equation.lag:
         return None
     late = np.maximum(roles[:, LATE] / dt, 0.0)
@@ -202,8 +208,8 @@ def _decays(equation: Equation, roles: Floats, dt: float) -> list[list[Decay]] |
 
 
 def parts_for(equation: Equation, theta: Floats, dt: Intervals, u: Floats, allowed: float) -> int:
-    """Parts of a sample with which the position is right to a root mean square of `allowed` [unit of y]; the error of
-    such a scheme falls with their square."""
+    """Return the number of parts per sample for a root mean square position error of `allowed` [unit of y]. The error
+    of the scheme falls with the square of this number."""
     parts = 1
     if equation.shaped or equation.lag:
         coarse = mean_velocity(equation, theta, dt, u, parts=parts)
@@ -215,17 +221,17 @@ def parts_for(equation: Equation, theta: Floats, dt: Intervals, u: Floats, allow
     return parts
 
 
-#: Parameters, start velocity, force on top -> position from 0 and velocity, as `Difference.motion`.
+#: Function from parameters, start velocity and force on top to position from 0 and velocity, as `Difference.motion`.
 Motion = Callable[[Floats, float, Floats | None], tuple[Floats, Floats]]
 
 
 @dataclass
 class Restart:
-    """Part `part` of a record after a gap: position y (n,) of its counts, of variance `white`; the speed of the counts
-    and its standard deviation [unit of y per s].
+    """The part of a record after a gap.
 
-    The next search begins at the last result: the speed, and the effect (n,) of the speed on the position, about its
-    mean.
+    The position y (n,) of its counts has the variance `white`. The counts show the speed `shown` with the standard
+    deviation `known` [unit of y per s]. The next search begins at the last result: the speed, and the effect (n,) of
+    the speed on the position about its mean.
     """
 
     part: slice
@@ -241,7 +247,7 @@ class Restart:
         self.speed = self.shown
 
     def best(self, parameters: Floats, force: Floats | None) -> tuple[Floats, Floats]:
-        """Position and velocity (n,) from the start of least squares."""
+        """Return position and velocity (n,) from the start of least squares."""
         prior = self.white / self.known**2
         if self.effect.size == 0:
             self.effect = self._effect_at(self.shown, parameters, force)
@@ -254,7 +260,8 @@ class Restart:
             if self._sum_squares(tried, self.speed + step, prior) < self._sum_squares(found, self.speed, prior):
                 self.speed, found, fresh = self.speed + step, tried, True
                 step = self._step(found.apart, prior)
-            elif fresh:  # after a stop the position moves with the speed otherwise than where the effect was taken
+            # after a stop, the position depends on the speed in another way than at the place of the stored effect
+            elif fresh:
                 self.effect, fresh = self._effect_at(self.speed, parameters, force), False
                 step = self._step(found.apart, prior)
             else:
@@ -283,26 +290,28 @@ class Restart:
 
 @dataclass(frozen=True, eq=False)
 class _Moved:
-    """Position and velocity (n,) from a start, and what is left of the counts' (n,)."""
+    """Position and velocity (n,) from a start, and the difference from the counts (n,)."""
 
     position: Floats
     velocity: Floats
     apart: Floats
 
 
-#: Square root of the information [1/counts] of a sample with a white encoder error.
+#: Square root of the information [1/counts] of a sample if the encoder's error is white.
 WHITE = math.sqrt(12.0)
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Position of the counts minus simulated position, in counts, as a function of q = (theta, x0, v0) / scale.
+    """Position of the counts minus simulated position [counts], as a function of q = (theta, x0, v0) / scale.
 
-    equation: its roles say what the simulation takes of theta; u, y: (n,), dt [s]; resolution; scale: (q,);
-    pole: of the high-pass on the difference [rad/s], 0: none; parts: of a sample, in which shapes are simulated; zero:
-    where a spring is slack, None: at the first count; past: (m,) inputs before the first, None: not known; breaks: for
-    each gap in the record its first sample and the first sample after it. Nothing is known in a gap, and the motion
-    restarts after it. uneven: (n,) time from each sample to the next [s], None: dt.
+    The roles of `equation` say what the simulation takes from theta. `u` and `y` are (n,), `dt` is in [s], and `scale`
+    is (q,). `pole` is that of the high-pass on the difference [rad/s]; 0 means no high-pass. `parts` is the number of
+    parts per sample in the simulation of shapes. `zero` is the position of a slack spring; None takes the first count.
+    `past` (m,) has earlier inputs, or None for unknown ones.
+
+    `breaks` has, for each gap in the record, its first sample and the first sample after it. The motion is unknown in a
+    gap and restarts after it. `uneven` (n,) are the times from each sample to the next [s]; None takes dt.
     """
 
     equation: Equation
@@ -320,37 +329,38 @@ class Difference:
 
     @property
     def intervals(self) -> Intervals:
-        """dt, or (n,) the time from each sample to the next [s]."""
+        """dt, or the times (n,) from each sample to the next [s]."""
         return self.dt if self.uneven is None else self.uneven
 
     def __call__(self, q: Floats) -> Floats:
         return np.asarray(self.differences(q[None])[0])
 
     def differences(self, qs: Floats) -> Floats:
-        """(m, n) at each of the qs (m, q), computed side by side."""
+        """Return the differences (m, n) at the rows of `qs` (m, q), computed side by side."""
         return np.array([self.observe(self.y - x) for x in self.motions(qs)[0]])
 
     def observe(self, signal: Floats) -> Floats:
-        """What the difference sees of a position (n,) [counts]."""
+        """Return the filtered position (n,) in counts, as it enters the difference."""
         return self.filter_signal(signal) / self.resolution
 
     def motion(self, q: Floats, force: Floats | None = None) -> tuple[Floats, Floats]:
-        """Simulated position at the samples (n,) and mean velocity between them, (n,) or as fine as the force.
+        """Return the simulated position at the samples (n,) and the mean velocity between samples.
 
-        force (n,), or (k n,) for the k equal parts of every sample: on top of the force of the input [unit of the
-        equation].
+        `force` is (n,), or (k n,) for k equal parts of every sample. The force acts on top of the input's force [unit
+        of the equation]. The velocity is (n,), or as fine as the force.
         """
         position, velocity = self.motions(q[None], None if force is None else force[None])
         return position[0], velocity[0]
 
     def motions(self, qs: Floats, forces: Floats | None = None) -> tuple[Floats, Floats]:
-        """`motion` at each of the qs (m, q), with a force each (m, n) or (m, k n): (m, n) and (m, n) or (m, k n)."""
+        """Simulate one motion for each row of `qs` (m, q), each with its own force (m, n) or (m, k n). Return the
+        positions (m, n), and the velocities (m, n) or (m, k n)."""
         if self.breaks:
             rows = zip(qs, [None] * len(qs) if forces is None else forces, strict=True)
             found = [self._simulate_parts(*row) for row in rows]
             return np.array([x for x, _ in found]), np.array([v for _, v in found])
         values = qs * self.scale
-        starts = values[:, :-3:-1] - np.array([0.0, self.slack])  # a spring's length counts from the first count
+        starts = values[:, :-3:-1] - np.array([0.0, self.slack])  # the first count is the origin of a spring's length
         split, on_top = 1, None
         if forces is not None:
             split, on_top = forces.shape[1] // self.u.size, forces / self.equation.input_gain
@@ -361,7 +371,9 @@ class Difference:
         return values[:, -2:-1] + sum_travel(velocity, fine)[:, ::split], velocity
 
     def _simulate_parts(self, q: Floats, force: Floats | None) -> tuple[Floats, Floats]:
-        """`motion` of a record with gaps; in a gap the position follows the counts, and the velocity is zero."""
+        """Simulate a record with gaps, as `motion` does. In a gap the position follows the counts, and the velocity is
+        zero.
+        """
         split = 1 if force is None else force.size // self.u.size
         position, velocity = self.y.copy(), np.zeros(split * self.u.size)
         first, others = self._parts
@@ -375,7 +387,7 @@ class Difference:
 
     @cached_property
     def _parts(self) -> tuple[slice, list[Restart]]:
-        """The first part of the record between its gaps, and the others."""
+        """The first part of the record between its gaps, and the other parts."""
         edges = [0, *(edge for gap in self.breaks for edge in gap), self.y.size]
         parts = [slice(a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a]
         return parts[0], [self._restart(part) for part in parts[1:]]
@@ -390,45 +402,47 @@ class Difference:
         return Restart(part, piece.y, self.resolution**2 / 12, piece.shown_speed, known, motion)
 
     def _piece(self, part: slice) -> Difference:
-        """A part of the record between its gaps; the inputs before a gap are unknown after it."""
+        """Return the difference on a part between gaps. After a gap, the inputs before it are unknown."""
         past = self.before if part.start == 0 else self.u[part][:1]
         uneven = None if self.uneven is None else self.uneven[part]
         return replace(self, u=self.u[part], y=self.y[part], zero=self.slack, past=past, breaks=(), uneven=uneven)
 
     @property
     def shown_speed(self) -> float:
-        """Start velocity [unit of y per s] as the counts show it."""
+        """Return the start velocity that the counts show [unit of y per s]."""
         return first_speed(self.y, self.intervals, float(self.scale[-1] / self.scale[-2]), self.resolution)
 
     @property
     def before(self) -> Floats:
-        """(m,) inputs before the first, for a dead time alone. If they are unknown they are zero, as long as the axis
-        rests until they act, and else equal to the first one."""
+        """Inputs (m,) before the first sample, for a dead time. Unknown inputs are zero if the axis rests until they
+        act. Otherwise they equal the first input."""
         if self.past is not None:
             return self.past
         return np.array([0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])])
 
     def fine_at(self, theta: Floats) -> Difference:
-        """The motion with as many parts of a sample as the counts need at theta (p,), and no fewer than now."""
+        """Return the difference with as many parts per sample as the counts need at theta (p,), at least the present
+        number.
+        """
         asked = parts_for(self.equation, theta, self.intervals, self.u, TUNING.parts_error * self.resolution)
         return replace(self, parts=max(self.parts, asked))
 
     def replace_equation(self, equation: Equation, scale: Floats) -> Difference:
-        """The same for another equation, with the scales (p,) of its parameters."""
+        """Return a copy for another equation, with the scales (p,) of its parameters."""
         return replace(self, equation=equation, scale=np.r_[scale, self.scale[self.parameters :]])
 
     @property
     def parameters(self) -> int:
-        """The parameters of the equation, with those in which it is not linear."""
+        """The number of parameters, including those that enter the equation nonlinearly."""
         return self.scale.size - 2
 
     @property
     def slack(self) -> float:
-        """Position from which a spring's length counts."""
+        """Position at which a spring is slack."""
         return float(self.y[0]) if self.zero is None else self.zero
 
     def part(self, first: int, last: int) -> Difference:
-        """The same for samples first to last - 1, with a start of their own."""
+        """Return the difference on samples first to last - 1, with its own start."""
         past = np.r_[self.before, self.u[:first]][
             -(TUNING.motion_lagging if self.equation.lag else 1) * MOST_LATE - 2 :
         ]
@@ -436,57 +450,63 @@ class Difference:
         return replace(self, u=self.u[first:last], y=self.y[first:last], zero=self.slack, past=past, uneven=uneven)
 
     def read_velocity(self, q: Floats) -> Floats:
-        """The simulated mean velocity (n,) after each sample of the record at q (q,)."""
+        """Return the simulated mean velocity (n,) after each sample of the record at q (q,)."""
         return self.motion(q)[1]
 
     def measure_misfit(self, q: Floats) -> float:
-        """The part of the motion, 0 to about 1, that neither the model at q (q,) nor the encoder explains."""
+        """Return the part of the motion, from 0 to about 1, that neither the model at q (q,) nor the encoder explains."""
         motion = self.filter_signal(self.y - np.mean(self.y))
         excess = max(float(np.mean(self(q) ** 2)) - self.explained**2, 0.0)
         return float(np.sqrt(excess)) * self.resolution / max(rms(motion), TUNING.tiny)
 
     def filter_signal(self, signal: Floats) -> Floats:
-        """The high-pass, from rest: white noise on top of a random walk leaves it white."""
+        """Return the high-passed signal, from rest. The high-pass turns white noise on top of a random walk into white
+        noise.
+        """
         if self.pole == 0:
             return signal
         return first_order(signal, math.exp(-self.pole * self.dt), 1.0, -1.0)[0]
 
     def sum_by_sample(self, values: Floats) -> Floats:
-        """Values (n, ...) at the samples of the difference, summed at the samples of the record."""
+        """Return the sums of the difference's values (n, ...) at each sample of the record."""
         return values
 
     @property
     def side_by_side(self) -> int:
-        """How many differences cost hardly more than one. Those of different shapes follow one another."""
+        """The number of differences that take about the time of one. Differences with various shapes run one by one."""
         return 1 if self.breaks or self.equation.further else TUNING.trials_together
 
     @property
     def size_of_motion(self) -> float:
-        """Root mean square [counts] of the position about its mean, as the difference sees it."""
+        """Root mean square [counts] of the position about its mean, after the high-pass."""
         return rms(self.filter_signal(self.y - np.mean(self.y)) / self.resolution)
 
     def jacobian(self, q: Floats, width: float = TUNING.quotient_step, first: int = 0) -> Floats:
-        """Derivatives by q[first:], a column each, as central differences that stay above the bounds."""
+        """Return the derivatives by q[first:] in columns, as central differences that respect the lower bounds."""
         steps = width * np.eye(q.size)[first:]
         low = np.maximum(q - steps, self.lower)
         above, below = np.split(self.differences(np.concatenate([q + steps, low])), 2)
         return np.asarray(((above - below) / np.sum(q + steps - low, axis=1)[:, None]).T)
 
     def forward_jacobian(self, q: Floats, e: Floats, widths: Floats | float = TUNING.quotient_step) -> Floats:
-        """Derivatives by q (q,), a column each, from the difference e (n,) at q: half of the simulations of `jacobian`,
-        for an iteration, whose end they move by a ten-thousandth of a standard error."""
+        """Return the derivatives by q (q,) in columns, as forward differences from the difference e (n,) at q.
+
+        Forward differences need half the simulations of `jacobian`. They shift the end of an iteration by a
+        ten-thousandth of a standard error.
+        """
         return np.asarray((self.differences(q + widths * np.eye(q.size)) - e).T / widths)
 
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
-        """(n, p) by how much the difference moves with each parameter, beyond what the start can do as well."""
+        """Return the effect (n, p) of each parameter on the difference that the start cannot reproduce."""
         jacobian, p = self.jacobian(q, width), self.parameters
         return self.remove_nuisance(jacobian[:, :p], jacobian[:, p:], root)
 
     def remove_nuisance(self, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
-        """Effects (n, k) [counts] less what the start position and velocity, nuisance (n, 2), can do as well.
+        """Return the part of the effects (n, k) [counts] that the start position and velocity cannot reproduce.
 
-        root: (n,) square roots of the samples' information, None: for a white encoder error. The start velocity is
-        taken for known to a few counts in a filter time constant: from rest it moves nothing, and must not be made up.
+        `nuisance` (n, 2) are the effects of the start. `root` (n,) are square roots of the samples' information; None
+        assumes a white encoder error. The start velocity counts as known to a few counts per filter time constant. From
+        rest it moves nothing, and the fit must not invent a velocity.
         """
         weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
         prior = np.array([[0.0, 1 / self.start_velocity_std]])
@@ -495,7 +515,7 @@ class Difference:
 
     @property
     def finer(self) -> Difference:
-        """The motion in twice as many parts of a sample."""
+        """Return the difference with twice as many parts per sample."""
         return replace(self, parts=2 * self.parts)
 
     @property
@@ -505,17 +525,17 @@ class Difference:
 
     @property
     def restarts(self) -> bool:
-        """Does the motion have more than one start?"""
+        """Whether the motion has more than one start."""
         return bool(self.breaks)
 
     @property
     def start_velocity_std(self) -> float:
-        """What the start velocity is known to, in the unit of q: some counts within a filter time constant."""
+        """Standard deviation of the start velocity in the unit of q, some counts per filter time constant."""
         return TUNING.start_counts * self.resolution / float(self.scale[-2])
 
     @property
     def recovery(self) -> int:
-        """Samples after which the high-pass has forgotten a step; 1 without one."""
+        """Samples until the high-pass has forgotten a step; 1 without a high-pass."""
         return math.ceil(1 / (self.pole * self.dt)) if self.pole > 0 else 1
 
     @property
@@ -525,7 +545,7 @@ class Difference:
 
     @property
     def lower(self) -> Floats:
-        """Bounds of q: a mass and shape parameters above zero, frictions of at least zero."""
+        """Lower bounds of q. Mass and shape parameters stay above zero, and frictions at or above zero."""
         lower = np.full(self.scale.size, -np.inf)
         lower[: len(self.equation.names)][np.array(self.equation.positive)] = 0.0
         lower[self.equation.leading] = TUNING.least_mass
@@ -536,9 +556,11 @@ class Difference:
 
 
 def first_speed(y: Floats | NDArray[np.int64], dt: Intervals, cutoff: float, resolution: float) -> float:
-    """Start velocity [unit of y per s] of a position y (n,), from its rise within a filter time
-    constant 1 / cutoff [s]. From rest within stiction a small one changes nothing: only a motion of more than the
-    resolution gives it one."""
+    """Return the start velocity [unit of y per s] of a position y (n,).
+
+    The velocity is the mean over a filter time constant 1 / cutoff [s]. It is zero for a motion below 1.5 times the
+    resolution, because a small velocity within stiction changes nothing.
+    """
     period = float(np.mean(dt))
     near = min(y.size - 1, math.ceil(1 / (cutoff * period)))
     rise, time = float(y[near] - y[0]), float(np.sum(dt[:near])) if isinstance(dt, np.ndarray) else near * dt
@@ -546,14 +568,16 @@ def first_speed(y: Floats | NDArray[np.int64], dt: Intervals, cutoff: float, res
 
 
 def rms(signal: Floats) -> float:
-    """Root mean square of a signal (n,)."""
+    """Return the root mean square of a signal (n,)."""
     return float(np.sqrt(np.mean(signal**2)))
 
 
 def least(difference: Difference, q: Floats, tolerances: Sequence[float] | None = None) -> Floats:
-    """Least squares from q (q,), with these relative tolerances of the sum of squares one after the other; None: a step
-    by settled_step of a standard error lowers the sum of n squares by settled_step^2 / n of itself. Raises
-    NotIdentifiableError where the iteration does not settle."""
+    """Return the least squares from q (q,). Raises NotIdentifiableError if the iteration does not converge.
+
+    The iteration tries the relative tolerances of the sum of squares one after the other. None takes a tolerance of
+    settled_step^2 / n, by which a step of settled_step standard errors lowers the sum.
+    """
     settled = TUNING.settled_step**2 / difference.y.size
     for tolerance in tolerances or (settled, max(settled, TUNING.rough_tolerance)):
         q, ended = _descend(difference, q, tolerance)
@@ -566,9 +590,9 @@ def least(difference: Difference, q: Floats, tolerances: Sequence[float] | None 
 
 
 def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Floats, bool]:
-    """q (q,) after damped steps of Gauss and Newton (Levenberg 1944, Marquardt 1963), and whether they settled: the sum
-    of squares falls by less than this part of itself, or no step lowers the sum any more."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+    """Return q (q,) after damped Gauss-Newton steps, and whether they converged (Levenberg 1944, Marquardt 1963). The
+    steps have converged if the sum of squares falls by less than `tolerance` times itself, or if no step lowers it."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a step that is too long is undone
         error, damping = difference(q), TUNING.first_damping
         jacobian = difference.forward_jacobian(q, error)
         if not (np.all(np.isfinite(error)) and np.all(np.isfinite(jacobian))):
@@ -598,9 +622,11 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
 
 
 def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats | float:
-    """Of the difference quotients where a step (q,) has led to error (n,). Where the motion nearly explains the counts,
-    they are as long as the step: a longer one misses the minimum. Where it does not, stops that come and go would give
-    short ones slopes of their own."""
+    """Return the widths of the difference quotients after a step (q,) to the error (n,).
+
+    If the motion nearly explains the counts, the quotients are as long as the step, because a longer one misses the
+    minimum. Otherwise the quotients stay long, because stops that come and go would distort short ones.
+    """
     if rms(error) > TUNING.output_error_hopeless * difference.explained:
         return TUNING.quotient_step
     return np.asarray(np.clip(np.abs(step), TUNING.likelihood_quotient, TUNING.quotient_step))
@@ -609,7 +635,7 @@ def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats 
 def _damped_steps(
     difference: Difference, q: Floats, error: Floats, jacobian: Floats, dampings: Sequence[float]
 ) -> Floats:
-    """(k, q) where the steps of Gauss and Newton with each of k dampings lead to."""
+    """Return the results (k, q) of Gauss-Newton steps with each of k dampings."""
     size = np.maximum(np.linalg.norm(jacobian, axis=0), TUNING.tiny)
     scaled = jacobian / size
     hessian, slope, above = scaled.T @ scaled, scaled.T @ error, q > difference.lower
@@ -618,7 +644,7 @@ def _damped_steps(
 
 
 def try_steps(difference: Difference, q: Floats, trials: Floats) -> Floats:
-    """The differences (k, n) at trials (k, q), infinite if the step from q is too long: what hardly acts runs away."""
+    """Return the differences (k, n) at trials (k, q), infinite after an excessive step. A weak parameter can run away."""
     near = np.max(np.abs(trials - q), axis=1) <= TUNING.longest_step
     found = np.full((len(trials), difference.rows), np.inf)
     if np.any(near):
@@ -627,8 +653,7 @@ def try_steps(difference: Difference, q: Floats, trials: Floats) -> Floats:
 
 
 def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:
-    """The step (q,) to take back of Newton; a parameter that is not `above` its bound (q,) only moves away from the
-    bound."""
+    """Return the Newton step (q,) to subtract. A parameter at its bound, not `above`, only moves away from the bound."""
     free = above | (gradient < 0)
     step, own, slope = np.zeros(gradient.size), hessian[np.ix_(free, free)], gradient[free]
     if slope.size > TUNING.dense_columns:
@@ -640,9 +665,9 @@ def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:
 
 
 def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
-    """(S^T S)^-1 (p, p) of the sensitivities S (n, p). Raises NotIdentifiableError if one of them is zero or a
-    combination of the others, naming the parameter."""
-    with np.errstate(over="ignore"):  # of a wide step a motion may run away: infinitely sensitive, then
+    """Return the inverse (p, p) of S^T S for sensitivities S (n, p). Raises NotIdentifiableError with the parameter's
+    name if a column is zero or depends on the others."""
+    with np.errstate(over="ignore"):  # a motion may run away after a wide step and then be infinitely sensitive
         parts, inverse = parts_of_their_own(sensitivity)
         size = np.linalg.norm(sensitivity, axis=0)
         sizes = np.outer(size, size)

@@ -1,4 +1,4 @@
-"""Where a search begins, and the windows that it passes."""
+"""Start values of a search, and windows in which the search proceeds."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from pmfid.types import Floats
 
 Found = TypeVar("Found")
 
-#: What is said of a record that the model does not follow at all.
+#: Message for a record that the model does not follow at all.
 LOST = (
     "no motion of the model follows the counts, not even from many starts: check the columns, the sign of input_gain "
     "and the model, or record reversals and varying speed"
 )
-#: Filter time constants over which speeds to begin with are read.
+#: Filter time constants over which start speeds are read.
 WITHIN = (1.0, TUNING.search_read)
 
 
 def start_samples(dt: float, cutoff: float) -> int:
-    """How many samples the start of a free run is read from; dt [s], cutoff [rad/s]."""
+    """Return the number of samples that determine the start of a free run. `dt` is in [s], and `cutoff` in [rad/s]."""
     return max(2, math.ceil(TUNING.search_read / (cutoff * dt)))
 
 
 def choose_start(difference: Difference, theta: Floats, cutoff: float, speeds: Sequence[float] = ()) -> Floats:
-    """q (q,) at scaled parameters (p,), with a start to improve: that whose motion is the nearest, of the speeds that
-    the counts show within 1 / cutoff [s] and within several times that, and of further ones.
+    """Return q (q,) for scaled parameters (p,), with the nearest of several starts.
 
-    From a speed within stiction, where the axis was moving, there is no way to a better one.
+    The candidates are the speeds that the counts show within 1 / cutoff [s] and within several times that, and the
+    given `speeds`. A search within stiction could not find the speed of a moving axis.
     """
     shown = [first_speed(difference.y, difference.intervals, cutoff / part, difference.resolution) for part in WITHIN]
     places = [np.array([difference.y[0], speed]) / difference.scale[-2:] for speed in dict.fromkeys((*shown, *speeds))]
@@ -46,17 +46,17 @@ def choose_start(difference: Difference, theta: Floats, cutoff: float, speeds: S
 
 
 def fit_start(difference: Difference, q: Floats) -> Floats:
-    """q (q,) with the start of least squares, its parameters as they are.
+    """Return q (q,) with the least-squares start and unchanged parameters.
 
-    From rest within stiction a velocity moves nothing: it is taken for that of q to a few counts in a filter time
-    constant, as in every error bar.
+    From rest within stiction a velocity moves nothing. The start velocity therefore counts as known from q, to a few
+    counts per filter time constant, as in every error bar.
     """
     prior = np.array([0.0, 1 / difference.start_velocity_std])
     speed, left = q[-1], _weigh_residual(difference, q, q[-1])
     for _ in range(TUNING.search_passes):
         slope = np.r_[WHITE * difference.jacobian(q, first=q.size - 2), prior[None]]
         if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(left))):
-            break  # parameters that nothing can be simulated with
+            break  # no motion can be simulated with these parameters
         step = np.r_[np.zeros(q.size - 2), np.linalg.lstsq(slope, -left)[0]]
         before = float(left @ left)
         for part in (1.0, TUNING.search_shorter):
@@ -71,16 +71,19 @@ def fit_start(difference: Difference, q: Floats) -> Floats:
 
 
 def _weigh_residual(difference: Difference, q: Floats, speed: float) -> Floats:
-    """(n + 1,) what is left of the position and of the start velocity `speed`, in their standard deviations."""
+    """Return the residual (n + 1,) of the position and the start velocity `speed`, in their standard deviations."""
     return np.append(WHITE * difference(q), (q[-1] - speed) / difference.start_velocity_std)
 
 
 def find_least_from_start(
     difference: Difference, q: Floats, cutoff: float, tolerances: Sequence[float] | None = None
 ) -> Floats:
-    """`least` from q (q,). Where a force has a shape, from where the motion at these parameters starts by the first
-    samples, and from q itself only if more is left than the encoder explains: along the travel the sum of squares has a
-    minimum for each way to begin. Raises NotIdentifiableError if nothing settles."""
+    """Return `least` from q (q,).
+
+    If a force has a shape, the sum of squares has a minimum for each way to begin the travel. The search then begins at
+    the start that the first samples show. It also begins at q itself if more remains than the encoder explains. Raises
+    NotIdentifiableError if no search converges.
+    """
     if not difference.equation.shaped:
         return least(difference, q, tolerances)
     found, refused = list[Floats](), NotIdentifiableError("no start of the motion leads anywhere")
@@ -98,7 +101,7 @@ def find_least_from_start(
 
 
 def read_start(difference: Difference, q: Floats, cutoff: float) -> Floats:
-    """q (q,) with a start that is read from the first samples."""
+    """Return q (q,) with a start from the first samples."""
     direct = replace(difference, pole=0.0)
     first = direct.part(0, min(start_samples(direct.dt, cutoff), direct.y.size))
     return fit_start(first, choose_start(first, q[:-2], cutoff))
@@ -107,8 +110,8 @@ def read_start(difference: Difference, q: Floats, cutoff: float) -> Floats:
 def fit_at_speeds(
     usual: float, at: Callable[[float], Found], worse: Callable[[Found], float]
 ) -> list[tuple[float, Found]]:
-    """Stribeck speeds to go on from, the best first, and what was found at each; usual: speed of the motion; at: fits
-    with a speed that is known; worse: by what they are compared. Raises NotIdentifiableError if none settles."""
+    """Return promising Stribeck speeds with their results, the best first. `usual` is the speed of the motion, `at`
+    fits with a known Stribeck speed, and `worse` rates a result. Raises NotIdentifiableError if no fit converges."""
     found = list[tuple[float, Found]]()
     refused = NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
     for speed in (usual * np.array(TUNING.stribeck_speeds)).tolist():
@@ -123,10 +126,10 @@ def fit_at_speeds(
 
 @dataclass(frozen=True)
 class Windows(Difference):
-    """A `Difference` over windows of a record, without a high-pass, as a function of q = (theta, x0, v0, x0, v0, ...) /
-    scale: parameters (p,), and a start for each window.
+    """A `Difference` over windows of a record, without a high-pass.
 
-    Its samples are those of the windows one after the other. pieces: the windows; firsts: their first samples in the
+    The unknowns q = (theta, x0, v0, x0, v0, ...) / scale are the parameters (p,) and a start for each window. The
+    samples are those of all windows in series. `pieces` are the windows, and `firsts` are their first samples in the
     record.
     """
 
@@ -141,8 +144,11 @@ class Windows(Difference):
         length: int,
         hops: int = TUNING.search_hops,
     ) -> Windows:
-        """Windows of about `length` samples that fill stretches of the record, from first to last - 1 each; hops: 1:
-        one after the other, 2: each begins in the middle of the one before."""
+        """Return windows of about `length` samples that fill stretches (first, last) of the record, without the sample
+        `last`.
+
+        With `hops` 1 the windows follow each other. With 2 each window begins in the middle of the preceding one.
+        """
         edges = [edge for stretch in stretches for edge in _covering(*stretch, length, hops)]
         own = {field.name: getattr(difference, field.name) for field in fields(Difference)} | {"pole": 0.0}
         pieces = tuple(Difference(**own).part(first, last) for first, last in edges)
@@ -150,8 +156,8 @@ class Windows(Difference):
         return cls(**own, pieces=pieces, firsts=tuple(first for first, _ in edges))
 
     def start_windows(self, theta: Floats, cutoff: float) -> Floats:
-        """q (q,) at scaled parameters (p,) with the start of each window that fits it; each is begun at the speed that
-        the window before has there, or that the counts show within 1 / cutoff [s]."""
+        """Return q (q,) at scaled parameters (p,) with the best start of each window. The search for a start begins at
+        the preceding window's speed there, or at the counts' speed within 1 / cutoff [s]."""
         places, speeds, before = [], np.zeros(0), 0
         for part, first in zip(self.pieces, self.firsts, strict=True):
             there = speeds[min(first - before, speeds.size - 1) :][:1].tolist()
@@ -161,7 +167,7 @@ class Windows(Difference):
         return np.concatenate([theta, *places])
 
     def split_windows(self, q: Floats) -> list[tuple[Difference, Floats]]:
-        """Each window with its own part of q (..., q), (..., p + 2)."""
+        """Return each window with its own part (..., p + 2) of q (..., q)."""
         p = self.parameters
         return [
             (part, np.concatenate([q[..., :p], q[..., p + 2 * k : p + 2 * k + 2]], axis=-1))
@@ -169,7 +175,7 @@ class Windows(Difference):
         ]
 
     def _split_rows(self, values: Floats) -> list[Floats]:
-        """The samples of each window, of values (..., k n) for k parts of every sample."""
+        """Split values (..., k n), with k parts per sample, into the values of each window."""
         ends = np.cumsum([part.y.size for part in self.pieces])
         return np.split(values, ends[:-1] * (values.shape[-1] // int(ends[-1])), axis=-1)
 
@@ -183,7 +189,7 @@ class Windows(Difference):
         return np.concatenate(position, axis=1), np.concatenate(velocity, axis=1)
 
     def _join_slopes(self, blocks: Sequence[Floats]) -> Floats:
-        """(n, q) from the derivatives (n, p + 2) of each window by its own q."""
+        """Join the derivatives (n, p + 2) of each window by its own q to one matrix (n, q)."""
         p, begin = self.parameters, 0
         joined = np.zeros((sum(map(len, blocks)), p + 2 * len(blocks)))
         for k, block in enumerate(blocks):
@@ -210,7 +216,7 @@ class Windows(Difference):
         )
 
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
-        """Window by window: the columns of all starts would take much memory."""
+        """Return the sensitivity, computed window by window, because the columns of all starts would take much memory."""
         roots = [None] * len(self.pieces) if root is None else self._split_rows(root)
         rows = zip(self.split_windows(q), roots, strict=True)
         return np.concatenate([part.own_sensitivity(own, weights, width) for (part, own), weights in rows])
@@ -235,7 +241,7 @@ class Windows(Difference):
         return self.scale.size - 2 * len(self.pieces)
 
     def sum_by_sample(self, values: Floats) -> Floats:
-        """(n, ...) at the samples of the record, the sum over the windows that have them."""
+        """Return the sums (n, ...) over all windows at each sample of the record."""
         total, begin = np.zeros((self.y.size, *values.shape[1:])), 0
         for part, first in zip(self.pieces, self.firsts, strict=True):
             total[first : first + part.y.size] += values[begin : begin + part.y.size]
@@ -248,21 +254,21 @@ class Windows(Difference):
 
     @property
     def size_of_motion(self) -> float:
-        """About the mean of each window: what a start cannot follow."""
+        """Root mean square [counts] about the mean of each window, which a start cannot follow."""
         return rms(np.concatenate([part.y - np.mean(part.y) for part in self.pieces]) / self.resolution)
 
 
 def is_lost(difference: Difference, q: Floats) -> bool:
-    """Whether the motion at q (q,) is far from the counts, from a single start."""
+    """Return whether the motion at q (q,) from a single start is far from the counts."""
     return not rms(difference(q)) < TUNING.restarts_lost * difference.size_of_motion
 
 
 def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Difference, Floats] | None:
-    """A difference without a high-pass in as few windows as its motion needs, and its least squares (q,), from q (q,)
-    on. None if short windows do not explain the counts. Raises NotIdentifiableError if they leave most of the motion.
+    """Return a difference in as few windows as its motion needs, and its least squares (q,), starting from q (q,).
 
-    A controller holds an arm where gravity or a magnet pulls it away, and then errors of the simulation grow without
-    bound. Windows that are short enough follow the motion (multiple shooting: Bock 1981).
+    The result has no high-pass. It is None if short windows do not explain the counts. Raises NotIdentifiableError if
+    short windows leave most of the motion. If a controller holds an arm where gravity or a magnet pulls it away, errors
+    of the simulation grow without bound. Short windows follow this motion (multiple shooting: Bock 1981).
     """
     p, coarse = difference.parameters, replace(difference, parts=1)
     counts = [count for count in TUNING.restarts_tried if difference.y.size >= count * TUNING.search_fewest]
@@ -273,7 +279,7 @@ def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Diffe
         found = _fit_in_windows(coarse, q[:-2], cutoff, counts[-1], coarse.explained)
     if found.lost:
         raise NotIdentifiableError(LOST)
-    if found.left > coarse.explained:  # by the shortest windows, and longer ones leave no less
+    if found.left > coarse.explained:  # the shortest windows leave this much, and longer ones leave no less
         return None
     for count in counts[1:-1] if len(found.windows.pieces) == counts[-1] > counts[0] else ():
         other = _fit_in_windows(coarse, q[:-2], cutoff, count, coarse.explained)
@@ -294,7 +300,7 @@ def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Diffe
 
 @dataclass(frozen=True, eq=False)
 class _FitInWindows:
-    """Windows, their q (q,), and the root mean square that these leave [counts]."""
+    """Windows, their q (q,), and the root mean square that remains [counts]."""
 
     windows: Windows
     q: Floats
@@ -302,13 +308,13 @@ class _FitInWindows:
 
     @property
     def lost(self) -> bool:
-        """Do they leave most of the motion within the windows?"""
+        """Whether most of the motion within the windows remains."""
         return self.left > max(TUNING.worst_fit * self.windows.size_of_motion, self.windows.explained)
 
 
 def _most_left(shortest: _FitInWindows, count: int) -> float:
-    """Root mean square [counts] that `count` longer windows may leave by chance, as they have fewer starts. The sum of
-    squares of a sensitive motion has local minima that nearly explain the counts."""
+    """Return the root mean square [counts] that `count` longer windows may leave by chance. Longer windows have fewer
+    starts. The limit excludes local minima, at which a sensitive motion nearly explains the counts."""
     freedom = 2 * (len(shortest.windows.pieces) - count)
     squares = freedom + TUNING.restarts_worse * math.sqrt(2 * freedom)
     more = math.sqrt(1 + squares / shortest.windows.y.size)
@@ -316,8 +322,8 @@ def _most_left(shortest: _FitInWindows, count: int) -> float:
 
 
 def _fit_in_windows(difference: Difference, theta: Floats, cutoff: float, count: int, enough: float) -> _FitInWindows:
-    """`count` windows of a record, and their least squares from scaled parameters theta (p,) on, given up where it
-    does not come down to `enough` [counts]."""
+    """Return `count` windows of a record and their least squares, starting from scaled parameters theta (p,). The
+    descent ends early if it cannot come down to `enough` [counts]."""
     n = difference.y.size
     windows = Windows.cover_stretches(difference, [(0, n)], n // count, hops=1)
     windows = windows.fine_at(theta * difference.scale[: theta.size])
@@ -336,8 +342,11 @@ def _covering(first: int, last: int, length: int, hops: int) -> list[tuple[int, 
 
 @dataclass(frozen=True)
 class _Slope:
-    """One window, linear at its q: what is left (n,), the parameters' own effect on it (n, p), and by how much its
-    start moves, (2,) for what is left and (2, p) for a unit of each parameter."""
+    """One window, linearised at its q.
+
+    `left` (n,) is the residual, and `own` (n, p) is the parameters' own effect on the residual. `start` (2,) is the
+    start's shift for the residual, and `moves` (2, p) is its shift for a unit of each parameter.
+    """
 
     left: Floats
     own: Floats
@@ -346,7 +355,7 @@ class _Slope:
 
 
 def _slope(part: Difference, q: Floats, error: Floats) -> _Slope:
-    """The same; error (n,): the difference at q."""
+    """Linearise one window with the difference `error` (n,) at q."""
     jacobian = part.jacobian(q)
     effects, nuisance = np.column_stack([error, jacobian[:, :-2]]), jacobian[:, -2:]
     prior = np.array([[0.0, 1 / part.start_velocity_std]])
@@ -359,9 +368,11 @@ def _slope(part: Difference, q: Floats, error: Floats) -> _Slope:
 def descend(
     windows: Windows, q: Floats, settled: float = TUNING.settled_descent, enough: float | None = None
 ) -> Floats:
-    """Least squares from q (q,): damped steps of Gauss and Newton, the starts eliminated window by window; a parameter
-    that a step would take below its bound stays there. enough: a sum of squares; a descent that is too slow to come
-    down to it is given up."""
+    """Return the least squares from q (q,) by damped Gauss-Newton steps, with the starts eliminated window by window.
+
+    A parameter stays at its bound if a step would take it below. A descent that is too slow to reach the sum of squares
+    `enough` ends early.
+    """
     low, p, damping = windows.lower, windows.parameters, 1e-3
     errors = [part(own) for part, own in windows.split_windows(q)]
     costs, slopes = [sum(map(_cost, errors))], _slopes(windows, q, errors)
@@ -383,8 +394,7 @@ def descend(
 
 
 def _is_too_slow(costs: Sequence[float], enough: float) -> bool:
-    """Whether sums of squares, one a step, do not come down to `enough` within the steps that are left, at the pace of
-    the last ones."""
+    """Return whether the descent misses `enough` within the remaining steps, at the pace of the last sums of squares."""
     watched = TUNING.steps_watched
     if len(costs) <= watched or not enough < costs[-1] < np.inf:
         return False
@@ -398,9 +408,11 @@ def _slopes(windows: Windows, q: Floats, errors: Sequence[Floats]) -> list[_Slop
 
 
 def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> tuple[Floats, list[Floats]]:
-    """Other parameters (p,), and each start where it follows from them, or where it was: a start within stiction moves
-    nothing until it moves much, and one such window must not hold up all others. And the difference of each window
-    there."""
+    """Return q for other parameters (p,), and the difference of each window.
+
+    Each start moves as the linear model says, or stays. A start within stiction moves nothing until it moves much, and
+    one such window must not stop all others.
+    """
     places, errors, change = [], list[Floats](), theta - q[: theta.size]
     for (part, own), slope in zip(windows.split_windows(q), slopes, strict=True):
         along = slope.moves @ change
@@ -414,7 +426,7 @@ def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_S
 
 
 def _step(slopes: Sequence[_Slope], damping: float, bound: NDArray[np.bool_]) -> Floats:
-    """The step of the parameters (p,); a parameter at a bound moves only away from it."""
+    """Return the step of the parameters (p,). A parameter at its bound only moves away from it."""
     normal = np.sum([slope.own.T @ slope.own for slope in slopes], axis=0)
     downhill = -np.sum([slope.own.T @ slope.left for slope in slopes], axis=0)
     free = ~(bound & (downhill < 0))
@@ -425,7 +437,7 @@ def _step(slopes: Sequence[_Slope], damping: float, bound: NDArray[np.bool_]) ->
 
 
 def _cost(left: Floats) -> float:
-    """Sum of squares; infinite if a step was too far."""
+    """Return the sum of squares, infinite after an excessive step."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = float(left @ left)
     return total if total < np.inf else np.inf
@@ -433,9 +445,12 @@ def _cost(left: Floats) -> float:
 
 @dataclass(frozen=True)
 class WindowChoice:
-    """samples: of a window; seconds; errors: for each length that was tried [s], infinite for the whole record, the
-    error of free runs over parts that were not fitted to, in one piece and in several [unit of the resolution]: the
-    geometric mean of the root mean squares."""
+    """The chosen window length.
+
+    `samples` and `seconds` are its length. `errors` has, for each tried length [s], the error of free runs over
+    unfitted parts [unit of the resolution]. A length of infinity means the whole record. The error is the geometric
+    mean of the root mean squares in one piece and in several.
+    """
 
     samples: int
     seconds: float
@@ -443,7 +458,7 @@ class WindowChoice:
 
     @property
     def says(self) -> str:
-        """The reason, for people."""
+        """The reason in words."""
         chosen = "one window over the whole record" if math.isinf(self.seconds) else f"windows of {self.seconds:.3g} s"
         if len(self.errors) < 2:
             return f"{chosen}: it is too short to choose their length on it"
@@ -458,7 +473,7 @@ class WindowChoice:
 
 
 def choose_window(difference: Difference, theta: Floats, cutoff: float) -> WindowChoice:
-    """The length for a difference without a high-pass, from scaled parameters (p,); cutoff [rad/s] of the filters."""
+    """Return the window length for a difference without a high-pass, from scaled parameters (p,) and `cutoff` [rad/s]."""
     n, dt = difference.y.size, difference.dt
     shortest = max(TUNING.search_fewest, math.ceil(TUNING.search_shortest / (cutoff * dt)))
     lengths = [n, *_halves(n * (TUNING.search_folds - 1) // TUNING.search_folds // 2, shortest)]
@@ -479,9 +494,11 @@ def _halves(length: int, shortest: int) -> Iterator[int]:
 
 
 def predicted_elsewhere(difference: Difference, theta: Floats, cutoff: float, length: int) -> float:
-    """Error of free runs over parts of the record [unit of the resolution], geometric mean: each part and each length
-    of the runs counts alike, also where one of them is hard to predict. Infinite where there is no estimate, or half
-    the motion is left."""
+    """Return the geometric mean error of free runs over unfitted parts of the record [unit of the resolution].
+
+    Each part and each length of the runs has the same weight, even if one is hard to predict. The error is infinite if
+    no estimate exists or if half of the motion remains.
+    """
     n, logs = difference.y.size, []
     edges = np.linspace(0, n, TUNING.search_folds + 1).round().astype(int).tolist()
     for first, last in pairwise(edges):
@@ -504,7 +521,7 @@ def _pieces(part: Difference, cutoff: float) -> list[int]:
 
 
 def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> float:
-    """Logarithm of the root mean square error [counts] of runs over the pieces of a part."""
+    """Return the logarithm of the root mean square error [counts] of runs over the pieces of a part."""
     edges = np.linspace(0, part.y.size, pieces + 1).round().astype(int).tolist()
     runs = [free_run(part.part(first, last), theta, cutoff) for first, last in pairwise(edges)]
     left = rms(np.concatenate(runs))
@@ -512,6 +529,6 @@ def _log_error(part: Difference, theta: Floats, cutoff: float, pieces: int) -> f
 
 
 def free_run(part: Difference, theta: Floats, cutoff: float) -> Floats:
-    """(n,) what is left of a difference at scaled parameters (p,) [counts], with a start from its first samples."""
+    """Return the difference (n,) [counts] at scaled parameters (p,) with a start from the first samples."""
     read = part.part(0, min(start_samples(part.dt, cutoff), part.y.size))
     return part(fit_start(read, choose_start(read, theta, cutoff)))
