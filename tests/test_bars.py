@@ -36,9 +36,19 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
         pytest.param(
             IntervalML, "rotary", "stop-and-go", 4096, marks=pytest.mark.long
         ),  # bars were once 4 times too long
-        (pmfid.IV, "heavy", "multisine", 4096),  # once 3 to 8 times: blocks with sharp ends
+        (
+            pmfid.IV,
+            "heavy",
+            "multisine",
+            4096,
+        ),  # bars were once 3 to 8 times too long, because of blocks with sharp ends
         pytest.param(pmfid.IV, "rotary", "prbs", 32, marks=pytest.mark.long),
-        (OE, "rotary", "stop-and-go", 4096),  # once 2.4 times: scatter before the inverse
+        (
+            OE,
+            "rotary",
+            "stop-and-go",
+            4096,
+        ),  # bars were once 2.4 times too long, because of the scatter before the inverse
         pytest.param(OE, "heavy", "prbs", 32, marks=pytest.mark.long),
     ],
     ids=str,
@@ -46,7 +56,7 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
 def test_bars_are_those_of_repeated_experiments(cls, name, motion, increments):
     errors, bars = errors_and_bars(cls, name, motion, increments)
     ratio = np.sqrt(np.mean(bars**2, axis=0) / np.mean(errors**2, axis=0))
-    assert np.all(ratio < 2.2), ratio  # eight experiments give the deviation only to a quarter
+    assert np.all(ratio < 2.2), ratio  # eight experiments show the deviation only to a quarter of its value
     assert np.all(ratio > 0.45), ratio
 
 
@@ -59,7 +69,7 @@ def test_noise_that_cancels_over_a_block_is_no_scatter():
     rng = np.random.default_rng(2)
     noise = rng.standard_normal((60, 3002))
     scores = np.diff(noise, n=2, axis=1)
-    observed = np.mean(scores.sum(axis=1) ** 2)  # the two ends alone would give about 4
+    observed = np.mean(scores.sum(axis=1) ** 2)  # the variance of the two ends is about 4
     found = np.mean([block_scatter(series[:, None], 25)[0] for series in scores])
     sharp = np.mean([np.var(series.reshape(-1, 25).sum(axis=1)) * 120 for series in scores])
     assert found < sharp / 10

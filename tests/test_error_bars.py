@@ -49,10 +49,8 @@ def heavy_riv(time_constant: float, resolution: float = 1e-5, **options):
 @pytest.mark.parametrize("pair", [(pmfid.LS, pmfid.RLS), (pmfid.BCLS, pmfid.BCRLS)])
 @pytest.mark.parametrize(("cutoff", "samples"), [(5.0, 2500), (10.0, 1000), (30.0, 1500)])
 def test_bars_are_those_of_the_batch_also_on_a_short_record(pair, cutoff, samples, drive):
-    """While blocks are few, innovations count as equal over the memory of the filters: bars may only be too long.
-
-    White innovations, as once assumed, gave bars of a quarter of the batch's.
-    """
+    """With few blocks, innovations count as equal over the memory of the filters, so that error bars may only be too
+    long. The earlier assumption of white innovations gave a quarter of the batch's error bars."""
     for seed in range(3):
         run = cart_run(seed, samples=samples, increments=1024)
         batch, recursive = (cls(drive, run.encoder, 0.01, cutoff) for cls in pair)
@@ -102,9 +100,7 @@ def test_the_columns_of_riv_know_that_the_stops_of_the_model_move(time_constant)
 @pytest.mark.parametrize("forgetting", [1.0, 0.999])
 @pytest.mark.parametrize("time_constant", [3, 10])
 def test_riv_is_right_within_its_bars_under_position_control(forgetting, time_constant):
-    """Errors of the first samples, which come from a poor model, fade; no parameter is off by three bars without a
-    flag.
-    """
+    """The effect of the poor first model fades. No parameter is off by three error bars without a flag."""
     for seed in range(4):
         u, counts = heavy_moves(8000, seed)
         track = heavy_riv(time_constant, forgetting=forgetting).run(u, counts)
@@ -168,7 +164,9 @@ def moved(axis: str, motion: str, counts_per_stroke: int, seed: int, samples: in
 @pytest.mark.parametrize("counts_per_stroke", [4000, 300, 60])
 @pytest.mark.parametrize("axis", AXES)
 def test_riv_says_feedback_under_position_control_and_never_in_open_loop(axis, counts_per_stroke):
-    """The noise of the counts returns through the input: errors reach 46 % with bars of a quarter of the error."""
+    """The noise of the counts returns through the input. Errors reach 46 % with error bars of a quarter of the
+    error.
+    """
     for motion in ("random moves", "stop and go"):
         u, counts, make = moved(axis, motion, counts_per_stroke, 3)
         for options in ({}, {"forgetting": 0.999}, {"precision": "float32"}):
@@ -208,7 +206,7 @@ def test_a_step_of_the_mass_is_noticed(forgetting):
 
 
 def test_what_riv_left_unexplained_before_it_took_over_is_not_in_its_bars():
-    """Early innovations were once 1e5 times too large: without forgetting, a mass off by 1 % had bars of 450 to
+    """Early innovations were once 1e5 times too large. Without forgetting, a mass off by 1 % had error bars of 450 to
     1700 %.
     """
     u, counts, make = moved("rotary", "random moves", 150, 3)

@@ -47,7 +47,9 @@ def test_compensation_at_256_increments(cls, drive):
 
 @pytest.mark.parametrize("cls", [pmfid.LS, pmfid.RLS])
 def test_without_compensation_the_mass_is_too_small(cls, drive):
-    """Plain least squares has a small bias; the extended model before the compensation (paper eq. 21) a large one."""
+    """Plain least squares has a small bias, and the extended model before the compensation (paper eq. 21) has a large
+    bias.
+    """
     assert errors(cls, drive, 256)[0] < -4e-3
     assert errors(cls, drive, 256, prefilter_zeros=default_zeros(CUTOFF))[0] < -0.1
 

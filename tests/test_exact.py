@@ -1,4 +1,4 @@
-"""The exact discretisation has no error without noise; the other ones have an order of convergence."""
+"""Without noise, the exact discretisation has no error, and the other discretisations have an order of convergence."""
 
 from __future__ import annotations
 
@@ -54,10 +54,8 @@ def test_offset_and_delay():
 
 @pytest.mark.parametrize(("name", "longest", "order"), [("second-order", 0.1, 4), ("non-minimum-phase", 0.025, 2)])
 def test_matched_converges_with_the_second_power_of_the_period_or_the_fourth(name, longest, order):
-    """The slope of the logarithm of the error is two for relative degree 1, and otherwise four.
-
-    The periods are short enough that further terms do not change the third decimal.
-    """
+    """The slope of the logarithm of the error is two for relative degree 1, and otherwise four. The periods are short
+    enough that further terms do not change the third decimal."""
     plant = PLANTS[name]
     periods, errors = longest / np.array([1, 2, 4, 8]), []
     for dt in periods:

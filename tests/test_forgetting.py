@@ -20,10 +20,8 @@ CASES = [(cls, scheme) for cls in RECURSIVE for scheme in FORGETTING_SCHEMES if 
 
 
 def gap_record(increments=4096, still=3000, coast=3000, head=2000):
-    """Return u, counts, resolution and the start of the last part.
-
-    The parts are a PRBS, a rest, constant speed, and a PRBS with another mass.
-    """
+    """Return u, counts, resolution and the start of the last part. The parts are a PRBS, a rest, constant speed, and a
+    PRBS with another mass."""
     moves = prbs(2 * head, clock=10, amplitude=3.0, rng=np.random.default_rng(3))
     u = np.r_[moves[:head], np.zeros(still), np.ones(coast), moves[head:]]
     change = head + still + coast
@@ -58,7 +56,7 @@ def test_step_by_step_gives_the_bits_of_run(cls, scheme):
 
 
 def test_the_window_is_the_least_squares_solution_of_its_samples():
-    """The window holds 7 full blocks and a partial one, of ceil(100 / 7.5) = 14 samples each."""
+    """The window holds 7 full blocks and a partial block, with ceil(100 / 7.5) = 14 samples in a block."""
     u, counts, resolution, _ = gap_record(still=0, coast=0, head=400)
     estimator = make(pmfid.RLS, "window", resolution)
     track = estimator.run(u, counts)

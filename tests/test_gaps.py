@@ -253,7 +253,9 @@ def test_what_looks_at_one_motion_takes_the_part_without_gaps_that_moves_most_an
 
 
 def test_a_start_after_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:
-    """A speed moves the axis little from rest and much beyond friction: steps by the effect at rest once overflowed."""
+    """A start speed moves the axis little from rest and much beyond friction. Steps by the effect at rest once
+    overflowed.
+    """
     t = np.linspace(0.0, 1.0, 50)
 
     def motion(parameters: Floats, speed: float, force: Floats | None) -> tuple[Floats, Floats]:
@@ -268,9 +270,7 @@ def test_a_start_after_a_gap_is_found_though_the_axis_moves_otherwise_there() ->
 
 
 def test_a_row_right_after_another_costs_no_record() -> None:
-    """A logger often starts so: a real record with two rows 0.1 ms apart, and 6.7 ms between all others, was
-    refused.
-    """
+    """A real record with 6.7 ms between its rows was once refused because of two rows 0.1 ms apart at the start."""
     time = np.r_[0.0, 1e-4 + DT * np.arange(300)]
     config = Axis.model_validate(
         {

@@ -407,8 +407,8 @@ def slipping(axis: Axis, part: float, at: float, ramp: float = 0.0, seed: int = 
     ),
 )
 def test_a_slipping_belt_is_followed(name: str, near: float, ramp: float) -> None:
-    """The estimate is within 1 % if the memory suffices, and otherwise, as for half a second of a small motor,
-    within its bar.
+    """The estimate is within 1 % if the memory suffices. A memory of half a second of a small motor only allows the
+    error bar.
     """
     axis = BENCHES[name]
     n, memory = 3 * axis.samples, 0.06 * 3 * axis.samples * axis.dt
@@ -450,7 +450,7 @@ def calibration() -> Calibration:
 
 
 def test_the_monitor_names_the_gain_and_keeps_the_mass(calibration: Calibration) -> None:
-    """A given mass is no cause, whatever changes."""
+    """A given mass is never the cause of an alarm."""
     theta = calibration.theta
     schedule = Schedule(((0.0, CART), (8.0, DriveParameters(1.07, 12.8, 0.8, 1.7))))
     u, counts = changing(schedule, 5, 1024, 30.0)

@@ -83,8 +83,8 @@ def test_a_wrong_input_does_not_turn_directional_forgetting_over() -> None:
 
 @pytest.mark.parametrize("place", [120, 250])
 def test_a_wrong_count_early_in_a_smooth_motion_hides_no_later_ones(place: int) -> None:
-    """A smooth motion is fully predicted, so that the guard learned nothing: the first wrong count passed, then all
-    others.
+    """A smooth motion is fully predicted. The guard once learned nothing from such a motion, and after a first wrong
+    count let all others pass.
     """
     t = np.arange(4000) * 0.005
     u = 1.2 * np.sin(1.4 * t) + 0.8 * np.sin(3.8 * t + 1.0) + 0.5 * np.sin(8.2 * t + 2.0)
@@ -140,8 +140,8 @@ def test_another_amplitude_of_the_input_passes(factor: float, increments: int) -
 
 
 def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
-    """The velocity jumps: the sample and the next one are suspicious, like two wrong readings, and the third
-    confirms the jump.
+    """After a jump of the velocity, two samples are suspicious, like two wrong readings. The third sample confirms the
+    jump.
     """
     u = prbs(4000, clock=10, amplitude=3.0, rng=np.random.default_rng(4))
     late = (np.arange(4000) - 2500) * DT
@@ -339,7 +339,9 @@ def test_a_monitor_is_homed_to_whole_counts_alone(calibration: Calibration) -> N
 
 
 def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibration):
-    """The instant of the switch is unknown: a line through a switch led to Coulomb friction below zero."""
+    """The instant of the input's switch is unknown. A straight line through the switch led to Coulomb friction below
+    zero.
+    """
     u, counts = normal_work(3, 1024, 0.02)
     for jump, settles in ((0.0, False), (20.0, True)):
         monitor = Monitor(make_riv(1024, TRUTH), calibration, Watch())
@@ -351,7 +353,7 @@ def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibratio
 
 
 def test_a_held_input_that_switched_in_lost_samples_is_not_drawn_as_a_line_either(calibration: Calibration) -> None:
-    """The change over four samples is no larger than usual; an earlier version learned from the line."""
+    """The change over four samples is no larger than usual. An earlier version learned from the interpolated input."""
     rng = np.random.default_rng(5)
     u = prbs(1700, clock=10, amplitude=3.0, rng=rng)
     counts = quantize(simulate_drive(CART, u, CART_DT).x, resolution_of(1024)).tolist()

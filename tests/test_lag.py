@@ -54,7 +54,7 @@ def test_the_motion_after_a_lag_is_that_of_the_lagged_input_in_small_steps(lag: 
     mean = delayed + (begun - delayed) * (1 - kept) * lag * fine / dt
     reference = mean_velocity(Drive(2.0).equation, THETA, dt / fine, mean).reshape(-1, fine).mean(axis=1)
     found = mean_velocity(Drive(2.0, lag=lag, dead_time=late_by).equation, THETA, dt, u)
-    np.testing.assert_allclose(found, reference, atol=6e-4)  # reversals are cut in four parts of a sample
+    np.testing.assert_allclose(found, reference, atol=6e-4)  # a reversal is simulated in four parts of a sample
     free = THETA * [1.0, 1.0, 0.0]
     found = mean_velocity(Drive(2.0, lag=lag, dead_time=late_by).equation, free, dt, u)
     reference = mean_velocity(Drive(2.0).equation, free, dt / fine, mean).reshape(-1, fine).mean(axis=1)

@@ -34,7 +34,7 @@ def motion(heavy: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def after_millions(cls: type[RecursiveEstimator], precision: str) -> RecursiveEstimator:
-    """Return the estimator with the sums of 20 million samples like the first ones."""
+    """Return the estimator with sums as after 20 million similar samples."""
     run = cart_run(3, samples=SAMPLES, increments=1024)
     estimator = cls(pmfid.Drive(2.0), run.encoder, 0.01, 30.0, precision=precision)
     estimator.run(run.u, run.counts)
@@ -101,7 +101,9 @@ def test_export_says_how_long_float32_remembers(forgetting: str, reported: bool,
 
 @pytest.mark.long
 def test_parameters_that_float32_never_forgets_agree_with_float64_after_eight_million_samples() -> None:
-    """The mass is forgotten; the sums of the other parameters would fill up at different samples without a fade."""
+    """The estimator forgets the mass. Without a fade, the sums of the other parameters would fill up at different
+    samples.
+    """
     u, counts = motion(heavy=False)
     never = {"coulomb_friction": 1.0, "viscous_friction": 1.0}
     fleets = [

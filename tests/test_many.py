@@ -54,7 +54,7 @@ PROCESSES: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
 
 @cache
 def fleet_record() -> tuple[np.ndarray, np.ndarray]:
-    """Return u, counts (axes, n): each axis moves independently, and most have a fault at a time of their own."""
+    """Return u and counts (axes, n) of independent motions. Most axes have a fault, each at another time."""
     rng = np.random.default_rng(5)
     run = cart_run(3, increments=1024, samples=4 * SAMPLES)
     starts = rng.integers(0, 3 * SAMPLES, AXES)
@@ -123,10 +123,8 @@ class Alone:
 
 @lru_cache(maxsize=1)
 def each_alone(kind: str, number: int, precision: str) -> tuple[Alone, ...]:
-    """Return the separate run of every axis, for one of VARIANTS or PROCESSES.
-
-    The cached result serves all ways at once, which follow one another.
-    """
+    """Return the separate run of every axis, for one of VARIANTS or PROCESSES. The cached result serves all ways of the
+    kernel, which are tested in series."""
     found = []
     for inputs, counts in zip(*RECORDS[kind](), strict=True):
         estimator = one_of(kind, number, precision)
@@ -146,11 +144,8 @@ def one_of(kind: str, number: int, precision: str) -> RecursiveEstimator:
 
 
 def in_ways(cases: list[tuple[type[RecursiveEstimator], dict[str, Any]]]) -> list[Any]:
-    """Return number, precision and way of the cases.
-
-    `make test` has the methods in both precisions and their options in one by turns. Each case has the widest way and,
-    by turns, one of the others.
-    """
+    """Return number, precision and way of the cases. `make test` has the methods in both precisions and their options
+    in one by turns. Each case has the widest way and, by turns, one of the others."""
     return [
         pytest.param(
             k,
@@ -441,7 +436,7 @@ def test_lanes_compile_without_a_warning(size, precision):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_a_gap_of_one_axis_is_that_of_its_runner(precision):
-    """The gap has no effect on other axes, and the counter may have wrapped meanwhile."""
+    """The gap has no effect on other axes, and the counter may have wrapped in the gap."""
     u, counts = fleet_record()
     estimator = make(pmfid.RIV, precision)
     fleet = pmfid.Fleet(estimator, AXES)

@@ -1,6 +1,6 @@
 """A state moves through firmware, an estimator, a watched fleet, a service and a fleet back into firmware.
 
-The estimates equal those without the moves.
+The moves do not change the estimates.
 """
 
 from __future__ import annotations

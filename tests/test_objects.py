@@ -164,7 +164,7 @@ def test_like_keeps_all_that_the_other_method_has_a_use_for(source, options, tar
 
 
 def test_like_leaves_the_names_of_another_model_out() -> None:
-    """The numbers stay the same."""
+    """A copy for another model keeps the settings that are numbers."""
     directional = pmfid.Drive(2.0, friction="directional")
     method = pmfid.RIV(directional, RUN.encoder, DT, CUTOFF, forgetting=0.99, forgetting_of={"mass": 1.0})
     other = like(pmfid.RIV, method, model=directional.symmetric)

@@ -142,7 +142,7 @@ def drifting_run(seed: int) -> Run:
 
 
 def test_drift_is_kept_out_by_the_high_pass(drive):
-    """Over ten runs the estimate is three times as close as without the high-pass, and within the reported
+    """Over ten runs, the high-pass reduces the error of the estimate to a third, and to within the reported
     deviations.
     """
     errors, reported = {None: [], 0.0: []}, []
@@ -244,7 +244,9 @@ def test_derivatives_of_the_likelihood(noise):
 
 
 def test_likelihood_far_outside_and_information_of_white_noise():
-    """At 1000 counts the likelihood is that of the normal density; much noise hides the edges."""
+    """At a distance of 1000 counts the likelihood is that of the normal density. Large noise hides the edges of the
+    counts.
+    """
     negative, slope, curvature = cost(np.array([1e3]), 0.02)
     assert negative == pytest.approx(0.5 * ((1e3 - 0.5) / 0.02) ** 2, rel=1e-7)
     assert slope[0] == pytest.approx((1e3 - 0.5) / 0.02**2, rel=1e-6)

@@ -124,7 +124,9 @@ def test_filters_take_integrators(cls):
 @pytest.mark.parametrize("held", [True, False])
 @pytest.mark.parametrize("even", [True, False])
 def test_what_grows_runs_backward_and_stays_bounded(even, held):
-    """The solution satisfies the same equation as forward in time: the difference is a free response."""
+    """The solution backward in time satisfies the equation of the forward solution, so that their difference is a free
+    response.
+    """
     rng = np.random.default_rng(7)
     F, g = np.array([[0.0, 1.0], [1.6, -1.2]]), np.array([0.0, 1.0])  # poles 0.8 and -2
     grid = Grid(0.01, 400) if even else Grid(rng.uniform(0.005, 0.015, 399), 400)
@@ -172,8 +174,8 @@ def test_a_first_optimum_is_not_the_last():
 
 
 def test_the_explained_input_leaves_out_what_the_record_does_not_support():
-    """The noise in the loop is ten times the effect of the reference: two hundred coefficients would explain a
-    seventh of it.
+    """The noise in the loop is ten times the effect of the reference: two hundred coefficients would explain a seventh
+    of it.
     """
     rng = np.random.default_rng(10)
     r, noise = rng.choice([-1.0, 1.0], 1500), rng.standard_normal(1500)

@@ -88,7 +88,7 @@ def test_recursive_equals_batch_without_forgetting(pair, drive, seed, increments
 
 @pytest.mark.parametrize("zeros", [(-2.0, -5.0), (-12.0, -0.5)])
 def test_bcls_is_the_papers_compensation(zeros, drive):
-    """Eq. 17 to 36 with P, G, H and h on the extended model give the same result as the instruments."""
+    """The recursion of the paper (eq. 17 to 36) on the extended model gives the same result as the instruments."""
     run = cart_run(4, increments=512)
     extended = pmfid.LS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros)
     columns = extended.columns(run.u, run.counts)
@@ -100,7 +100,7 @@ def test_bcls_is_the_papers_compensation(zeros, drive):
 
 
 def test_bcrls_follows_the_papers_recursion(drive):
-    """Eq. 33 with forgetting gives the same result except for the regularisation, 1e-4 of the information."""
+    """The paper's eq. 33 with forgetting gives the estimate except for the regularisation, 1e-4 of the information."""
     run, zeros = cart_run(5, increments=1024, samples=2000), (-5.0, -1.0)
     columns = pmfid.LS(drive, run.encoder, DT, CUTOFF, prefilter_zeros=zeros).columns(run.u, run.counts)
     H, h = paper.facts(zeros, DT, 5, 3)
@@ -212,10 +212,8 @@ def test_default_zeros_follow_the_cutoff(drive):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_directional_forgetting_keeps_what_is_not_excited(precision, drive):
-    """After 100 000 samples of constant speed the estimate is kept; then it tracks a motion with another mass.
-
-    The encoder is fine, because the noise of a coarse one is an excitation, too, and a wrong one.
-    """
+    """After 100 000 samples of constant speed the estimate is unchanged, and then tracks a motion with another mass.
+    The encoder is fine, because the noise of a coarse one is an excitation, too, and a wrong one."""
     n, head = 100_000, 800
     moves = prbs(2 * head, clock=10, amplitude=3.0, rng=np.random.default_rng(3))
     u = np.r_[moves[:head], np.full(n, 1.0), moves[head:]]

@@ -17,7 +17,7 @@ from tests.conftest import cart_run, long_unless
 DT = 0.01
 MOTOR = Path(__file__).parents[2] / "shared" / "data" / "real" / "odrive"
 needs_motor = pytest.mark.skipif(not MOTOR.exists(), reason="the motor's records are not on this machine")
-#: Inertia by the settling time that the records' authors give [V s^2/turn].
+#: Inertia from the settling time that the records' authors state [V s^2/turn].
 INERTIA = 1.6e-4
 INCREMENTS, LATE, TICK = 8192, 0.004, 1 / 8000
 AXIS = """
@@ -88,7 +88,7 @@ def test_rest_that_the_model_may_say_or_not_is_no_fault(drive: pmfid.Drive) -> N
     """The input at the start equals the estimated friction, so that rest preceded only one side of a difference
     quotient.
 
-    The two sides once had different lengths, which caused a traceback.
+    The two sides of the quotient once had different lengths, which caused a traceback.
     """
     run = cart_run(1, increments=1024)
     estimator = pmfid.IV(drive, run.encoder, DT, 33.3)

@@ -43,7 +43,9 @@ def test_first_and_third_order_without_noise():
 
 
 def test_rao_garnier_at_10_db_ends_near_the_truth():
-    """The mean of 8 runs is within 3 %, b0 within 10 %, as required of 100 runs; each run has taken over."""
+    """The mean of 8 runs is within 3 %, and b0 within 10 %, as required for 100 runs. In each run the refined estimate
+    takes over.
+    """
     tracks = [final(RAO_GARNIER, make_record(RAO_GARNIER, seed, snr=10.0))[0] for seed in range(8)]
     mean = np.mean([track.theta[-1] for track in tracks], axis=0) / RAO_GARNIER.truth - 1
     assert np.all(np.abs(mean) < [0.03, 0.03, 0.03, 0.03, 0.10, 0.03])
@@ -81,8 +83,8 @@ def test_follows_a_plant_that_changes():
 
 
 def test_comes_back_after_a_fault():
-    """The input is absent for a while, so that the model's output is wrong: the estimate is flagged, left, and
-    found again.
+    """The input is absent for a while, so that the model's output is wrong. The estimate is flagged, left, and found
+    again.
     """
     run = make_record(UNDERSHOOT, 5, snr=20.0)
     u, y = run.u.copy(), run.y.copy()

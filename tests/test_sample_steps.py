@@ -1,4 +1,4 @@
-"""A step that varies: every method uses the time since the last sample."""
+"""Records with uneven steps, for which every method uses the time since the last sample."""
 
 from __future__ import annotations
 
@@ -80,7 +80,9 @@ def test_direct_methods_stand_bursts_and_say_so(method: type[RecursiveEstimator]
 
 
 def test_samples_of_a_burst_count_as_the_time_that_they_stand_for() -> None:
-    """Each sample of the second half is logged four times at nearly the same instant: nothing more is known."""
+    """The record has each sample of the second half four times at nearly the same instant. Repeats add no
+    information.
+    """
     u, counts, _ = jittered(0.0)
     resolution, half = 8 * CART_RESOLUTION, SAMPLES // 2
     often = np.r_[np.ones(half, int), np.full(SAMPLES - half, 4)]

@@ -81,7 +81,7 @@ def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive)
 @pytest.mark.parametrize(("cls", "scheme"), CASES)
 @pytest.mark.long
 def test_an_hour_of_standstill_is_harmless_in_every_scheme(cls, scheme, precision, drive):
-    """The earlier estimate stays, and one memory later it equals the original.
+    """Standstill keeps the earlier estimate, and one memory later the estimate equals the original.
 
     A window drops its older blocks until hardly any information remains, so that its estimate rests on fewer samples.
     The estimate of the mass stays, too.

@@ -255,7 +255,7 @@ def opened(folder: Path) -> pmfid.ShardedFleet:
 
 
 def stepped(fleet: pmfid.ShardedFleet, turn: int) -> None:
-    """Step a third of the axes; at times some axes come and go."""
+    """Step a third of the axes, and sometimes add and remove axes."""
     if not fleet.axes:
         fleet.add(BCRLS, 60)
     if turn % 5 == 4:
@@ -351,7 +351,7 @@ def test_an_empty_fleet_comes_back_empty(tmp_path: Path) -> None:
 
 
 def killed(folder: Path, setting: str = "", seconds: float | None = None) -> list[int]:
-    """Run turns with a checkpoint each in a process that is killed; return those with a complete checkpoint."""
+    """Run turns with a checkpoint each in a process until its kill. Return the turns with a complete checkpoint."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:

@@ -1,4 +1,4 @@
-"""A saved state may be foreign in spite of a right checksum: states that no sample can make are refused.
+"""A state with a right checksum is refused if no sample could have made the state.
 
 A refused state changes nothing.
 """
@@ -70,10 +70,8 @@ def fields(estimator: RecursiveEstimator) -> Iterator[tuple[str, str]]:
     long_unless(lambda name, precision: precision == PRECISIONS[[*CASES].index(name) % 2], product(CASES, PRECISIONS)),
 )
 def test_every_field_has_its_limits(name: str, precision: str) -> None:
-    """Each real number is finite, and each whole number is within the limits of the configuration.
-
-    A new field needs a line in csrc/pmf_plausible.c, or here.
-    """
+    """Each real number is finite, and each whole number is within the limits of the configuration. A new field needs a
+    line in csrc/pmf_plausible.c, or here."""
     estimator = used(name, precision)
     before = estimator.get_state()
     for number, (field, kind) in enumerate(fields(estimator)):

@@ -21,10 +21,8 @@ FINE = 2.0**30
 
 @dataclass(frozen=True)
 class Plant:
-    """A process G = num / den (descending powers), with the settings of its record.
-
-    The settings are dt, cutoff, samples per clock, samples and pre-filter zeros.
-    """
+    """A process G = num / den (descending powers), with the settings of its record. The settings are dt, cutoff,
+    samples per clock, samples and pre-filter zeros."""
 
     num: tuple[float, ...]
     den: tuple[float, ...]
@@ -278,7 +276,9 @@ def test_a_constant_on_the_output_is_an_unknown(cls):
 @pytest.mark.parametrize("cls", [LS, BCLS, RLS])
 @pytest.mark.parametrize("plant", [UNDERSHOOT, RAO_GARNIER], ids=["undershoot", "rao_garnier"])
 def test_initial_conditions_are_unknowns(cls, plant):
-    """The record is a short part of a long one: a model without them would take the start for an effect of u."""
+    """The record is a short part of a long one. A model without initial conditions would take the start for an effect
+    of u.
+    """
     if cls is RLS and plant is RAO_GARNIER:
         pytest.skip("ten parameters are more than the kernel estimates on-line")
     whole = make_record(plant, 6)

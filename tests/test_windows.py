@@ -67,11 +67,11 @@ def test_bars_hold_where_the_model_is_right(window: float) -> None:
     z = np.abs(off_by(window))
     assert np.mean(z < 2) > 0.85, z
     assert np.max(z) < 4, z
-    assert np.mean(z) > 0.2, z  # the bars are also not too wide
+    assert np.mean(z) > 0.2, z  # the error bars are also not too wide
 
 
 def test_without_a_window_nothing_is_new() -> None:
-    """Without the option the bits are the same, and a window over the whole record has the start of `OE`."""
+    """The default of `window` changes no bit, and a window over the whole record has the start of `OE`."""
     run = moved(3)
     plain, whole = (method(run, **options).fit(run.u, run.counts) for options in ({}, {"window": 1e3}))
     assert plain.notes == whole.notes == ()
@@ -80,7 +80,9 @@ def test_without_a_window_nothing_is_new() -> None:
 
 
 def test_a_window_starts_where_the_motion_is() -> None:
-    """From within stiction a start would never leave it: here the axis brakes hard, with a force near zero."""
+    """The axis brakes hard with a force near zero. A search from a start within stiction would never find the
+    velocity.
+    """
     run = moved(4, step=2e-3)
     difference, theta = prepared(run)
     theta = KNOWN / difference.scale[:3]
@@ -133,10 +135,8 @@ def test_a_moving_start_is_found() -> None:
 
 
 def test_windows_predict_longer_where_friction_is_richer() -> None:
-    """The machine has unmodelled Stribeck and quadratic friction.
-
-    On average over unused records, the chosen windows predict better than the force balance of `iv`.
-    """
+    """The machine has unmodelled Stribeck and quadratic friction. On average over unused records, the chosen windows
+    predict better than the force balance of `iv`."""
     machine = Machine(AXIS, stribeck=1.2, stribeck_speed=0.03, quadratic=25.0)
     gains = []
     for seed in range(2):
@@ -167,7 +167,7 @@ def test_the_choice_says_what_it_found() -> None:
 
 @pytest.mark.long
 def test_windows_so_long_that_the_motion_is_lost_are_not_chosen() -> None:
-    """With directional friction, a symmetric model drifts away: over the whole record it does not fit."""
+    """A symmetric model of directional friction drifts away and does not fit the whole record."""
     run = moved(11, machine=Machine(AXIS, asymmetry=0.2), samples=1500)
     with pytest.raises(pmfid.NotIdentifiableError, match="does not follow"):
         method(run, window=1e3).fit(run.u, run.counts)

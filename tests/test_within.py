@@ -63,7 +63,7 @@ def test_numbers_of_32_bits_do() -> None:
 
 @pytest.mark.parametrize(("axis", "late", "seed"), [("carriage", 1.7, 2), ("carriage", 0.0, 3), ("lift", 2.3, 1)])
 def test_what_is_not_known_is_said_and_within_reach(axis: str, late: float, seed: int) -> None:
-    """The encoder is four times as coarse; a dead time of many samples was once given here without a flag."""
+    """The encoder is four times as coarse. An earlier version found a dead time of many samples without a flag."""
     track = tracked(axis, moved(axis, late, seed, 1200, 4.0), 4.0)
     dt = AXES[axis][0][4]
     started = (track.status & int(Status.STARTING)) == 0
@@ -75,10 +75,8 @@ def test_what_is_not_known_is_said_and_within_reach(axis: str, late: float, seed
 
 
 def test_one_that_jumps_is_said_at_once_and_followed() -> None:
-    """Without forgetting, the counts contradict the old dead time.
-
-    The velocity jumps between the two runs, so that the filters first settle again.
-    """
+    """Without forgetting, the counts contradict the old dead time. The velocity jumps between the two runs, so that the
+    filters first settle again."""
     parameters = DriveParameters(1.07, 12.8, 0.8, 2.0)
     parts = []
     for late, seed in ((0.4, 1), (1.6, 2)):

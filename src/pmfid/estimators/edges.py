@@ -36,7 +36,7 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
     """Return the edges of `counts` (n,) at the times t (n,) [s].
 
     `ages` (n,) [s] are NaN in samples without an edge. An axis that turns between two samples may leave an edge without
-    a change of the counts. The line of such an edge is unknown, and the function leaves the edge out. Raises UsageError
+    a change of the counts. Such an edge has an unknown line, and the function leaves the edge out. Raises UsageError
     for ages that do not fit the counts.
     """
     given = np.asarray(ages, np.float64)
@@ -70,7 +70,7 @@ class EdgeDifference(Difference):
     this error (Fuller and Battese 1974).
 
     All instants may be late by the same time, as those of an interrupt are. `late` (m,) is the effect of such a common
-    delay, scaled to length 1. The difference excludes this effect.
+    delay, scaled to length 1. The difference excludes the effect of a common delay.
 
     `margin` (m,) is the time between an edge and the nearest sample [s], and `age` (m,) the time to the next sample
     [s]. `scatter` is the standard deviation of the instants [s]. `moved` counts the corrected lines.
@@ -226,7 +226,7 @@ class EdgeFit(Following):
         Counts after which the lines repeat, for example the counts per revolution. None gives each count its own line,
         as on a linear scale.
     tick : float
-        Period of the timer that takes the instants [s]. An instant may be late by one period.
+        Period of the timer that takes the instants [s]. An instant may be late by one period of the timer.
     initial : mapping, optional
         Start values by parameter name.
 

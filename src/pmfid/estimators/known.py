@@ -64,8 +64,8 @@ class Combined:
 def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts) -> Combined:
     """Combine the estimates (n, p) and their covariances (n, p, p) with the same facts.
 
-    The variances `further` (n, p) count in the weights in addition to noise. The returned covariance excludes them. The
-    result is NaN if an estimate does not determine the gain.
+    The variances `further` (n, p) count in the weights in addition to noise. The returned covariance excludes
+    `further`. The result is NaN if an estimate does not determine the gain.
     """
     total = covariance + further[..., None] * np.eye(estimate.shape[1])
     with np.errstate(all="ignore"):  # a parameter of zero or missing knowledge gives NaN
@@ -206,10 +206,10 @@ class Known:
     given : mapping
         Values by name.
     prior : mapping
-        (mean, standard deviation) by name, Gaussian. A standard deviation of 0 makes the value a given one.
+        (mean, standard deviation) by name, Gaussian. A prior with standard deviation 0 is a given value.
     find_gain : bool
         Whether the input gain is unknown. The estimator's `Drive` then has any gain of the right sign, and a known
-        force determines the true gain. `input_gain` may have a prior in this case.
+        force determines the true gain. If `find_gain` is True, `input_gain` may have a prior.
 
     Raises
     ------
@@ -280,9 +280,9 @@ class Known:
     def combine(self, found: Fit | Estimate | Posterior, model_spread: Floats | None = None) -> Posterior:
         """Return an estimate combined with the prior information.
 
-        `model_spread` (p,) limits the shift of each parameter by unmodelled effects. It counts as an independent error
-        with the weight of an error bar, and NaN counts as zero. Raises NotIdentifiableError if the estimate's error
-        bars or the input gain are unknown.
+        `model_spread` (p,) limits the shift of each parameter by unmodelled effects. `model_spread` counts as an
+        independent error with the weight of an error bar, and NaN counts as zero. Raises NotIdentifiableError if the
+        estimate's error bars or the input gain are unknown.
         """
         theta, covariance = np.asarray(found.theta), np.asarray(found.theta_cov)
         further = np.zeros(theta.size) if model_spread is None else np.nan_to_num(model_spread) ** 2

@@ -28,8 +28,8 @@ class KnownStep(BatchEstimator):
     Notes
     -----
     theta = (R - n sigma^2 C)^-1 (r - n sigma^2 c), with R = sum phi phi^T and r = sum phi z. C and c are the
-    covariances of phi and z for noise of variance 1. They follow from the filters alone. No instruments and no
-    pre-filter are needed. The method fails if the noise is not white, which is the case below about one count of motion
+    covariances of phi and z for noise of variance 1. C and c follow from the filters alone. No instruments and no
+    pre-filter are needed. The method fails for coloured noise. Quantisation is coloured below about one count of motion
     per sample.
 
     Examples

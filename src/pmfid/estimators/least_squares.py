@@ -73,9 +73,9 @@ def parts_of_their_own(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the independent part (p,) of each column of `sensitivity` (n, p), and the pseudo-inverse (p, n).
 
-    The independent part, from 0 to 1, is the part of a column that no combination of the other columns gives. It is 0
-    for a column of zeros, and 0 for all columns if one overflows. The pseudo-inverse is that of the columns scaled to
-    length 1. `rcond` is the argument of `numpy.linalg.pinv`.
+    The independent part, from 0 to 1, is the part of a column that no combination of the other columns gives. The
+    independent part is 0 for a column of zeros, and 0 for all columns if one column overflows. The pseudo-inverse is
+    that of the columns scaled to length 1. `rcond` is the argument of `numpy.linalg.pinv`.
     """
     with np.errstate(over="ignore"):  # an overflow is checked below
         size = np.linalg.norm(sensitivity, axis=0)
@@ -107,7 +107,7 @@ class Level:
 
 def level_of(equation: Equation) -> Level | None:
     """Return the output's level in the equation, or None if the equation does not hold for y - first. The equation does
-    not hold for y - first if it has no unknown constant, or if it contains the plant's start."""
+    not hold for y - first without an unknown constant, or with a term for the plant's start."""
     unknown = [(term.signal, term.derivative) for term in equation.unknown]
     known = {term.signal for term in equation.known}
     if ("constant", 0) not in unknown or "constant" in known or any(signal == "start" for signal, _ in unknown):

@@ -24,7 +24,7 @@ HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 
 @dataclass(frozen=True)
 class Best:
-    """The motion of a model that fits a record best. Every method that simulates the whole record starts from this
+    """The motion of a model that fits a record best. Every method that simulates the whole record starts from its best
     motion.
 
     `least` (q,) has the parameters and the start at the least squares of the difference. `q` (q,) has the values of the
@@ -54,9 +54,9 @@ def best_of(difference: Difference, least: Floats, status: int = 0) -> Best:
 def log_likelihood(best: Best, cutoff: float) -> float:
     """Return the log-likelihood of the counts under the better of two error models, in natural units.
 
-    One error model is a noise within the counts. The other is unmodelled friction, which adds up to a random walk of
-    the position. The high-pass of the random walk, at `cutoff` [rad/s], has a determinant of 1, so both likelihoods are
-    probabilities of the same counts.
+    One error model is a noise within the counts. The other error model is unmodelled friction, which adds up to a
+    random walk of the position. The high-pass of the random walk, at `cutoff` [rad/s], has a determinant of 1, so both
+    likelihoods are probabilities of the same counts.
     """
     high_passed = replace(best.difference, pole=cutoff)
     error = high_passed(best.q)
@@ -121,10 +121,11 @@ def climb(
 ) -> tuple[float, Floats, float]:
     """Return the negative log-likelihood, q (q,) and the noise [counts] at a maximum near q.
 
-    The noise is the likeliest one or the value `fixed`. Each step leads to the top of the likelihood of linearised
-    differences. The first steps may increase the cost if the motion bends. The search accepts such steps, because they
-    converge fast, and undoes them if no top follows. From that place, the search tries a part of the step. A step that
-    gains less than `settled` is the last one; the default corresponds to `settled_step` standard errors.
+    The noise is the likeliest noise or the value `fixed`. Each step leads to the top of the likelihood of linearised
+    differences. The first steps may increase the cost if the motion bends. The search accepts steps that increase the
+    cost, because such steps converge fast, and undoes them if no top follows. After an undone step, the search tries a
+    part of the step. A step that gains less than `settled` is the last one; the default corresponds to `settled_step`
+    standard errors.
     """
     best, down = _evaluate(difference, q, fixed), 0
     place, widths = best, np.full(q.size, TUNING.likelihood_quotient)

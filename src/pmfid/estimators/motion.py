@@ -26,7 +26,7 @@ Intervals = float | Floats
 
 
 def sum_travel(velocity: Floats, dt: Intervals) -> Floats:
-    """Return the positions (..., n) at the samples, starting from 0, for mean velocities (..., n) between the samples."""
+    """Return the positions (..., n) at the samples from 0 on, for mean velocities (..., n) between samples."""
     travel = np.zeros_like(velocity)
     steps = velocity * dt if isinstance(dt, np.ndarray) else velocity
     np.cumsum(steps[..., :-1], axis=-1, out=travel[..., 1:])
@@ -47,8 +47,8 @@ def mean_velocity(
     """Return the mean velocity (n,) in every interval at theta (p,) under the held input u (n,).
 
     theta includes the shape parameters. `velocity` and `position` are those of the start; the equation defines the
-    origin of the position. `parts` is the number of parts per sample for an equation with shapes or a lag. Without
-    these, the motion is exact. `before` (m,) has earlier inputs for a dead time or a lag, and None stands for zeros.
+    origin of the position. `parts` is the number of parts per sample for an equation with shapes or a lag. The motion
+    is exact for other equations. `before` (m,) has earlier inputs for a dead time or a lag, and None stands for zeros.
     `on_top` (n,) acts at once in addition to the input, in the unit of the input.
     """
     return simulate_motion(equation, theta, dt, u, velocity, position, parts, before, on_top)[0]
@@ -139,7 +139,7 @@ def _simulate_late(
     past: Floats,
     force: Floats | None,
 ) -> tuple[Floats, float]:
-    """Run `simulate_motion` for intervals dt (n,) [s] and a delayed input, in the pieces between the input's switches."""
+    """Run `simulate_motion` for intervals dt (n,) [s] and a delayed input, in pieces with one input each."""
     from pmfid import _kernel64
 
     shapes = shape_bytes(known.shapes)
@@ -209,7 +209,7 @@ def _decays(equation: Equation, roles: Floats, dt: float) -> list[list[Decay]] |
 
 def parts_for(equation: Equation, theta: Floats, dt: Intervals, u: Floats, allowed: float) -> int:
     """Return the number of parts per sample for a root mean square position error of `allowed` [unit of y]. The error
-    of the scheme falls with the square of this number."""
+    of the scheme falls with the square of the number of parts."""
     parts = 1
     if equation.shaped or equation.lag:
         coarse = mean_velocity(equation, theta, dt, u, parts=parts)
@@ -230,8 +230,8 @@ class Restart:
     """The part of a record after a gap.
 
     The position y (n,) of its counts has the variance `white`. The counts show the speed `shown` with the standard
-    deviation `known` [unit of y per s]. The next search begins at the last result: the speed, and the effect (n,) of
-    the speed on the position about its mean.
+    deviation `known` [unit of y per s]. The next search begins at the last speed and its effect (n,) on the position
+    about the mean.
     """
 
     part: slice
@@ -402,7 +402,7 @@ class Difference:
         return Restart(part, piece.y, self.resolution**2 / 12, piece.shown_speed, known, motion)
 
     def _piece(self, part: slice) -> Difference:
-        """Return the difference on a part between gaps. After a gap, the inputs before it are unknown."""
+        """Return the difference on a part between gaps. The inputs before a gap count as unknown after the gap."""
         past = self.before if part.start == 0 else self.u[part][:1]
         uneven = None if self.uneven is None else self.uneven[part]
         return replace(self, u=self.u[part], y=self.y[part], zero=self.slack, past=past, breaks=(), uneven=uneven)
@@ -415,7 +415,7 @@ class Difference:
     @property
     def before(self) -> Floats:
         """Inputs (m,) before the first sample, for a dead time. Unknown inputs are zero if the axis rests until they
-        act. Otherwise they equal the first input."""
+        act. If the axis moves at the start, unknown inputs equal the first input."""
         if self.past is not None:
             return self.past
         return np.array([0.0 if np.all(self.y[:2] == self.y[0]) else float(self.u[0])])
@@ -454,7 +454,7 @@ class Difference:
         return self.motion(q)[1]
 
     def measure_misfit(self, q: Floats) -> float:
-        """Return the part of the motion, from 0 to about 1, that neither the model at q (q,) nor the encoder explains."""
+        """Return the part of the motion, 0 to about 1, that neither the model at q (q,) nor the encoder explains."""
         motion = self.filter_signal(self.y - np.mean(self.y))
         excess = max(float(np.mean(self(q) ** 2)) - self.explained**2, 0.0)
         return float(np.sqrt(excess)) * self.resolution / max(rms(motion), TUNING.tiny)
@@ -491,7 +491,7 @@ class Difference:
     def forward_jacobian(self, q: Floats, e: Floats, widths: Floats | float = TUNING.quotient_step) -> Floats:
         """Return the derivatives by q (q,) in columns, as forward differences from the difference e (n,) at q.
 
-        Forward differences need half the simulations of `jacobian`. They shift the end of an iteration by a
+        Forward differences need half the simulations of `jacobian`. The difference shifts the end of an iteration by a
         ten-thousandth of a standard error.
         """
         return np.asarray((self.differences(q + widths * np.eye(q.size)) - e).T / widths)
@@ -506,7 +506,7 @@ class Difference:
 
         `nuisance` (n, 2) are the effects of the start. `root` (n,) are square roots of the samples' information; None
         assumes a white encoder error. The start velocity counts as known to a few counts per filter time constant. From
-        rest it moves nothing, and the fit must not invent a velocity.
+        rest a small velocity moves nothing, and the fit must not invent a velocity.
         """
         weight = np.full((columns.shape[0], 1), WHITE) if root is None else root[:, None]
         prior = np.array([[0.0, 1 / self.start_velocity_std]])
@@ -558,8 +558,8 @@ class Difference:
 def first_speed(y: Floats | NDArray[np.int64], dt: Intervals, cutoff: float, resolution: float) -> float:
     """Return the start velocity [unit of y per s] of a position y (n,).
 
-    The velocity is the mean over a filter time constant 1 / cutoff [s]. It is zero for a motion below 1.5 times the
-    resolution, because a small velocity within stiction changes nothing.
+    The velocity is the mean over a filter time constant 1 / cutoff [s]. A motion below 1.5 times the resolution gives
+    zero, because a small velocity within stiction changes nothing.
     """
     period = float(np.mean(dt))
     near = min(y.size - 1, math.ceil(1 / (cutoff * period)))
@@ -624,8 +624,9 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
 def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats | float:
     """Return the widths of the difference quotients after a step (q,) to the error (n,).
 
-    If the motion nearly explains the counts, the quotients are as long as the step, because a longer one misses the
-    minimum. Otherwise the quotients stay long, because stops that come and go would distort short ones.
+    If the motion nearly explains the counts, the quotients are as long as the step, because longer quotients miss the
+    minimum. If the motion is far from the counts, the quotients stay long, because stops that come and go would distort
+    short quotients.
     """
     if rms(error) > TUNING.output_error_hopeless * difference.explained:
         return TUNING.quotient_step
@@ -644,7 +645,7 @@ def _damped_steps(
 
 
 def try_steps(difference: Difference, q: Floats, trials: Floats) -> Floats:
-    """Return the differences (k, n) at trials (k, q), infinite after an excessive step. A weak parameter can run away."""
+    """Return the differences (k, n) at trials (k, q), infinite after an excessive step of a weak parameter."""
     near = np.max(np.abs(trials - q), axis=1) <= TUNING.longest_step
     found = np.full((len(trials), difference.rows), np.inf)
     if np.any(near):
@@ -653,7 +654,7 @@ def try_steps(difference: Difference, q: Floats, trials: Floats) -> Floats:
 
 
 def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:
-    """Return the Newton step (q,) to subtract. A parameter at its bound, not `above`, only moves away from the bound."""
+    """Return the Newton step (q,) to subtract. A parameter that is not `above` its bound only moves away."""
     free = above | (gradient < 0)
     step, own, slope = np.zeros(gradient.size), hessian[np.ix_(free, free)], gradient[free]
     if slope.size > TUNING.dense_columns:

@@ -305,9 +305,9 @@ class Following(Simulating, BatchEstimator):
 def _simulation_scatter(difference: Difference, q: Floats, moves: Floats) -> Floats:
     """Return the covariance (p, p) of the change by a simulation with twice as many parts per sample.
 
-    `moves` (n, p) is the effect of each sample's error on the parameters. A motion may be so sensitive that an error of
-    a millionth of a count grows to hundreds of counts, like the motion of a pendulum driven over its top. Many
-    parameters then explain every count.
+    `moves` (n, p) is the effect of each sample's error on the parameters. In a sensitive motion, such as that of a
+    pendulum driven over its top, an error of a millionth of a count grows to hundreds of counts. Many parameters
+    explain every count of such a motion.
     """
     if not (difference.equation.shaped or difference.equation.lag):
         return np.zeros((moves.shape[1], moves.shape[1]))
@@ -347,7 +347,7 @@ class OE(ProcessSolver, Following):
 
     Unmodelled friction adds up to a random walk of the position, and the high-pass whitens a random walk plus white
     noise. The high-pass costs information. On the cart with 128 increments, a high-pass of 20 rad/s multiplies the
-    standard deviation of the mass by 2.4, and those of the frictions by 7.
+    standard deviation of the mass by 2.4, and of the frictions by 7.
 
     Examples
     --------
@@ -434,11 +434,11 @@ class IntervalML(Following):
     standard deviation of other errors of the position. The search starts from `OE`.
 
     theta_cov is the inverse of the expected information, because the observed likelihood has no curvature far from the
-    edges. If the scores scatter more than expected, theta_cov contains this scatter. The scatter is measured in blocks
-    of every length and over all places of the encoder's lattice.
+    edges. If the scores scatter more than expected, theta_cov contains the excess scatter. The scatter is measured in
+    blocks of every length and over all places of the encoder's lattice.
 
-    If y - x exceeds the encoder's error, or if `OE` has a high-pass, the edges of the counts say nothing about x. The
-    result then comes from `OE`, with `Status.FALLBACK`.
+    If y - x exceeds the encoder's error, or if `OE` has a high-pass, the edges of the counts say nothing about x. In
+    this case, the result comes from `OE`, with `Status.FALLBACK`.
 
     Examples
     --------

@@ -35,7 +35,7 @@ class PlantDefaults(ABC):
 
     @abstractmethod
     def default_zeros(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
-        """Return pre-filter zeros [rad/s] for an unknown plant and an estimator with this memory [s]."""
+        """Return pre-filter zeros [rad/s] for an unknown plant and an estimator with `memory` [s]."""
 
     @abstractmethod
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
@@ -143,7 +143,9 @@ MACHINE, LINEAR_PROCESS = MachineDefaults(), LinearProcess()
 
 
 def plant_of(equation: Equation) -> PlantDefaults:
-    """Return the defaults for the kind of plant that an equation describes. No other function makes this choice."""
+    """Return the defaults for the kind of plant that an equation describes. No other function chooses the defaults of a
+    plant.
+    """
     return LINEAR_PROCESS if equation.process else MACHINE
 
 
@@ -158,11 +160,11 @@ def default_zeros(cutoff: float, memory: float = math.inf) -> tuple[float, float
 
 
 def limit_zeros(fast: float, slow: float, memory: float) -> tuple[float, float]:
-    """Return two pre-filter zeros [rad/s] of these sizes, limited for an estimator with this memory [s].
+    """Return two pre-filter zeros [rad/s] of the sizes `fast` and `slow`, limited for an estimator with `memory` [s].
 
-    A slow zero is a filter that remembers the input. If this filter remembered a large part of the memory, the
-    instruments after a large motion would be its weak remains. The slow zero therefore becomes faster, but stays apart
-    from the other zero, because two similar zeros give the same instrument.
+    A slow zero is a filter that remembers the input. If the filter remembered a large part of the estimator's memory,
+    the instruments after a large motion would be weak remains. The limit makes a slow zero faster, but keeps the zeros
+    apart, because two similar zeros give the same instrument.
     """
     return (-fast, -min(max(slow, TUNING.zero_memories / memory), max(slow, fast / TUNING.plants_apart)))
 

@@ -68,7 +68,9 @@ def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps
 
 def compute_encoder_floor(estimator: Estimator) -> float:
     """Return the inverse square of the encoder's error in the regressor of the highest derivative. The bound is the
-    error of half a count at every sample at the worst frequency. A larger root mean square is a motion."""
+    error of half a count at every sample at the worst frequency. A regressor with a larger root mean square shows a
+    motion.
+    """
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.coefficient(estimator.equation.unknown[estimator.equation.leading], "measured")
     gain = np.max(np.abs(frequency_response(estimator, builder.network, column)))
@@ -104,7 +106,7 @@ class RecursiveEstimator(Estimator):
 
     `forgetting` is the weight of the past per sample, 0 < forgetting <= 1. The memory is dt / (1 - forgetting). The
     value 1 forgets nothing in float64. A float32 sum would ignore new samples after some millions of samples. In
-    float32, the gathered information is therefore halved whenever it reaches 2^19 samples.
+    float32, the gathered information is halved whenever it amounts to 2^19 samples.
 
     `forgetting_scheme` is one of four. No scheme winds up without excitation.
     - "exponential" forgets all samples alike. A small part of the largest information is never forgotten, and theta is
@@ -120,12 +122,12 @@ class RecursiveEstimator(Estimator):
     eighth.
 
     `forgetting_of` has factors by name for parameters that change more slowly than the others, or never: {"b0": 1.0}.
-    It requires the exponential scheme. A parameter that stays known sharpens the estimates of the others. In float32
-    the memory of each parameter is at most 2^19 samples in which the others are excited.
+    `forgetting_of` requires the exponential scheme. A parameter that stays known sharpens the estimates of the others.
+    In float32 the memory of each parameter is at most 2^19 samples in which the others are excited.
 
     The configuration is frozen and alone decides equality and hash. A `Runner` holds the state that samples change, and
-    `start()` makes as many runners as needed. The attribute `runner` is the object's own one. `step`, `run`, `reset`
-    and similar methods call this runner. A copy by `copy`, `pickle` or a process pool has its own runner, which
+    `start()` makes as many runners as needed. The attribute `runner` is the estimator's own runner. `step`, `run`,
+    `reset` and similar methods call `runner`. A copy by `copy`, `pickle` or a process pool has its own runner, which
     continues from the same state. `dataclasses.replace` starts without samples.
     """
 
@@ -185,7 +187,7 @@ class RecursiveEstimator(Estimator):
         """Return the slowest forgetting of one parameter that the precision allows.
 
         In float32, sums with slower forgetting fill up at different samples and become inconsistent. All sums hold
-        still at rest, so the limit costs nothing there.
+        still at rest, so the limit costs nothing at rest.
         """
         return 1 - 1 / MOST_WEIGHT if self.precision == "float32" else 1.0
 
@@ -364,7 +366,7 @@ class BCRLS(RecursiveEstimator):
     The implementation computes an equivalent instrumental variable estimate. Soderstrom, Zheng and Stoica (1999) showed
     the equivalence for discrete time. The facts H^T theta = h determine the coefficients of f(s). The unknown
     correlation cancels the normal equations of the noisy columns, and the noise-free columns remain as instruments.
-    This computation is cheaper and stays smooth if H^T P G becomes singular.
+    The equivalent computation is cheaper and stays smooth if H^T P G becomes singular.
 
     Examples
     --------

@@ -274,23 +274,23 @@ class Runner(Generic[E]):
     def rebase(self, counts: int) -> None:
         """Follow a counter that was set to another value, as in a homing.
 
-        `counts` is the new counter's value for the last sample. The estimate stays. Without this call, the estimator
-        flags a jump beyond the motion limits of the axis and loses the motion of this sample (`Encoder.guard`).
+        `counts` is the new counter's value for the last sample. The estimate stays. Without `rebase`, the estimator
+        flags a jump beyond the motion limits of the axis and loses one sample of motion (`Encoder.guard`).
         """
         self.kernel.rebase(counts)
 
     def gap(self, counts: int) -> None:
         """Restart filters and auxiliary model after lost samples, from the next sample with these counts.
 
-        The information stays. A better way through a gap of few samples is a linear interpolation of input and counts,
-        after `doubt` if the input may have leapt in the gap. Raises TypeError for counts that are no integer.
+        The information stays. For a gap of few samples, a linear interpolation of input and counts is better. If the
+        input may have leapt in the gap, call `doubt` first. Raises TypeError for counts that are no integer.
         """
         self.kernel.gap(counts)
 
     def doubt(self, samples: int) -> None:
         """Mark the next `samples` samples as guesses, from which nothing is learnt.
 
-        A gap in which the input switched needs this call. In slow motion the estimator skips some further samples, at
+        `doubt` suits a gap in which the input switched. In slow motion the estimator skips some further samples, at
         most the settling time of the filters, with the status `SETTLING`. Filters and auxiliary model continue. Raises
         UsageError for a negative or fractional number.
         """

@@ -41,7 +41,7 @@ class SampleSteps:
 
     def weights(self, dt: float) -> Floats:
         """Return the weight (n,) of each row of columns for an integral over time, in sample periods dt [s]. A row is
-        one sample late. Its weight is half the sum of the steps before and after the sample."""
+        one sample late. The weight of a row is half the sum of the steps before and after the sample."""
         step = np.minimum(np.append(dt, self.before) / dt, LONGEST)
         return np.asarray((step[:-1] + step[1:]) / 2)
 

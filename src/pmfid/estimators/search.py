@@ -56,7 +56,7 @@ def fit_start(difference: Difference, q: Floats) -> Floats:
     for _ in range(TUNING.search_passes):
         slope = np.r_[WHITE * difference.jacobian(q, first=q.size - 2), prior[None]]
         if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(left))):
-            break  # no motion can be simulated with these parameters
+            break  # no motion can be simulated with such parameters
         step = np.r_[np.zeros(q.size - 2), np.linalg.lstsq(slope, -left)[0]]
         before = float(left @ left)
         for part in (1.0, TUNING.search_shorter):
@@ -80,9 +80,9 @@ def find_least_from_start(
 ) -> Floats:
     """Return `least` from q (q,).
 
-    If a force has a shape, the sum of squares has a minimum for each way to begin the travel. The search then begins at
-    the start that the first samples show. It also begins at q itself if more remains than the encoder explains. Raises
-    NotIdentifiableError if no search converges.
+    If a force has a shape, the sum of squares has a minimum for each way to begin the travel. With such a force, the
+    search begins at the start that the first samples show. If more remains than the encoder explains, a second search
+    begins at q itself. Raises NotIdentifiableError if no search converges.
     """
     if not difference.equation.shaped:
         return least(difference, q, tolerances)
@@ -147,7 +147,8 @@ class Windows(Difference):
         """Return windows of about `length` samples that fill stretches (first, last) of the record, without the sample
         `last`.
 
-        With `hops` 1 the windows follow each other. With 2 each window begins in the middle of the preceding one.
+        With `hops` 1 the windows follow each other. With `hops` 2 each window begins in the middle of the preceding
+        window.
         """
         edges = [edge for stretch in stretches for edge in _covering(*stretch, length, hops)]
         own = {field.name: getattr(difference, field.name) for field in fields(Difference)} | {"pole": 0.0}
@@ -216,7 +217,7 @@ class Windows(Difference):
         )
 
     def own_sensitivity(self, q: Floats, root: Floats | None = None, width: float = TUNING.quotient_step) -> Floats:
-        """Return the sensitivity, computed window by window, because the columns of all starts would take much memory."""
+        """Return the sensitivity of one window after another, because all columns would take much memory."""
         roots = [None] * len(self.pieces) if root is None else self._split_rows(root)
         rows = zip(self.split_windows(q), roots, strict=True)
         return np.concatenate([part.own_sensitivity(own, weights, width) for (part, own), weights in rows])
@@ -266,9 +267,10 @@ def is_lost(difference: Difference, q: Floats) -> bool:
 def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Difference, Floats] | None:
     """Return a difference in as few windows as its motion needs, and its least squares (q,), starting from q (q,).
 
-    The result has no high-pass. It is None if short windows do not explain the counts. Raises NotIdentifiableError if
-    short windows leave most of the motion. If a controller holds an arm where gravity or a magnet pulls it away, errors
-    of the simulation grow without bound. Short windows follow this motion (multiple shooting: Bock 1981).
+    The result has no high-pass. The function returns None if short windows do not explain the counts. Raises
+    NotIdentifiableError if short windows leave most of the motion. If a controller holds an arm where gravity or a
+    magnet pulls it away, errors of the simulation grow without bound. Short windows follow this motion (multiple
+    shooting: Bock 1981).
     """
     p, coarse = difference.parameters, replace(difference, parts=1)
     counts = [count for count in TUNING.restarts_tried if difference.y.size >= count * TUNING.search_fewest]
@@ -279,7 +281,7 @@ def fit_windows(difference: Difference, q: Floats, cutoff: float) -> tuple[Diffe
         found = _fit_in_windows(coarse, q[:-2], cutoff, counts[-1], coarse.explained)
     if found.lost:
         raise NotIdentifiableError(LOST)
-    if found.left > coarse.explained:  # the shortest windows leave this much, and longer ones leave no less
+    if found.left > coarse.explained:  # longer windows leave at least as much as the shortest ones
         return None
     for count in counts[1:-1] if len(found.windows.pieces) == counts[-1] > counts[0] else ():
         other = _fit_in_windows(coarse, q[:-2], cutoff, count, coarse.explained)
@@ -323,7 +325,7 @@ def _most_left(shortest: _FitInWindows, count: int) -> float:
 
 def _fit_in_windows(difference: Difference, theta: Floats, cutoff: float, count: int, enough: float) -> _FitInWindows:
     """Return `count` windows of a record and their least squares, starting from scaled parameters theta (p,). The
-    descent ends early if it cannot come down to `enough` [counts]."""
+    descent ends early if it is too slow to reach `enough` [counts]."""
     n = difference.y.size
     windows = Windows.cover_stretches(difference, [(0, n)], n // count, hops=1)
     windows = windows.fine_at(theta * difference.scale[: theta.size])
@@ -370,8 +372,8 @@ def descend(
 ) -> Floats:
     """Return the least squares from q (q,) by damped Gauss-Newton steps, with the starts eliminated window by window.
 
-    A parameter stays at its bound if a step would take it below. A descent that is too slow to reach the sum of squares
-    `enough` ends early.
+    A step that would take a parameter below its bound leaves the parameter at the bound. A descent that is too slow to
+    reach the sum of squares `enough` ends early.
     """
     low, p, damping = windows.lower, windows.parameters, 1e-3
     errors = [part(own) for part, own in windows.split_windows(q)]
@@ -394,7 +396,7 @@ def descend(
 
 
 def _is_too_slow(costs: Sequence[float], enough: float) -> bool:
-    """Return whether the descent misses `enough` within the remaining steps, at the pace of the last sums of squares."""
+    """Return whether a descent at the present pace misses the sum of squares `enough` within the remaining steps."""
     watched = TUNING.steps_watched
     if len(costs) <= watched or not enough < costs[-1] < np.inf:
         return False
@@ -447,9 +449,9 @@ def _cost(left: Floats) -> float:
 class WindowChoice:
     """The chosen window length.
 
-    `samples` and `seconds` are its length. `errors` has, for each tried length [s], the error of free runs over
-    unfitted parts [unit of the resolution]. A length of infinity means the whole record. The error is the geometric
-    mean of the root mean squares in one piece and in several.
+    `samples` and `seconds` are the length of a window. `errors` has, for each tried length [s], the error of free runs
+    over unfitted parts [unit of the resolution]. A length of infinity means the whole record. The error is the
+    geometric mean of the root mean squares in one piece and in several.
     """
 
     samples: int
@@ -473,7 +475,7 @@ class WindowChoice:
 
 
 def choose_window(difference: Difference, theta: Floats, cutoff: float) -> WindowChoice:
-    """Return the window length for a difference without a high-pass, from scaled parameters (p,) and `cutoff` [rad/s]."""
+    """Return the window length for a difference without a high-pass, from scaled parameters (p,)."""
     n, dt = difference.y.size, difference.dt
     shortest = max(TUNING.search_fewest, math.ceil(TUNING.search_shortest / (cutoff * dt)))
     lengths = [n, *_halves(n * (TUNING.search_folds - 1) // TUNING.search_folds // 2, shortest)]

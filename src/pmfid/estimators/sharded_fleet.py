@@ -75,9 +75,9 @@ class Content:
 def restored_from(vault: CheckpointFolder, groups: Mapping[bytes, ShardGroup], each: Each) -> Content | None:
     """Return the content of the newest complete checkpoint.
 
-    If no checkpoint is complete, the function resets the damaged shards of the newest one. It returns None if no
-    checkpoint exists. `groups` maps identities to configurations. Raises UsageError for axes of a configuration outside
-    `groups`.
+    If no checkpoint is complete, the function resets the damaged shards of the newest one. The function returns None if
+    no checkpoint exists. `groups` maps identities to configurations. Raises UsageError for axes of a configuration
+    outside `groups`.
     """
     reports = list[Event]()
     readable = _listings(vault, reports.append)
@@ -167,7 +167,7 @@ class ShardedFleet:
     shard : int
         Number of axes in a shard of a new folder.
     workers : int, optional
-        Number of threads. By default as many as there are processors.
+        Number of threads. The default is the number of processors.
 
     Raises
     ------
@@ -235,7 +235,7 @@ class ShardedFleet:
 
     def handles(self, estimator: Estimator | None = None) -> NDArray[np.int64]:
         """Return the handles (k,) of all axes, or of those with an estimator's configuration. The handles are in the
-        order of the places in memory. `run` is fastest in this order."""
+        order of the places in memory, in which `run` is fastest."""
         places = np.flatnonzero(self._handles.taken)
         if estimator is not None:
             identity = identity_of(runner_of(estimator))
@@ -379,7 +379,7 @@ class ShardedFleet:
         `mark` is a JSON value that is stored with the checkpoint, for example the number of samples read. If `sync` is
         True, the method waits for the disk, and the checkpoint survives a loss of power. If `sync` is False, the
         checkpoint survives only the process, and its checksum reveals damage by a loss of power. Raises OSError if the
-        disk refuses the checkpoint; the last one then stays valid. Raises UsageError without a folder, after `close`,
+        disk refuses the checkpoint; the last checkpoint stays valid. Raises UsageError without a folder, after `close`,
         or for a mark that JSON cannot hold.
         """
         if self._vault is None:

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LAST", "Handles"]
 
-#: Largest number of previous axes of a place. After this many, the place stays empty, because its number would recur.
+#: Largest number of previous axes of a place. A place with as many previous axes stays empty, because its handle would
+#: recur.
 LAST = 2**31 - 1
 _BITS, _PLACE = 32, 2**32 - 1
 
@@ -167,7 +168,7 @@ class Shard:
         return self.states[: self.rows]
 
     def begin(self, rows: NDArray[np.int64], start: NDArray[np.uint8]) -> None:
-        """Begin axes in these rows."""
+        """Put axes in the state `start` into these rows."""
         self.states[_span(rows)] = start
         self.rows = max(self.rows, int(rows.max()) + 1)
         self.changed = True

@@ -330,9 +330,9 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
     method has no discretisation error.
 
     The method refuses a copy that is unstable or has poles beyond 2 / dt, and keeps the last copy. If the process rings
-    for a large part of the record so far, the data get faster filters, and only the instruments get the filters of the
-    process. The error bars are then too long rather than too short. The estimate is that of `BCRLS` (`Status.FALLBACK`)
-    until the model exists and is as good as `BCRLS`.
+    for a large part of the record so far, the data get faster filters than the instruments. The error bars of such a
+    process are too long rather than too short. The estimate is that of `BCRLS` (`Status.FALLBACK`) until the model
+    exists and is as good as `BCRLS`.
 
     Examples
     --------

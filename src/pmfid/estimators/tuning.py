@@ -73,7 +73,7 @@ class EstimatorTuning:
     #: Shortest and longest sample period [s].
     base_shortest: float = 1e-12
     base_longest: float = 1e12
-    #: Replaces a smaller cutoff * dt, which is refused, because the result would exceed float64.
+    #: Value in place of a smaller cutoff * dt, which is refused, because its results exceed float64.
     least_product: float = 1e-300
     #: Number of updates from the accumulated right-hand side. Later updates move theta by the innovation alone. float64
     #: without forgetting never changes over.
@@ -82,7 +82,8 @@ class EstimatorTuning:
     #: samples in motion count.
     base_learning: int = 8
     base_learned: int = 128
-    #: Number of samples left out from a suspicious sample on. The filters have then forgotten most of the replacement.
+    #: Number of samples that are left out from a suspicious sample on. After these samples, the filters have forgotten
+    #: most of the replacement.
     held_out: int = 8
 
     # batch
@@ -133,7 +134,7 @@ class EstimatorTuning:
     friction_curve_nodes: int = 10
     #: Iterations in which the curve returns to the simulation.
     friction_curve_turns: int = 3
-    #: Blocks of the record, and iterations without each block.
+    #: Number of blocks of the record, and number of folds in which the blocks are left out.
     friction_curve_blocks: int = 32
     friction_curve_folds: int = 8
     #: Part of the smoothing in the curve for the error bars. The whole smoothing may hide a poorly measured course.
@@ -194,9 +195,9 @@ class EstimatorTuning:
     #: Distance of starts around a local maximum [standard deviations], and their shrinking noise [counts].
     likelihood_around: float = 1.5
     likelihood_shrinking: tuple[float, float, float] = (0.3, 0.1, 0.04)
-    #: The search ends if this number of starts after the first finds the same maximum. The second value is the largest
-    #: difference of log-likelihoods at the same maximum. On 56 records with 10 to 300 counts of travel, no further
-    #: start found a larger maximum.
+    #: Number of starts after the first that must find the same maximum to end the search. The second value is the
+    #: largest difference of log-likelihoods at the same maximum. On 56 records with 10 to 300 counts of travel, no
+    #: further start found a larger maximum.
     likelihood_agreeing: int = 3
     likelihood_same: float = 0.01
     likelihood_max_iterations: int = 100
@@ -231,8 +232,8 @@ class EstimatorTuning:
     motion_parts: int = 4
     #: Damping that the kernel adds to a body in every step to avoid a division by zero.
     little_damping: float = 1e-9
-    #: Most iterations for the speed after a gap. A step below the second value, as a part of the prior standard
-    #: deviation, ends the search, because the motion is linear within such a step.
+    #: Most iterations for the speed after a gap. The search ends at a step below the second value, a part of the prior
+    #: standard deviation. The motion is linear within such a step.
     motion_turns: int = 30
     motion_small: float = 1e-3
     #: A step without improvement is tried once more, shortened to this part.
@@ -357,7 +358,7 @@ class EstimatorTuning:
     steps_watched: int = 6
     #: A step that lowers the sum of squares by a smaller part ends the descent.
     settled_descent: float = 1e-8
-    #: The same tolerance for a comparison of windows of different lengths.
+    #: Tolerance of a descent for the comparison of windows of different lengths.
     search_roughly: float = 1e-4
     #: Parts of the record, each predicted from the others by a free run.
     search_folds: int = 3
@@ -438,8 +439,8 @@ class EstimatorTuning:
     edges_reported: float = 0.002
     #: Lines that recur at least this often have their own places in the first least squares.
     edges_repeated: float = 5.0
-    #: Largest ratio of the variance of errors summed over blocks to that of uncorrelated errors. Chance makes less than
-    #: 3.
+    #: Largest ratio of the variance of errors summed over blocks to that of uncorrelated errors. Chance gives ratios
+    #: below 3.
     edges_correlated: float = 4.0
 
 

@@ -65,10 +65,10 @@ def raise_variances(covariance: Floats, variances: Floats) -> Floats:
 def widen_covariance(covariance: Floats, at: Callable[[float], Floats]) -> Floats:
     """Raise the variances of fine difference quotients (p, p) to those of wider quotients if these are larger.
 
-    A body with friction sticks and breaks away. The simulated motion therefore jumps at parameter values at which one
-    more stroke happens. A fine quotient across such a jump makes the parameter seem known to the quotient's width,
-    although a ten times larger change may explain the record as well. A smooth dependence gives the same variances at
-    every width, and a rough one gets the largest. `at` returns the covariance at a width. Raises the errors of `at`.
+    A body with friction sticks and breaks away. The simulated motion jumps at parameter values at which one more stroke
+    happens. A fine quotient across such a jump makes the parameter seem known to the quotient's width. A ten times
+    larger change may explain the record as well. A smooth dependence gives the same variances at every width, and a
+    rough dependence gets the largest variances. `at` returns the covariance at a width. Raises the errors of `at`.
     """
     variances, coarse = np.diagonal(covariance), np.diagonal(at(TUNING.uncertainty_coarse))
     if np.all((coarse < TUNING.uncertainty_smooth * variances) & (variances < TUNING.uncertainty_smooth * coarse)):
@@ -117,8 +117,8 @@ def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise:
     """Return the variances (p,) of sum sensitivity (n, p) * score over the places of the lattice.
 
     The counts are those of the motion simulated at q. `noise` is the position's noise [counts] in an interval
-    likelihood; None takes the position's error itself as score. The result is zero for a larger noise, which breaks
-    every pattern.
+    likelihood; None takes the position's error itself as score. A larger noise gives zero, because noise breaks every
+    pattern of the counts.
     """
     if noise is not None and noise > TUNING.given_away * TUNING.noise_floor:
         return np.zeros(sensitivity.shape[1])
@@ -139,9 +139,9 @@ def likelihood_covariance(best: Best, weighted: Floats, scores: Floats) -> Float
     those of the likelihood. For a noisy position, the covariance is the inverse information.
 
     Without noise the likelihood is almost a box, and the score at the true parameters says little about its top. An
-    axis parked near the edge of a count, for example, has a large score and is known all the better. The variances then
-    come from the tops themselves, over the places of the lattice. A larger scatter of the scores over blocks always
-    prevails.
+    axis parked near the edge of a count, for example, has a large score and is known all the better. Without noise the
+    variances come from the tops themselves, over the places of the lattice. A larger scatter of the scores over blocks
+    always prevails.
     """
     inverse = np.linalg.inv(weighted.T @ weighted)
     alone = np.diagonal(inverse)

@@ -21,11 +21,8 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Grid:
-    """The instants of one uninterrupted stretch of a record.
-
-    `steps` (N-1,) are the times between neighbouring instants, or one number for equal steps. `size` is the number N of
-    instants.
-    """
+    """The instants of one uninterrupted stretch of a record. `steps` (N-1,) are the times between neighbouring
+    instants, or one number for equal steps. `size` is the number N of instants."""
 
     steps: Floats | float
     size: int
@@ -53,10 +50,8 @@ class Grid:
 
 @dataclass(frozen=True)
 class Transition:
-    """The transition x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]).
-
-    On a uniform grid, the arrays belong to every step. Otherwise they hold one entry for each step.
-    """
+    """The transition x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]). On a uniform grid, the arrays belong to
+    every step. On an uneven grid, the arrays hold one entry for each step."""
 
     phi: Floats
     now: Floats
@@ -64,10 +59,8 @@ class Transition:
 
 
 def transition(F: Floats, g: Floats, grid: Grid) -> Transition:
-    """Return the exact transition for F (n, n), g (n,) and a signal w that is linear between instants.
-
-    If w is held, its change is 0.
-    """
+    """Return the exact transition for F (n, n), g (n,) and a signal w that is linear between instants. If w is held,
+    its change is 0."""
     n = F.shape[0]
     steps = np.atleast_1d(np.asarray(grid.steps, float))
     distinct, back = np.unique(steps, return_inverse=True)
@@ -93,10 +86,8 @@ def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held:
 
 
 def product(matrix: Floats, rows: Floats) -> Floats:
-    """Return the product of matrix (n, n) and rows (n, N).
-
-    The blocks are so small that each product stays in one thread, because more threads would only wait.
-    """
+    """Return the product of matrix (n, n) and rows (n, N). The blocks are so small that each product stays in one
+    thread, because more threads would only wait."""
     result = np.empty(rows.shape)
     for first in range(0, rows.shape[1], TUNING.experiment_block):
         part = slice(first, first + TUNING.experiment_block)
@@ -105,10 +96,8 @@ def product(matrix: Floats, rows: Floats) -> Floats:
 
 
 def _exponential(matrices: Floats) -> Floats:
-    """Return the exponential of each of the matrices (k, n, n) by scaling, series and squaring.
-
-    The function of SciPy processes the matrices one by one.
-    """
+    """Return the exponential of each of the matrices (k, n, n) by scaling, series and squaring. The function of SciPy
+    processes the matrices one by one."""
     size = float(np.max(np.sum(np.abs(matrices), axis=-1)))
     squarings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / TUNING.series_norm))))
     scaled = matrices / 2.0**squarings
@@ -252,19 +241,15 @@ class Experiment(Presentable):
         return np.asarray(columns[:, :kept] @ response)
 
     def detrend(self) -> Experiment:
-        """Return the experiment without the means of input and output, and thus relative to the operating point.
-
-        Drifts remain, because the removal of a drift from the output alone would change the process.
-        """
+        """Return the experiment without the means of input and output, and thus relative to the operating point. Drifts
+        remain, because the removal of a drift from the output alone would change the process."""
         return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
 
     detrended = rename_method("detrended", "detrend")
 
     def stretches(self, delay: int = 0) -> list[RecordStretch]:
-        """Return the uninterrupted parts, with an input that is `delay` periods late.
-
-        Parts without a measured output are left out.
-        """
+        """Return the uninterrupted parts, with an input that is `delay` periods late. Parts without a measured output
+        are left out."""
         u, t = self.u, self.times
         limit = TUNING.experiment_gap * self.period if self.gap is None else self.gap
         known = np.isfinite(u)
@@ -400,8 +385,6 @@ class RecordStretch:
 
 
 def _finite(signals: list[Floats]) -> list[Floats]:
-    """Return the signals with zeros in place of unknown values.
-
-    Only the last value of a stretch may be unknown, and no sample follows it.
-    """
+    """Return the signals with zeros in place of unknown values. Only the last value of a stretch may be unknown, and no
+    sample follows it."""
     return [np.where(np.isfinite(signal), signal, 0.0) for signal in signals]

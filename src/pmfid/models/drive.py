@@ -117,16 +117,16 @@ class Drive:
         If True, the load hangs on a spring [N/m], and an offset is unknown too. The position x counts from the first
         sample, so that the spring's force at the first sample is part of the offset.
     dead_time : float or "estimate"
-        Delay of u, or of the counts, as any part of a sample [s]. "estimate" makes the dead time a parameter, up to 20
-        samples, for the methods that simulate (iv, riv, output-error, interval).
+        Delay of u, or of the counts [s], with any fraction of a sample. "estimate" makes the dead time a parameter, up
+        to 20 samples, for the methods that simulate (iv, riv, output-error, interval).
     stribeck : float or "estimate", optional
         Stribeck speed [m/s], > 0. The friction at rest beyond Coulomb friction falls with exp(-(v / stribeck)^2). With
         "estimate", output-error and interval find the speed as well.
     quadratic : bool
         If True, friction has a further part in proportion to v |v|.
     gravity : bool or float
-        Unbalanced load on a rotary axis: forces with the sin and cos of the angle. True if the angle is in rad, else a
-        turn in the unit of y.
+        Unbalanced load on a rotary axis: forces with the sin and cos of the angle. True stands for an angle in rad. A
+        number is the length of one turn in the unit of y.
     cogging : float, optional
         Pitch [m] of a cogging force, which has a sin and a cos term.
     friction_period : float, optional
@@ -135,8 +135,8 @@ class Drive:
         Time constant [s] of a first-order lag of the input, as in a current loop, up to 20 samples. "estimate" makes
         the lag a parameter, off-line (iv, output-error, interval).
     axis : {"linear", "rotary"}
-        With "rotary", y is an angle, forces are torques, and the mass is an inertia [kg m2]. The units m and N of this
-        page then stand for rad and N m.
+        With "rotary", y is an angle, forces are torques, and the mass is an inertia [kg m2]. For a rotary axis, the
+        units m and N on this page stand for rad and N m.
 
     Raises
     ------

@@ -54,14 +54,15 @@ class Term:
     unit : str
         Unit of an unknown coefficient.
     coefficient : float
-        Value of a known coefficient. For an unknown coefficient it is a factor, as -1 for a term on the other side.
+        Value of a known coefficient. An unknown coefficient has this factor, for example -1 on the other side of the
+        equation.
     shape : Shape, optional
         Form of a friction or of a force at a place. The size of the force remains unknown.
 
     Raises
     ------
     UsageError
-        The signal, derivative or a value is not one of these.
+        The signal, the derivative or a value is not allowed.
 
     Examples
     --------
@@ -111,11 +112,8 @@ class Term:
 
     @property
     def noisy(self) -> bool:
-        """True if the term carries the noise of the measured output.
-
-        The output of a machine without a derivative counts as free of noise, because a step of the encoder is small
-        against the travel.
-        """
+        """True if the term carries the noise of the measured output. The output of a machine without a derivative
+        counts as free of noise, because a step of the encoder is small against the travel."""
         return self.facts.measured and (self.facts.of_process or self.derivative > 0)
 
     @property
@@ -289,28 +287,23 @@ class Equation:
 
     @cached_property
     def noisy(self) -> tuple[int, ...]:
-        """Indices of the columns that carry noise, the highest derivative first. The matrix G of paper eq. 22
-        selects these columns.
+        """Indices of the columns that carry noise, the highest derivative first. The matrix G of paper eq. 22 selects
+        these columns.
         """
         columns = [i for i, term in enumerate(self.unknown) if term.noisy]
         return tuple(sorted(columns, key=lambda i: -self.unknown[i].derivative))
 
     @property
     def instrument_powers(self) -> tuple[int, ...]:
-        """Powers of s over f(s) in the instruments, one for each entry of `noisy`.
-
-        The powers fall to 1 for a machine. They fall to 0 for a process, which has a term with y itself.
-        """
+        """Powers of s over f(s) in the instruments, one for each entry of `noisy`. The powers fall to 1 for a machine.
+        They fall to 0 for a process, which has a term with y itself."""
         lowest = 0 if self.process else 1
         return tuple(reversed(range(lowest, lowest + len(self.noisy))))
 
     @property
     def driving(self) -> tuple[Term, ...]:
-        """Terms from which the instruments are made.
-
-        For a machine, these are the known terms. For a process, the known terms contain the output, so that only the
-        input remains.
-        """
+        """Terms from which the instruments are made. For a machine, these are the known terms. For a process, the known
+        terms contain the output, so that only the input remains."""
         return (Term("process_input"),) if self.process else self.known
 
     @property
@@ -342,8 +335,8 @@ class Equation:
 
     @cached_property
     def shapes(self) -> tuple[tuple[ShapeTable, bool], ...]:
-        """The table of each shape, and whether the shape acts against the motion. Raises UsageError if a shape has
-        an unknown parameter.
+        """The table of each shape, and whether the shape acts against the motion. Raises UsageError if a shape has an
+        unknown parameter.
         """
         return tuple((term.shape.table(), term.signal == "friction") for term in self.shaped if term.shape is not None)
 
@@ -353,8 +346,8 @@ class Equation:
         return self.roles[STIFFNESS] is not None or any(not term.shape.of_speed for term in self.shaped if term.shape)
 
     def known_at(self, further: Sequence[float] | Floats) -> Equation:
-        """Return the equation with the lag and the shape parameters set to the values `further` (f,). All its
-        unknowns are linear.
+        """Return the equation with the lag and the shape parameters set to the values `further` (f,). All unknowns of
+        the result are linear.
         """
         lagging = self.lag == ESTIMATE
         plain = self.replace_lag(max(0.0, float(further[0]))) if lagging else self
@@ -386,11 +379,8 @@ class Equation:
 
     @property
     def symmetric(self) -> Equation:
-        """Equation that the counts alone can identify.
-
-        Friction is equal in both directions, a constant load takes up their difference, and only shapes of the place
-        remain.
-        """
+        """Equation that the counts alone can identify. Friction is equal in both directions, a constant load takes up
+        their difference, and only shapes of the place remain."""
         split = [term.facts.one_way for term in self.unknown]
         fast = [term.shape is not None and term.shape.of_speed for term in self.unknown]
         if not any(split) and not any(fast):

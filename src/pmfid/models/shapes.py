@@ -25,7 +25,7 @@ from pmfid.types import Floats
 PIECES = 64
 #: Speed, in multiples of the Stribeck speed, above which Stribeck friction has vanished: exp(-16).
 FADED = 4.0
-#: Value that stands for a number that pmfid has to find.
+#: Setting for a parameter that pmfid estimates.
 ESTIMATE: Literal["estimate"] = "estimate"
 #: Largest number of knots in a user's own table.
 MOST_KNOTS = 200
@@ -33,11 +33,8 @@ SMALLEST, LARGEST = 1e-12, 1e12
 
 
 class Shape(ABC):
-    """Form of a force.
-
-    `of_speed` is True if the form depends on the speed, and False if it depends on the place. `free` is True if the
-    form has an unknown parameter. `positive` is True if no machine has a negative coefficient.
-    """
+    """Form of a force. `of_speed` is True if the form depends on the speed, and False if it depends on the place.
+    `free` is True if the form has an unknown parameter. `positive` is True if no machine has a negative coefficient."""
 
     of_speed: bool = False
     free: bool = False
@@ -105,7 +102,7 @@ class Stribeck(Shape):
         step = FADED / PIECES
         speeds = step * np.arange(PIECES + 1)
         # The mean over each piece equals the form's mean. Straight lines between the form's own values would lie on one
-        # side of it.
+        # side of the form.
         bend = (4 * speeds**2 - 2) * step**2 / 12
         knots = np.exp(-(speeds**2)) * (1 - bend)
         return ShapeTable("speed", tuple(knots.tolist()), step=step * self.speed, positive=self.positive)
@@ -142,8 +139,8 @@ class Square(Shape):
 class Wave(Shape):
     """Force with sin or cos of 2 pi x / period.
 
-    On a rotary axis, gravity is such a force, with the period of one turn. Cogging and a harmonic of the travel are
-    further examples.
+    Gravity on a rotary axis is a wave with the period of one turn. Cogging and a harmonic of the travel are further
+    waves.
 
     Parameters
     ----------

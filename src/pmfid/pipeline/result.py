@@ -27,16 +27,13 @@ from pmfid.records.record import Record
 from pmfid.types import Floats
 
 UNKNOWN = "–"
-#: Columns with spaces, which may need several lines.
+#: Columns whose cells contain spaces and may need several lines.
 FOLDED = ("model spread", "95 %")
 
 
 class Parametric(Protocol):
-    """The p parameters of a `Result`.
-
-    theta, theta_std and model_spread have shape (p,), and interval_95 has shape (p, 2). `beforehand` gives the kind of
-    prior information by name.
-    """
+    """The p parameters of a `Result`. theta, theta_std and model_spread have shape (p,), and interval_95 has shape (p,
+    2). `beforehand` gives the kind of prior information by name."""
 
     @property
     def names(self) -> tuple[str, ...]: ...
@@ -63,10 +60,8 @@ def parameter_header(result: Parametric) -> tuple[str, ...]:
 
 
 def parameter_rows(result: Parametric) -> list[list[str]]:
-    """Return one row of text for each parameter.
-
-    For a machine, the row includes the model spread and the interval that contains it.
-    """
+    """Return one row of text for each parameter. For a machine, the row includes the model spread and the interval that
+    contains it."""
     names, units = result.names, result.units
     found = zip(names, result.theta, result.theta_std, _list_beyond_noise(result), units, strict=True)
     return [
@@ -226,10 +221,8 @@ class Result(Presentable):
         return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
 
     def columns(self) -> dict[str, object]:
-        """The columns of a table with one row for each parameter.
-
-        For a machine, the columns include model_spread, and low and high of the 95 % interval.
-        """
+        """The columns of a table with one row for each parameter. For a machine, the columns include model_spread, and
+        low and high of the 95 % interval."""
         own = Parameters(self.names, self.units, self.theta, self.theta_std).columns
         if self.model_spread is None or self.interval_95 is None:
             return own
