@@ -1,11 +1,11 @@
-# What block scores and detectors of a change compute of one axis after the other: every sum in one order, so that an
-# axis has the same bits alone and among others. Part of _stage.pyx.
+# Block scores and detectors. Each axis is computed alone and in a fixed order, so that the bits do not depend on other
+# axes. Part of _stage.pyx.
 
 from libc.math cimport copysign, exp, sqrt
 from libc.stdint cimport uint8_t, uint32_t
 from libc.string cimport memcpy, memmove, memset
 
-#: No estimator has more parameters.
+#: Largest number of parameters of an estimator.
 cdef enum:
     MOST = 16
 
@@ -15,15 +15,14 @@ cpdef enum:
     GLR
     CHI_SQUARE
 
-#: The encoder's error is differentiated: sums of a few blocks have that much more variance than their information says,
-#: and sums of many no more than that.
+#: Additional variance of a sum of blocks, in units of its information. Differentiation of the encoder's error causes
+#: it, so that it matters only for few blocks.
 EDGE = 1.0
 cdef double _EDGE = EDGE
 
 
 
 def _numbers(array):
-    """Without gaps."""
     return np.ascontiguousarray(array, np.float64)
 
 
@@ -38,7 +37,7 @@ cdef int _check(bint fits) except -1:
 
 
 cdef void *_table(cnp.ndarray array, kind, tuple shape) except NULL:
-    """The numbers of an array. Raises ValueError for another type or shape, and for one with gaps."""
+    """Return the data of an array. Raises ValueError for another type or shape, and for gaps."""
     if array.dtype != kind or np.shape(array) != shape or not array.flags.carray:
         raise ValueError(f"there must be {np.dtype(kind)} {shape} without gaps, got {array.dtype} {np.shape(array)}")
     return cnp.PyArray_DATA(array)
@@ -49,7 +48,7 @@ cdef bint _fit(cnp.ndarray places, n):
 
 
 cdef inline double _larger(double a, double b) noexcept nogil:
-    """What is no number stays."""
+    """Return the larger number, or NaN if either is NaN."""
     return b if b > a or b != b else a
 
 
@@ -120,7 +119,7 @@ cdef inline double _weight(Py_ssize_t p, const double *x, const double *limit) n
 
 
 cdef class Norms:
-    """What scores are measured by: see `scores.Scale`. Raises ValueError where the shapes do not fit."""
+    """The scale of scores, from `monitor.scores.Scale`. Raises ValueError for shapes that do not fit."""
 
     cdef Norm norm
     cdef object _inverse, _energy
@@ -133,7 +132,7 @@ cdef class Norms:
         self.norm.inverse, self.norm.energy = _data(self._inverse), _data(self._energy)
 
     def deviations(self, score, sigma):
-        """x (n, p) of scores (n, p); sigma: (p,) or (n, p)."""
+        """Return the deviations x (n, p) of scores (n, p), with standard deviations sigma (p,) or (n, p)."""
         cdef const double[:, ::1] scores = _numbers(score)
         cdef double[:, ::1] found = np.empty(np.shape(score))
         cdef const double[:, ::1] sizes = _numbers(np.broadcast_to(sigma, np.shape(score)))
@@ -144,7 +143,7 @@ cdef class Norms:
         return np.asarray(found)
 
     def expect(self, square):
-        """w (n, p) of squares (n, p, p)."""
+        """Return the information w (n, p) on each parameter from squares (n, p, p)."""
         cdef const double[:, :, ::1] squares = _numbers(square)
         cdef double[:, ::1] found = np.empty(np.shape(square)[:2])
         cdef Py_ssize_t k
@@ -154,7 +153,7 @@ cdef class Norms:
         return np.asarray(found)
 
     def information(self, square):
-        """(n,) means of w (n, p)."""
+        """Return the mean information (n,) over the parameters from squares (n, p, p)."""
         cdef const double[:, ::1] w = self.expect(square)
         cdef double[::1] found = np.empty(w.shape[0])
         cdef Py_ssize_t k
@@ -164,7 +163,7 @@ cdef class Norms:
 
 
 def centred(score, cross, offset):
-    """(n, p) scores (n, p) without what is off all the time, (p,); cross: (n, p, p)."""
+    """Subtract the effect of a constant offset (p,) from scores (n, p). The products `cross` are (n, p, p)."""
     cdef double[:, ::1] found = np.array(score, np.float64, order="C")
     cdef const double[:, :, ::1] crosses = _numbers(cross)
     cdef const double[::1] off = _numbers(offset)
@@ -176,7 +175,8 @@ def centred(score, cross, offset):
 
 
 def weights(x, limit):
-    """(n,) as far as units with deviations x (n, p) count, which are rarely beyond the limit (p,)."""
+    """Return weights (n,) of units with deviations x (n, p). Only a deviation beyond the limit (p,) reduces a weight.
+    """
     cdef const double[:, ::1] deviations = _numbers(x)
     cdef const double[::1] limits = _numbers(limit)
     cdef double[::1] found = np.empty(len(x))
@@ -229,7 +229,7 @@ cdef inline double _sum_about_mean(const Rule *rule, const double *x, const doub
     return _two_sided(apart, allowed, state, state + p, p)
 
 
-#: By more than rounding.
+#: A smaller ratio differs by more than rounding.
 cdef double SMALLER = 1 - 1e-12
 
 
@@ -249,7 +249,7 @@ cdef inline double _best_start(const Rule *rule, const double *x, const double *
             beyond = fabs(state[k + i]) - tolerance[i] * weights[k + i]
             beyond = 0.0 if beyond < 0 else beyond
             beyond, known = beyond * beyond, weights[k + i] + _EDGE
-            if not beyond < SMALLER * most * known:  # else the division, which takes long, gives less
+            if not beyond < SMALLER * most * known:  # below this value the slow division cannot raise the maximum
                 most = _larger(most, beyond / known)
     return most / 2
 
@@ -288,14 +288,17 @@ cdef inline double _detect(const Rule *rule, const double *x, const double *w, c
 
 
 cdef inline Py_ssize_t _rows_of(int kind, Py_ssize_t window) noexcept nogil:
-    """Rows of the state of a detector, each with a number for each parameter."""
+    """Return the number of rows of a detector's state (rows, p)."""
     return 4 if kind == PAGE_HINKLEY else 2 * window
 
 
 cdef class Detection:
-    """A detector of p parameters. window: starts that `GLR` compares; drift: of the others, of `CHI_SQUARE` the
-    discount of a block; memory: of `PAGE_HINKLEY`; precision: (p, p) of `CHI_SQUARE`. Its state is (rows, p). Raises
-    ValueError for numbers that do not fit."""
+    """A detector of changes in p parameters with a state (rows, p).
+
+    `window` is the number of start times that `GLR` compares. `drift` is the allowance of `CUSUM` and `PAGE_HINKLEY`,
+    and the discount of a block in `CHI_SQUARE`. `memory` belongs to `PAGE_HINKLEY`, and `precision` (p, p) to
+    `CHI_SQUARE`. Raises ValueError for numbers that do not fit.
+    """
 
     cdef Rule rule
     cdef object _precision
@@ -317,8 +320,8 @@ cdef class Detection:
         return tables
 
     def run(self, state, x, w, tolerance):
-        """The statistic (n, m) after each of m blocks x, w: (n, m, p) of n axes, with tolerance (n, p); state:
-        (n, rows, p), which goes on."""
+        """Return the statistic (n, m) after each of m blocks of n axes. Deviations x and informations w are (n, m, p),
+        and tolerances are (n, p). The states (n, rows, p) are updated."""
         cdef double[:, :, ::1] own
         cdef const double[:, :, ::1] xs, ws
         cdef const double[:, ::1] tolerances
@@ -333,7 +336,8 @@ cdef class Detection:
         return np.asarray(found)
 
     def deviations(self, state, x, w, tolerance):
-        """Of `CHI_SQUARE`, and of the same arrays: d (n, m, p), whose square is the statistic."""
+        """Return the deviations d (n, m, p) of `CHI_SQUARE`, whose squares form the statistic. The arguments are those
+        of `run`."""
         cdef double[:, :, ::1] own, found
         cdef const double[:, :, ::1] xs, ws
         cdef const double[:, ::1] tolerances

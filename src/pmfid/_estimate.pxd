@@ -1,10 +1,11 @@
-"""What one sample left, for the kernels of both precisions: their numbers are doubles here, which holds either."""
+"""The estimate after a sample. Kernels of both precisions store their numbers in it as doubles."""
 
 cdef extern from "pmf_sizes.h":
     enum:
         PMF_MAX_PARAMETERS
 
-# What `_factor` holds: P, or the factor L of its inverse with 1 / D on the diagonal, in double or single precision.
+# Content of `_factor`: P, or the factor L of the inverse of P, with 1 / D on its diagonal, in double or single
+# precision.
 cdef enum Form:
     FORMED = 0
     OF_DOUBLE
@@ -12,7 +13,7 @@ cdef enum Form:
 
 cdef class Estimate:
     cdef double _theta[PMF_MAX_PARAMETERS]
-    cdef double _factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS] # P, or what it is formed of when it is read
+    cdef double _factor[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS] # P, or L and 1 / D until P is read
     cdef Form _form
     cdef double _diagonal[PMF_MAX_PARAMETERS]
     cdef double _inflation[PMF_MAX_PARAMETERS]

@@ -1,5 +1,5 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""The estimate after a sample: one class, whatever the precision of the kernel that made it."""
+"""The estimate after a sample, in one class for both precisions of the kernel."""
 
 cimport cython
 cimport numpy as cnp
@@ -33,7 +33,7 @@ ctypedef fused real:
 
 
 cdef void _form_covariance(real one, double *factor, Py_ssize_t n) noexcept:
-    """P = (L D L^T)^-1 in place, with the operations of `pmf_recursion_covariance`; `one` gives the precision."""
+    """Compute P = (L D L^T)^-1 in place. The precision is that of `one`, and the operations are those of the kernel."""
     cdef real lower[PMF_MAX_PARAMETERS * PMF_MAX_PARAMETERS]
     cdef real x[PMF_MAX_PARAMETERS]
     cdef Py_ssize_t i, j, k, column
@@ -53,26 +53,27 @@ cdef void _form_covariance(real one, double *factor, Py_ssize_t n) noexcept:
             factor[i * n + column] = x[i] if i >= column else factor[column * n + i]
 
 
-@cython.no_gc  # a tuple of names makes no cycle
+@cython.no_gc  # a tuple of names forms no reference cycle
 @cython.freelist(8)
 cdef class Estimate:
-    """What one sample left: a snapshot that later steps do not change; it can be copied and pickled.
+    """The estimate after one sample. Later samples do not change it, and it can be copied and pickled.
 
     Attributes
     ----------
     names : tuple of str
-        Of the p parameters.
+        Names of the p parameters.
     theta : ndarray (p,)
-        Parameters; `estimate["mass"]` is one of them.
+        Parameters. `estimate["mass"]` returns one of them.
     theta_cov : ndarray (p, p)
-        Covariance: innovation variance times P.
+        Covariance of the parameters.
     theta_std : ndarray (p,)
-        Standard deviations.
+        Standard errors of the parameters.
     innovation : float
-        A priori error [unit of the target].
+        Error of the equation before the update [unit of the target].
     innovation_variance : float
+        Variance of the innovation.
     status : int
-        `Status` bits; `status_names` are the same in words.
+        `Status` bits. `status_names` are their names.
 
     Examples
     --------
@@ -98,7 +99,7 @@ cdef class Estimate:
         self._form_factor()
         for i in range(n):
             for j in range(n):
-                if self.innovation_variance == 0.0:  # no innovation has been counted yet: nothing is known
+                if self.innovation_variance == 0.0:  # without any innovation, nothing is known
                     target[i * n + j] = INFINITY if i == j else 0.0
                 else:
                     target[i * n + j] = self.innovation_variance * self._factor[i * n + j] * \
@@ -126,7 +127,7 @@ cdef class Estimate:
         return _vector(std, self._n)
 
     def __getitem__(self, name):
-        """One parameter. Raises UnknownParameterError, a KeyError, listing the names."""
+        """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
         return float(self._theta[place_of(name, self._names)])
 
     @property
@@ -135,7 +136,7 @@ cdef class Estimate:
 
     @property
     def units(self):
-        """Those of the estimator; a sample does not carry them."""
+        """Empty units. The estimator, not a sample, has the units of the parameters."""
         return ("",) * self._n
 
     @property
@@ -143,12 +144,12 @@ cdef class Estimate:
         return tuple(status_names(self.status))
 
     def _parameters(self):
-        names = self._names or tuple(f"parameter {i + 1}" for i in range(self._n))  # of a kernel that has none
+        names = self._names or tuple(f"parameter {i + 1}" for i in range(self._n))  # a bare kernel has no names
         return Parameters(names, self.units, self.theta, self.theta_std)
 
-    # a cdef class has no base in Python: what `Presentable` does for every other result is called here
+    # A cdef class cannot derive from `Presentable`, so that these methods repeat the interface of other results.
     def summary(self):
-        """What a person sees of it."""
+        """Return the summary for a reader."""
         return self._parameters().summary("the estimate of a sample", remarks_of(self.status_names))
 
     def __repr__(self):
@@ -158,16 +159,16 @@ cdef class Estimate:
         return self.summary().html
 
     def to_dict(self):
-        """Texts, numbers and dicts alone, as JSON has them; what is not finite is None."""
+        """Return the estimate as nested dicts of text and numbers for JSON. Infinite numbers and NaN become None."""
         return {"parameters": self._parameters().content, "innovation": plain(self.innovation),
                 "status": list(self.status_names)}
 
     def to_frame(self):
-        """As a polars DataFrame, a row for each parameter."""
+        """Return a polars DataFrame with a row for each parameter."""
         return frame_of(self._parameters().columns)
 
     def plot(self, **options):
-        """The parameters with their standard deviations, a matplotlib Figure."""
+        """Return a matplotlib Figure of the parameters with their standard errors."""
         return figure_of(self, **options)
 
     def __reduce__(self):
@@ -178,7 +179,7 @@ cdef class Estimate:
 
 
 def _restored(names, theta, factor, diagonal, inflation, innovation, innovation_variance, status):
-    """The estimate of which these are the parts; for pickle and copy."""
+    """Return an estimate from its parts, for pickle and copy."""
     cdef Estimate estimate = Estimate.__new__(Estimate)
     if len(theta) > PMF_MAX_PARAMETERS or not len(theta) == len(diagonal) == len(inflation) or \
             len(factor) != len(theta) ** 2:

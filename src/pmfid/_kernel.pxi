@@ -1,4 +1,4 @@
-# Thin binding of the C kernel; compiled twice, as `_kernel64` and `_kernel32`.
+# Binding of the C kernel, compiled as `_kernel64` and `_kernel32`.
 
 from cpython.bytes cimport PyBytes_FromStringAndSize
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
@@ -30,7 +30,7 @@ cdef extern from "pmf_internal.h":
         PMF_MOVING
         PMF_LATE_INPUT
         PMF_DELAY
-    # Of the configuration only what is read here: Python fills it by name from pmf.h.
+    # The structures list only the fields that are read here. Python fills a configuration by the names in pmf.h.
     ctypedef struct pmf_network_config_t:
         uint32_t n_columns
     ctypedef struct pmf_network_state_t:
@@ -159,7 +159,7 @@ cdef extern from "many/pmf_many.h":
 
 
 cdef _set_scoring(pmf_scoring_t *scoring, numbers, uint32_t columns):
-    """Raises ValueError for what would lead beyond the columns."""
+    """Store the numbers of a scoring. Raises ValueError if they exceed the columns."""
     scoring.first, scoring.parameters, scoring.size, scoring.left_out, scoring.disturbed = numbers
     if not 1 <= scoring.parameters <= PMF_MAX_PARAMETERS or scoring.size < 1 or \
             <uint64_t> scoring.first + 2 * scoring.parameters + 1 > columns:
@@ -174,11 +174,11 @@ cdef _check_blocks(const pmf_scoring_t *scoring, progress, shapes, expected):
 
 
 cdef class Kernel:
-    """One configured kernel with its state.
+    """A configured kernel with its state.
 
-    config: the bytes of a `pmf_config_t` of this module's sizes (`pmfid.kernel.configuration` fills it, `raw_config` gives
-    it). names: of the parameters, for the estimates. Raises ValueError for another number of bytes, and for numbers that
-    would lead beyond the kernel's memory.
+    `config` is a `pmf_config_t` of the module's sizes as bytes. `pmfid.kernel.configuration` and `raw_config` make such
+    bytes. `names` are the names of the parameters. Raises ValueError for a wrong number of bytes, and for numbers that
+    exceed the kernel's memory.
     """
 
     cdef pmf_config_t config
@@ -203,7 +203,7 @@ cdef class Kernel:
 
     @property
     def straight(self):
-        """Whether the step is straight code, made for this method and its network; False asks for the general one."""
+        """Whether a step runs straight code for this method and network. False selects the general code."""
         return self._step != pmf_step
 
     @straight.setter
@@ -211,25 +211,26 @@ cdef class Kernel:
         self._step = pmf_fastest_step(&self.config) if wanted else pmf_step
 
     def reset(self):
-        """Back to the state before the first sample."""
+        """Return to the state before the first sample."""
         pmf_init(&self.config, &self.state)
 
     def open(self, double keep, int parameter=-1):
-        """Only the part keep in (0, 1] of what was gathered on a parameter (-1: on all) counts from now on; the estimate stays."""
+        """Multiply the information on a parameter (all parameters for -1) by `keep` in (0, 1]. The estimate stays."""
         pmf_open(&self.config, &self.state, PMF_NO_PARAMETER if parameter < 0 else parameter, <real_t> keep ** 0.5)
 
     def rebase(self, counts):
-        """The counter would have read `counts` at the last sample; counts is an integer of any size, anything else raises TypeError."""
+        """Set the counter's reading at the last sample, an integer of any size. Raises TypeError for other types."""
         cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         pmf_rebase(&self.state, <uint32_t> count)
 
     def gap(self, counts):
-        """Samples were lost, and the next one reads `counts`, an integer of any size; anything else raises TypeError."""
+        """Report lost samples before a sample that reads `counts`, an integer of any size. Raises TypeError for other
+        types."""
         cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         pmf_gap(&self.config, &self.state, <uint32_t> count)
 
     def doubt(self, uint32_t samples):
-        """The last sample was a guess: nothing is learnt from `samples` samples, at most those in which filters settle."""
+        """Report that the last sample was a guess. The estimate skips `samples` samples, at most the settling time."""
         pmf_doubt(&self.config, &self.state, samples)
 
     cdef Estimate _snapshot(self):
@@ -244,7 +245,7 @@ cdef class Kernel:
         for i in range(n):
             estimate._theta[i], estimate._diagonal[i] = last.theta[i], last.variance_factor[i]
             estimate._inflation[i] = last.inflation[i]
-        if self._step != pmf_step and last == &recursion.estimate:  # P is that of the recursion: formed when it is read
+        if self._step != pmf_step and last == &recursion.estimate:  # P is computed when it is read
             estimate._form = OF_DOUBLE if sizeof(real_t) == sizeof(double) else OF_SINGLE
             for i in range(n):
                 for j in range(i):
@@ -260,13 +261,16 @@ cdef class Kernel:
         return estimate
 
     cdef _check_steps(self, given):
-        """Raises ValueError for steps of a kernel that takes the clock for even."""
+        """Raise ValueError for steps if the kernel takes the clock for even."""
         if given is not None and not self.config.encoder.rate > 0:
             raise ValueError("this estimator takes the clock for even; make it with steps=\"given\"")
 
     def step(self, double u, counts, dt=None):
-        """One sample in, one `Estimate` out; counts is an integer of any size, anything else raises TypeError. dt: time
-        since the last sample [s], None: the sample period. Raises ValueError for a dt if the kernel takes none."""
+        """Process one sample and return the `Estimate`. `counts` is an integer of any size.
+
+        `dt` is the time since the last sample [s]. None stands for the sample period. Raises TypeError for other
+        counts, and ValueError for a `dt` if the kernel takes the clock for even.
+        """
         cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         if dt is not None:
             self._check_steps(dt)
@@ -275,17 +279,21 @@ cdef class Kernel:
         return self._snapshot()
 
     def estimate(self):
-        """The present estimate."""
+        """Return the present estimate."""
         return self._snapshot()
 
     def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None,
             cnp.ndarray[double, mode="c"] steps=None):
-        """u, counts: (n,) -> theta (n, p), diagonal of P (n, p), its inflation (n, p), innovation (n,), its variance (n,), status (n,).
-        steps: (n,) time of each sample since the one before [s], None: an even clock."""
+        """Process the samples u, counts (n,), and return theta, the diagonal of P, its inflation, the innovation, its
+        variance and the status.
+
+        The first three results are (n, p), the others (n,). `steps` (n,) are the times between samples [s]. None stands
+        for an even clock.
+        """
         self._check_steps(steps)
         cdef const double *step = NULL if steps is None else <const double *> _numbers(steps)
         cdef Py_ssize_t n = u.shape[0], p = pmf_parameters(&self.config), k, i
-        # one block: NumPy asks for pages of 2 MB where it has 4 MB, and fresh small ones take as long as a third of the steps
+        # NumPy asks for pages of 2 MB in blocks of 4 MB. Fresh small pages take as long as a third of the steps.
         tables, pairs = np.split(np.empty(n * (3 * p + 2)), [3 * n * p])
         cdef cnp.ndarray[double, ndim=2, mode="c"] theta, factor, inflation
         cdef cnp.ndarray[double, mode="c"] innovation, variance
@@ -309,7 +317,7 @@ cdef class Kernel:
 
     def filter(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None,
                cnp.ndarray[double, mode="c"] steps=None):
-        """Encoder and filters alone. u, counts, steps: (n,), as of `run` -> columns (n, c) and status (n,)."""
+        """Run encoder and filters alone, with the arguments of `run`. Returns columns (n, c) and status (n,)."""
         self._check_steps(steps)
         cdef const double *step = NULL if steps is None else <const double *> _numbers(steps)
         cdef Py_ssize_t n = u.shape[0], c = self.config.network.n_columns, k, i
@@ -327,7 +335,7 @@ cdef class Kernel:
     def score(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None, scoring,
               cnp.ndarray[double, mode="c"] theta not None, cnp.ndarray[double, mode="c"] sums not None,
               cnp.ndarray[uint32_t, mode="c"] progress not None):
-        """Encoder and filters alone, in blocks: see `ManyKernel.score`, here of one axis."""
+        """Sum scores in blocks for one axis. `ManyKernel.score` documents the arguments."""
         cdef pmf_scoring_t numbers
         _set_scoring(&numbers, scoring, self.config.network.n_columns)
         cdef Py_ssize_t n = u.shape[0], p = numbers.parameters, width = p + 2 * p * p, k, row = 0
@@ -344,24 +352,24 @@ cdef class Kernel:
         return blocks, lost
 
     def many(self, Py_ssize_t axes, bytes is_whole):
-        """`axes` axes from the present state; is_whole: of `pmfid.kernel.structures.whole_words`."""
+        """Return `axes` axes in the present state. `is_whole` comes from `pmfid.kernel.structures.whole_words`."""
         return ManyKernel(self, axes, is_whole)
 
     def raw_config(self):
-        """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
+        """Return the configuration as the bytes of a `pmf_config_t` with the module's sizes."""
         return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
 
     def raw_state(self, bint kept=False):
-        """The bytes of the state, as a `pmf_state_t` of this module's sizes; kept: zero where each step computes again."""
+        """Return the bytes of the state. With `kept` the values that each step computes again are zero."""
         cdef pmf_state_t state = self.state
         if kept:
             pmf_clear_computed(&self.config, &state)
         return PyBytes_FromStringAndSize(<char *> &state, sizeof(pmf_state_t))
 
     def set_raw_state(self, bytes state):
-        """Takes the bytes that `raw_state` of the same configuration gave.
+        """Restore the state from bytes of `raw_state` in the same configuration.
 
-        Raises ValueError, and stays as it was, for another number of bytes or values that no sample could have made.
+        Raises ValueError for a wrong number of bytes or values that no sample could have made. The state then stays.
         """
         cdef pmf_state_t taken
         if len(state) != sizeof(pmf_state_t):
@@ -382,7 +390,8 @@ cdef _set_rows(pmf_rows_t *rows, cnp.ndarray table):
 
 
 cdef _check_tables(u, counts, results, axes, parameters, every):
-    """Raises ValueError unless the tables are (axes, n) and the results have room for just the estimates to keep."""
+    """Raise ValueError unless the tables are (axes, n) and the results have exactly one place for each kept estimate.
+    """
     if u.ndim != 2 or u.shape != counts.shape or u.shape[0] != axes:
         raise ValueError(f"u and counts must be ({axes}, n), got {u.shape} and {counts.shape}")
     if u.dtype not in (np.float32, np.float64) or counts.dtype not in (np.int32, np.int64):
@@ -398,10 +407,10 @@ cdef _check_tables(u, counts, results, axes, parameters, every):
 
 
 cdef class ManyKernel:
-    """Many axes with the configuration of one `Kernel`, each from its present state.
+    """Many axes with the configuration and the present state of one `Kernel`.
 
-    states: (axes, bytes) uint8, packed. way: 0 one axis after the other, 1 to 3 in vectors of 16, 32 or 64 bytes;
-    one that is not there is the same as 0.
+    `states` (axes, bytes) uint8 are packed. The argument `way` of methods selects how axes are computed. 0 computes one
+    axis after the other. 1 to 3 use vectors of 16, 32 or 64 bytes. A way that the processor does not support acts as 0.
     """
 
     cdef pmf_config_t config
@@ -422,17 +431,17 @@ cdef class ManyKernel:
         self.states = np.tile(own, (axes, 1))
 
     def reset(self):
-        """Back to the states at the beginning."""
+        """Return all axes to their first state."""
         self.states[:] = self._start
 
     def raw_config(self):
-        """The bytes of the configuration, as a `pmf_config_t` of this module's sizes."""
+        """Return the configuration as the bytes of a `pmf_config_t` with the module's sizes."""
         return PyBytes_FromStringAndSize(<char *> &self.config, sizeof(pmf_config_t))
 
     def set_states(self, states):
-        """Takes states (axes, bytes) uint8 of the same configuration.
+        """Restore the states (axes, bytes) uint8 of the same configuration.
 
-        Raises ValueError, and stays as it was, for another shape or values that no sample could have made.
+        Raises ValueError for a wrong shape or values that no sample could have made. The states then stay.
         """
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] taken = np.array(states, np.uint8, order="C", ndmin=2)
         cdef Py_ssize_t axis
@@ -447,15 +456,15 @@ cdef class ManyKernel:
         self.states[:] = taken
 
     def older_size(self, uint32_t packing, bytes is_whole not None):
-        """Bytes of a state in an older version `packing`. Raises ValueError as the constructor does."""
+        """Return the size of a state [byte] in the older version `packing`. Raises the errors of the constructor."""
         cdef pmf_layout_t layout
         self._lay_out(&layout, packing, is_whole)
         return layout.packed_size
 
     def repack(self, cnp.ndarray[unsigned char, ndim=2, mode="c"] states not None, uint32_t packing, bytes is_whole not None,
                bint back=False):
-        """States (axes, bytes) of an older version `packing` as this one packs them; back: the other way round. Raises
-        ValueError for another number of bytes."""
+        """Convert states (axes, bytes) from the older version `packing` to the present one, with `back` in reverse.
+        Raises ValueError for a wrong number of bytes."""
         cdef pmf_layout_t older
         cdef pmf_state_t state
         cdef Py_ssize_t axis
@@ -478,14 +487,14 @@ cdef class ManyKernel:
             raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
 
     def hold(self, cnp.ndarray[unsigned char, ndim=2, mode="c"] states not None):
-        """Goes on with these states (axes, bytes) of the same configuration, of any number of axes, in their place:
-        `run` and the like change them. Raises ValueError for another shape."""
+        """Replace the states by an array (axes, bytes) of the same configuration with any number of axes. Later calls
+        change this array. Raises ValueError for a wrong shape."""
         if states.shape[1] != self.layout.packed_size or not states.flags.aligned:
             raise ValueError(f"a state has {self.layout.packed_size} bytes, got {states.shape[1]}")
         self.states = states
 
     def plausible(self):
-        """Whether samples could have made all the states. Releases the interpreter meanwhile."""
+        """Return whether samples could have made all states. The call releases the interpreter."""
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
         cdef Py_ssize_t axis
         cdef pmf_state_t state
@@ -500,12 +509,12 @@ cdef class ManyKernel:
         return fine != 0
 
     def store(self, Kernel kernel, Py_ssize_t axis):
-        """Gives an axis the state of a kernel of the same configuration."""
+        """Copy the state of a kernel of the same configuration to an axis."""
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
         pmf_pack(&self.layout, &kernel.state, &states[axis, 0])
 
     def gap(self, Py_ssize_t axis, counts):
-        """Samples of an axis were lost, as in `Kernel.gap`."""
+        """Report lost samples of an axis before a sample that reads `counts`."""
         cdef uint64_t count = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
         cdef pmf_state_t state
@@ -518,11 +527,14 @@ cdef class ManyKernel:
               scoring, cnp.ndarray[double, ndim=2, mode="c"] theta not None,
               cnp.ndarray[double, ndim=2, mode="c"] sums not None,
               cnp.ndarray[uint32_t, ndim=2, mode="c"] progress not None, way=None):
-        """Encoder and filters alone, in blocks. u, counts: (axes, n); scoring: first column, parameters p, samples of a
-        block, status of samples left out, of disturbed ones; theta: (axes, p); sums: (axes, p + 2 p^2) and progress
-        (axes, 2): of the block under way, to go on with; way: None: the fastest. Returns the blocks that were completed (axes, most, p + 2 p^2),
-        and whether all samples of one were disturbed (axes, most). Releases the interpreter meanwhile. Raises ValueError
-        where an array has another shape than that."""
+        """Run encoder and filters on u, counts (axes, n), and sum scores in blocks.
+
+        `scoring` holds the first column, the number p of parameters, the samples of a block, the status of samples to
+        leave out, and the status of disturbed samples. `theta` is (axes, p). `sums` (axes, p + 2 p^2) and `progress`
+        (axes, 2) hold each unfinished block and are updated. `way` defaults to the fastest. Returns the complete blocks
+        (axes, most, p + 2 p^2), and whether all samples of a block were disturbed (axes, most). The call releases the
+        interpreter. Raises ValueError for arrays of other shapes.
+        """
         cdef pmf_scoring_t numbers
         cdef pmf_scored_t many
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
@@ -543,20 +555,24 @@ cdef class ManyKernel:
 
     @property
     def side_by_side(self):
-        """Whether this configuration can be computed in vectors."""
+        """Whether vectors can compute this configuration."""
         return self.layout.lane_words > 0
 
     def load(self, Kernel kernel, Py_ssize_t axis):
-        """Gives a kernel of the same configuration the state of one axis."""
+        """Copy the state of an axis to a kernel of the same configuration."""
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] states = self.states
         pmf_clear(&kernel.state, sizeof(pmf_state_t))
         pmf_unpack(&self.layout, &states[axis, 0], &kernel.state)
 
     def run(self, cnp.ndarray u, cnp.ndarray counts, Py_ssize_t first, Py_ssize_t end, uint64_t every, results, uint32_t way):
-        """Axes `first` to `end` through u (float32 or float64) and counts (int32 or int64), both (axes, n) with any
-        strides. results: theta, variance_factor, inflation (axes, kept, p), innovation, innovation_variance, status
-        (axes, kept), to be filled with every `every`-th estimate and the last. Releases the interpreter meanwhile.
-        Raises ValueError where an array has another shape or type than that: the C asks nothing."""
+        """Process samples u (axes, n; float32 or float64) and counts (axes, n; int32 or int64) for the axes `first` to
+        `end`.
+
+        Both arrays may have any strides. The call fills `results` with every `every`-th estimate and the last one.
+        `results` are theta, variance_factor and inflation (axes, kept, p), then innovation, innovation_variance and
+        status (axes, kept). The call releases the interpreter. Raises ValueError for arrays of other shapes or types,
+        because C does not check them.
+        """
         cdef pmf_many_t many
         cdef unsigned char *states
         _check_tables(u, counts, results, self.states.shape[0], pmf_parameters(&self.config), every)
@@ -578,17 +594,22 @@ cdef class ManyKernel:
 def simulate_many(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, velocity, position,
                   bytes shapes=b"", before=(0.0,), decay=None, on_top=None, Py_ssize_t hold=1, Py_ssize_t parts=1, bint sides=False,
                   steps=None):
-    """Motions of the auxiliary model, a body with friction under a held input, for several parameters.
+    """Simulate a body with friction under a held input, for m sets of parameters.
 
-    parameters: (m, roles) mass, viscous forward, backward, Coulomb forward, backward, offset, stiffness, dead time [s] >= 0, and the
-    coefficients of the shapes; those left out are 0; u: (n,), u[k] holds from the interval k on, the dead time later, for `hold` steps
-    of dt each, whose means over `parts` are kept; before: inputs before the first (b,), b >= 1, the oldest of which has been there
-    for ever; velocity, position: (m,) at the start; a spring is slack at position 0. shapes: the bytes of a
-    `pmf_shapes_config_t` (`pmfid.kernel.configuration` makes them), whose nodes are PMF_SIGNALS and the next. decay: (m, 2, 3) of a
-    lag after the dead time, as `pmfid.kernel.configuration` makes them; on_top: (n hold / parts,), or a row for each motion, an input that
-    acts at once; sides: keep directions as well; steps: (n,) length of each interval [s], then nothing acts late, None: hold dt. Returns mean velocity, signed moving fraction and moving fraction, each
-    (m, n hold / parts), the last two None without sides, and the velocities at the end (m,). Raises ValueError for too many
-    parameters, impossible shapes and arrays of other sizes.
+    `parameters` (m, roles) are mass, viscous friction forward and backward, Coulomb friction forward and backward,
+    offset, stiffness, dead time [s] >= 0, and the coefficients of the shapes. Missing parameters are 0. `u` (n,) acts
+    after the dead time, each value for `hold` steps of `dt` [s]. The results are means over `parts` steps. `before`
+    (b,), b >= 1, are the inputs before the first one. The oldest of them has always acted. `velocity` and `position`
+    (m,) are the initial motion. A spring is slack at position 0.
+
+    `shapes` is a `pmf_shapes_config_t` as bytes, with nodes that begin at PMF_SIGNALS. `decay` (m, 2, 3) describes a
+    lag after the dead time. `pmfid.kernel.configuration` makes both. `on_top` (n hold / parts,), or with a row for each
+    motion, is an input that acts at once. `sides` selects the results by direction. `steps` (n,) are lengths of the
+    intervals [s] in place of hold dt, without any dead time or lag.
+
+    Returns the mean velocity, the signed moving fraction and the moving fraction (m, n hold / parts), and the final
+    velocities (m,). Without `sides` the second and the third are None. Raises ValueError for too many parameters,
+    impossible shapes, and arrays of other sizes.
     """
     cdef pmf_auxiliary_config_t config
     cdef pmf_motions_t motions
@@ -645,7 +666,8 @@ def simulate_many(parameters, double input_gain, double dt, cnp.ndarray[double, 
 
 def simulate(parameters, double input_gain, double dt, u, double velocity=0.0, double position=0.0,
              bytes shapes=b"", before=(0.0,), decay=None, on_top=None, steps=None):
-    """`simulate_many` of one motion: mean velocity, signed moving fraction and moving fraction (n,), and the velocity at the end."""
+    """Simulate one motion with the arguments of `simulate_many`. Returns its mean velocity, signed moving fraction and
+    moving fraction (n,), and the final velocity."""
     found = simulate_many([parameters], input_gain, dt, u, [velocity], [position], shapes, before,
                           None if decay is None else [decay], on_top, sides=True, steps=steps)
     return found[0][0], found[1][0], found[2][0], float(found[3][0])

@@ -104,7 +104,7 @@ class Detection:
     ) -> NDArray[np.float64]: ...
 
 class Watcher:
-    """watched, disturbed: `monitor.arrays.Watched` and `Disturbed`."""
+    """`watched` is a `monitor.arrays.Watched`, and `disturbed` is a `monitor.arrays.Disturbed`."""
 
     def __init__(
         self,

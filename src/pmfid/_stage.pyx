@@ -1,5 +1,6 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""Recursions outside the kernel: a first-order stage, the inputs of a monitored axis, and what is made of its blocks."""
+"""Recursions outside the C kernel: a first-order stage, the inputs of a monitored axis, and its scores and detectors.
+"""
 
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
@@ -15,10 +16,10 @@ include "_watch.pxi"
 
 
 def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
-    """Answer (n,) of (b0 + b1 z^-1) / (1 - a z^-1) to a signal (n,), and its memory after the last sample.
+    """Filter a signal (n,) by (b0 + b1 z^-1) / (1 - a z^-1). Returns the output (n,) and the final memory.
 
-    memory: what b1 and a have left of the samples before, 0 from rest. The bits are those of `scipy.signal.lfilter`,
-    which takes longer to import than most signals to filter.
+    `memory` is the contribution of b1 and a from earlier samples, and 0 from rest. The bits are those of
+    `scipy.signal.lfilter`. SciPy's import takes longer than the filtering of most signals.
     """
     cdef const double[::1] x = np.ascontiguousarray(signal, dtype=np.float64)
     found = np.empty(x.shape[0])
@@ -31,9 +32,11 @@ def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
 
 
 def follow_states(phis, nows, changes, const double[:, :] w, const double[:, :] start):
-    """States (n, channels, N) from start (n, channels): x[k+1] = phi x[k] + now w[k] + change (w[k+1] - w[k]).
+    """Return states (n, channels, N) from `start` (n, channels) by x[k+1] = phi x[k] + now w[k] + change (w[k+1] -
+    w[k]).
 
-    phis (steps, n, n), nows and changes (steps, n) are of one step each, or of all (steps = 1); w: (channels, N).
+    `phis` (steps, n, n), `nows` and `changes` (steps, n) have a row for each step, or one row for all. The inputs `w`
+    are (channels, N).
     """
     cdef const double[:, :, ::1] phi = np.ascontiguousarray(phis)
     cdef const double[:, ::1] now = np.ascontiguousarray(nows), change = np.ascontiguousarray(changes)
@@ -59,10 +62,10 @@ def follow_states(phis, nows, changes, const double[:, :] w, const double[:, :] 
     return found
 
 
-#: Places in the whole numbers of an axis: the last counts, what is added to what its counter shows, the change of the
-#: counts in the last sample, samples so far, whether the last one was lost, whether any was not, whether the input
-#: changed in the last one that was not, how many of the counts that are kept follow one another up to the last, and
-#: these, each at the number of its sample modulo KEPT.
+#: Indices of an axis's integers. COUNTS to SAMPLES hold the last counts, the shift of the counter, the last change of
+#: the counts, and the number of samples. LOST, KNOWN and CHANGED say whether the last sample was lost, whether any
+#: input is known, and whether the last known input changed. FRESH is the number of consecutive kept counts. The kept
+#: counts begin at RECENT, each at its sample number modulo KEPT.
 cpdef enum:
     COUNTS = 0
     ZERO
@@ -75,8 +78,8 @@ cpdef enum:
     RECENT
     KEPT = 64
     WHOLE = 72
-#: And in its real ones: the last input, what it usually changes by, in which part of the samples it stays the same, which
-#: part of its changes come alone, and its mean square.
+#: Indices of an axis's real numbers: the last input, the mean size of its changes, the share of samples without a
+#: change, the share of isolated changes, and the mean square.
 cpdef enum:
     INPUT = 0
     USUAL
@@ -84,18 +87,18 @@ cpdef enum:
     ALONE
     POWER
     REAL
-#: The part by which a sample counts in what is usual, and a change in how changes come.
+#: Weight of a sample in the means of the input, and weight of a change in the share of isolated changes.
 cdef double LATELY = 0.01, SELDOM = 0.05
-#: An input beyond it has no square.
+#: The square of a larger input overflows.
 cdef double MOST_INPUT = 1e150
 
 
 cdef inline int64_t _sum(int64_t a, int64_t b) noexcept nogil:
-    return <int64_t> (<uint64_t> a + <uint64_t> b)  # modulo 2^64, where C leaves the signed sum open
+    return <int64_t> (<uint64_t> a + <uint64_t> b)  # C leaves the overflow of a signed sum undefined
 
 
 cdef inline void _learn(int64_t *whole, double *real, double u) noexcept nogil:
-    """What an input that was not lost adds to what is usual; of the first samples each counts the same."""
+    """Update the statistics of the input by a known sample. The first samples have equal weight."""
     cdef double share = 1.0 / whole[SAMPLES], apart = fabs(u - real[INPUT])
     cdef bint changed = u != real[INPUT]
     share = share if share > LATELY else LATELY
@@ -126,10 +129,10 @@ cdef inline int64_t _follow(int64_t *whole, double *real, double u, int64_t coun
 
 
 cdef class Inputs:
-    """What a monitored axis remembers of its samples, and the counts that its estimator gets.
+    """The recent samples of a monitored axis, and the counts for its estimator.
 
-    After a sample that was lost, u not finite, the counts go on from the last: whatever the counter did meanwhile, no
-    speed explains it.
+    A sample with an input that is not finite is lost. The counts resume from their last value after a lost sample,
+    because no speed explains a change during the loss.
     """
 
     cdef int64_t _whole[WHOLE]
@@ -140,14 +143,15 @@ cdef class Inputs:
         self._real[ALONE] = 1.0
 
     def step(self, double u, counts):
-        """The counts of one sample; those of a lost one are not looked at. Raises TypeError for no integer."""
+        """Return the estimator's counts for one sample. Counts of a lost sample are ignored. Raises TypeError unless
+        the counts are an integer."""
         cdef int64_t read = 0
         if isfinite(u):
             read = <int64_t> PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         return _follow(self._whole, self._real, u, read)
 
     def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
-        """The counts (n,) of many samples, u, counts: (n,)."""
+        """Return the estimator's counts (n,) for the samples u, counts (n,)."""
         cdef Py_ssize_t k
         if u.shape[0] != counts.shape[0]:
             raise ValueError(f"u and counts must have one length, got {u.shape[0]} and {counts.shape[0]}")
@@ -157,12 +161,12 @@ cdef class Inputs:
         return found
 
     def rebase(self, counts):
-        """The counter would have shown `counts` at the last sample. Raises TypeError for no integer."""
+        """Set the counter's reading at the last sample. Raises TypeError unless the reading is an integer."""
         cdef uint64_t read = PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         self._whole[ZERO] = _sum(self._whole[COUNTS], -read)
 
     def pass_over(self, int64_t samples):
-        """Adds samples, of which nothing is known."""
+        """Add unknown samples."""
         if samples <= 0:
             return
         self._whole[SAMPLES] += samples
@@ -170,72 +174,72 @@ cdef class Inputs:
         self._whole[RECENT + self._whole[SAMPLES] % KEPT] = self._whole[COUNTS]
 
     def before(self, int64_t samples):
-        """The counts a number of samples before the last, fewer than `fresh`."""
+        """Return the counts `samples` samples before the last one, with samples < `fresh`."""
         return self._whole[RECENT + <uint64_t> (self._whole[SAMPLES] - samples) % KEPT]
 
     @property
     def fresh(self):
-        """The number of kept counts that follow one another, the last among them."""
+        """The number of consecutive kept counts, including the last."""
         return self._whole[FRESH]
 
     @property
     def counts(self):
-        """The last, on the axis' own scale."""
+        """The last counts on the axis's own scale."""
         return self._whole[COUNTS]
 
     @property
     def zero(self):
-        """What is added to what the counter shows."""
+        """The difference between the axis's scale and the counter."""
         return self._whole[ZERO]
 
     @property
     def change(self):
-        """Of the counts in the last sample."""
+        """The change of the counts in the last sample."""
         return self._whole[CHANGE]
 
     @property
     def samples(self):
-        """So far, the lost ones among them."""
+        """The number of samples so far, including lost samples."""
         return self._whole[SAMPLES]
 
     @property
     def lost(self):
-        """Whether the last sample was."""
+        """Whether the last sample was lost."""
         return self._whole[LOST] != 0
 
     @property
     def input(self):
-        """The last that was not lost."""
+        """The last known input."""
         return self._real[INPUT]
 
     @property
     def usual(self):
-        """What the input changes by from sample to sample, of late."""
+        """The recent mean size of the change of the input from sample to sample."""
         return self._real[USUAL]
 
     @property
     def known(self):
-        """Whether any sample was not lost."""
+        """Whether any input is known."""
         return self._whole[KNOWN] != 0
 
     @property
     def same(self):
-        """The part of the samples in which the input stays the same, of late."""
+        """The recent share of samples in which the input stays the same."""
         return self._real[SAME]
 
     @property
     def alone(self):
-        """The part of the input's changes before which it stayed the same, of late."""
+        """The recent share of isolated changes among the input's changes."""
         return self._real[ALONE]
 
     @property
     def power(self):
-        """The mean square of the input, of late."""
+        """The recent mean square of the input."""
         return self._real[POWER]
 
     @property
     def numbers(self):
-        """All that, as arrays, whole and real."""
+        """The integers and the real numbers of the object, as two arrays."""
         return np.array([self._whole[i] for i in range(WHOLE)], np.int64), np.array([self._real[i] for i in range(REAL)])
 
     @numbers.setter
@@ -249,8 +253,11 @@ cdef class Inputs:
 
 def follow_many(cnp.ndarray[int64_t, ndim=2, mode="c"] whole not None, cnp.ndarray[double, ndim=2, mode="c"] real not None,
                 cnp.ndarray[double, ndim=2, mode="c"] u not None, cnp.ndarray[int64_t, ndim=2, mode="c"] counts not None):
-    """The counts (axes, n) that the estimators of many axes get, u, counts: (axes, n); whole (axes, WHOLE) and
-    real (axes, REAL): the numbers of their `Inputs`, which go on. Raises ValueError for other shapes."""
+    """Return the estimators' counts (axes, n) for samples u, counts (axes, n) of many axes.
+
+    `whole` (axes, WHOLE) and `real` (axes, REAL) are the `numbers` of the axes' `Inputs`, and are updated. Raises
+    ValueError for other shapes.
+    """
     cdef Py_ssize_t axes = u.shape[0], n = u.shape[1], axis, k
     shapes = [np.shape(table) for table in (counts, whole, real)]
     if shapes != [(axes, n), (axes, WHOLE), (axes, REAL)]:
@@ -265,8 +272,9 @@ def follow_many(cnp.ndarray[int64_t, ndim=2, mode="c"] whole not None, cnp.ndarr
 
 def last_flags(cnp.ndarray[uint32_t, ndim=2, mode="c"] status not None, cnp.ndarray[double, ndim=2, mode="c"] u not None,
                cnp.ndarray[uint32_t, mode="c"] flagged not None, uint32_t mask):
-    """The rows of status and u, (axes, n), with a bit of the mask in a sample that was not lost; flagged (axes,) becomes
-    the status of the last of those. Raises ValueError for other shapes."""
+    """Return the rows of `status` (axes, n) with a bit of the mask in a sample that is not lost. The inputs u (axes,
+    n) show the lost samples. `flagged` (axes,) becomes the status of the last known sample. Raises ValueError for
+    other shapes."""
     cdef Py_ssize_t axes = u.shape[0], n = u.shape[1], axis, k
     _check(np.shape(status) == (axes, n) and flagged.shape[0] == axes)
     cdef cnp.ndarray[unsigned char, mode="c"] found = np.zeros(axes, np.uint8)
@@ -280,9 +288,12 @@ def last_flags(cnp.ndarray[uint32_t, ndim=2, mode="c"] status not None, cnp.ndar
 
 
 def bars(cnp.ndarray factor not None, cnp.ndarray variance not None, cnp.ndarray inflation not None, found=None):
-    """Standard deviations (..., p) by variance factors (..., p), scaled by the inflation (..., p) once it is known, and
-    variances (...,) of innovations; infinite where there are none yet. found: to be filled with them, None: a new one.
-    Raises ValueError for other shapes, and for arrays with gaps."""
+    """Return standard errors (..., p) from variance factors (..., p), inflations (..., p) and innovation variances
+    (...,).
+
+    An inflation of zero is not yet known, and does not scale. A standard error without an innovation variance is
+    infinite. `found` is an array for the results. Raises ValueError for other shapes and arrays with gaps.
+    """
     std = np.empty(np.shape(factor)) if found is None else found
     shape = np.shape(factor)
     cdef const double *factors = <double *> _table(factor, np.float64, shape)
@@ -298,8 +309,8 @@ def bars(cnp.ndarray factor not None, cnp.ndarray variance not None, cnp.ndarray
 
 
 def put_rows(cnp.ndarray table not None, cnp.ndarray index not None, cnp.ndarray rows not None):
-    """Other numbers for some rows `index` (k,) of a table, from rows (k, ...) of the same type. Raises ValueError for
-    other shapes or places, and for arrays with gaps."""
+    """Replace the rows `index` (k,) of a table by `rows` (k, ...) of the same type. Raises ValueError for other
+    shapes, wrong indices and arrays with gaps."""
     cdef Py_ssize_t size = rows.shape[0], n = table.shape[0], k
     cdef const int64_t *places = <int64_t *> _table(index, np.int64, (size,))
     shape = np.shape(rows)[1:]

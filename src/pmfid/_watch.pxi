@@ -1,4 +1,4 @@
-# What a watch makes of the blocks of its axes: see `monitor.watching`. Part of _stage.pyx.
+# The watch over the blocks of many axes for `monitor.watching`. Part of _stage.pyx.
 
 cdef extern from "pmf.h":
     enum:
@@ -6,9 +6,9 @@ cdef extern from "pmf.h":
         PMF_POOR_EXCITATION
         PMF_STANDSTILL
 
-#: A block with less of the average information tells nothing.
+#: Least information of a block that counts, as a fraction of the average block.
 cdef double INFORMATIVE = 0.05
-#: Numbers of the states in which an axis is quiet, and the reason if nothing can be known, by its place in `watching.REASONS`.
+#: Numbers of the states of a quiet axis, and indices in `watching.REASONS` why an axis cannot be judged.
 cdef enum:
     STARTING = 0
     WATCHING = 1
@@ -22,8 +22,8 @@ cdef enum:
 
 
 def waiting_after(bint lost, int64_t waiting, int64_t wait):
-    """Blocks that are still to wait, after one in which the filters settled all the time (lost) or not: there the
-    simulated motion has lost the plant. While there are any, blocks count for nothing."""
+    """Return the number of blocks still to wait. A lost block, in which the filters settled all the time, restarts the
+    wait. Blocks do not count during the wait, because the simulated motion has lost the plant."""
     return _waiting_after(lost, waiting, wait)
 
 
@@ -44,7 +44,7 @@ cdef struct Plan:
     int64_t silent_blocks
 
 
-#: What is known of an axis: rows of `monitor.arrays.Watched`.
+#: The data of an axis: one row of `monitor.arrays.Watched`.
 cdef struct Own:
     uint8_t *state
     int64_t *waiting
@@ -122,7 +122,7 @@ cdef inline bint _crossed(const Plan *plan, const Own *own, double information, 
 
 
 cdef inline void _look(const Plan *plan, const Own *own, uint32_t status, uint8_t *wanted, uint8_t *reason) noexcept nogil:
-    """The last that holds."""
+    """Find the new state and its reason. The last condition that holds decides."""
     wanted[0], reason[0] = own.state[0], NOTHING
     if own.silence[0] == 0:
         wanted[0] = WATCHING
@@ -149,7 +149,7 @@ cdef inline Py_ssize_t _detection_size(const Plan *plan) noexcept nogil:
     return plan.p * _rows_of(plan.detector.kind, plan.detector.window)
 
 
-#: Where the units of the axes are kept, the last `places` of each in a ring.
+#: Units of the axes, with the last `places` units of each axis in a ring.
 cdef struct Ring:
     double *units
     double *begun
@@ -162,7 +162,7 @@ cdef inline void _push(const Plan *plan, const Ring *ring, int64_t axis, int64_t
     ring.begun[place] = begun
 
 
-#: As they were, for an axis that turns out not to be quiet.
+#: Earlier values of an axis, for the case that the axis is not quiet.
 cdef struct Before:
     uint8_t state
     int64_t waiting, silence, members, units
@@ -187,7 +187,8 @@ cdef inline void _take_back(const Plan *plan, const Own *own, const Before *kept
     memcpy(own.detection, room + plan.width, _detection_size(plan) * sizeof(double))
 
 
-#: A piece of samples of an axis: its blocks, the status of all samples, the place of the first block's last one.
+#: Samples of an axis in one piece: its blocks, the status of all samples, and the index of the first block's last
+#: sample.
 cdef struct Piece:
     const double *blocks
     const uint8_t *lost
@@ -197,8 +198,8 @@ cdef struct Piece:
 
 
 cdef inline bint _go_on(const Plan *plan, const Own *own, const Ring *ring, int64_t axis, const Piece *piece, uint8_t *wanted, uint8_t *reason) noexcept nogil:
-    """Whether the axis crosses the threshold: then it stops there. What was pushed until then is what a monitor by
-    itself will push at these places."""
+    """Process blocks until the axis crosses the threshold, and return whether it does. The units in the ring are then
+    those that a single monitor pushes to the same places."""
     cdef double counted[MOST * (1 + 2 * MOST)]
     cdef double unit[MOST * (1 + 2 * MOST)]
     cdef double information
@@ -220,9 +221,12 @@ cdef inline bint _go_on(const Plan *plan, const Own *own, const Ring *ring, int6
 
 
 cdef class Watcher:
-    """The numbers of a watch. norms, seen: of blocks and of units; work: None, or size, offset (p,) and limit (p,) of
-    units of work; threshold: of the statistic; block_time [s]; silent_blocks: without information after which nothing
-    can be known. All arrays are those of `monitor.arrays`. Raises ValueError where the shapes do not fit."""
+    """The watch over axes of one configuration, with arrays of `monitor.arrays`.
+
+    `norms` and `seen` scale blocks and units. `work` holds the size, the offset (p,) and the limit (p,) of units of
+    work, or is None. `threshold` applies to the statistic. `block_time` is in [s]. After `silent_blocks` blocks without
+    information an axis cannot be judged. Raises ValueError for shapes that do not fit.
+    """
 
     cdef Plan plan
     cdef object _kept
@@ -264,21 +268,22 @@ cdef class Watcher:
         return ring
 
     def informed(self, watched, cnp.ndarray block not None, bint lost):
-        """One axis: a block (1, width), as far as it counts, and its information."""
+        """Return the part of one axis's block (1, width) that counts, and its information."""
         cdef Own own = self._one(watched)
         cdef cnp.ndarray found = np.empty((1, self.plan.width))
         information = _inform(&self.plan, &own, lost, <double *> _table(block, np.float64, (1, self.plan.width)), <double *> cnp.PyArray_DATA(found))
         return found, information
 
     def whole(self, watched, cnp.ndarray block not None, double information, double time):
-        """One axis: whether a block that counts, (1, width), completes a unit, and the unit (1, width). time: of it."""
+        """Add a block (1, width) at time [s] to one axis. Returns whether it completes a unit, and the unit (1, width).
+        """
         cdef Own own = self._one(watched)
         cdef cnp.ndarray unit = np.empty((1, self.plan.width))
         done = _gather(&self.plan, &own, <double *> _table(block, np.float64, (1, self.plan.width)), information, time, <double *> cnp.PyArray_DATA(unit))
         return done, unit
 
     def counted(self, watched, disturbed, cnp.ndarray unit not None):
-        """One axis: keeps a unit (1, width), takes it into the statistic; its information."""
+        """Store a unit (1, width) of one axis and update the statistic. Returns the information of the unit."""
         cdef Own own = self._one(watched)
         cdef Ring ring = self._ring(disturbed, 1)
         cdef const double *numbers = <double *> _table(unit, np.float64, (1, self.plan.width))
@@ -286,13 +291,12 @@ cdef class Watcher:
         return _count(&self.plan, &own, numbers)
 
     def crossed(self, watched, double information, uint32_t status):
-        """One axis: whether a suspicion begins."""
+        """Return whether a suspicion begins on one axis."""
         cdef Own own = self._one(watched)
         return _crossed(&self.plan, &own, information, status)
 
     def looked(self, watched, uint32_t status):
-        """One axis: the state that it should be in, whether there is anything to tell from, and why, as a place in
-        `watching.REASONS`."""
+        """Return the new state of one axis, and the reason as an index in `watching.REASONS`."""
         cdef Own own = self._one(watched)
         cdef uint8_t wanted, reason
         _look(&self.plan, &own, status, &wanted, &reason)
@@ -303,11 +307,14 @@ cdef class Watcher:
         return self._hold(watched)
 
     def run(self, watched, disturbed, index, scored, status, samples, filled, int64_t size, double dt):
-        """Pieces of n samples of k quiet axes, the rows index (k,) of what is known of all. scored: blocks
-        (k, most, width) and lost (k, most) of `ManyKernel.score`; status: (k, n); samples: (k,) before the piece;
-        filled: (k,) samples of the block under way then; size: of a block. Returns (k, most) the states after each
-        block, the last one again where an axis has fewer, and why, as places in `watching.REASONS`; and (k,) which axes
-        crossed the threshold: of these nothing that is known has changed. Releases the interpreter meanwhile."""
+        """Process a piece of n samples on k quiet axes, which are the rows `index` (k,) of all axes.
+
+        `scored` holds blocks (k, most, width) and lost (k, most) from `ManyKernel.score`. `status` is (k, n). `samples`
+        (k,) were processed before the piece, `filled` (k,) of them in the unfinished block. `size` is the number of
+        samples in a block. Returns the states and the reasons (k, most) after each block, and which axes (k,) crossed
+        the threshold. Shorter rows repeat their last state. The data of an axis that crossed stay unchanged. The call
+        releases the interpreter.
+        """
         blocks, lost = scored
         k, n, most = len(index), np.shape(status)[1], np.shape(lost)[1]
         cdef Own all = self._hold(watched)

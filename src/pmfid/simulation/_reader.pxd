@@ -1,27 +1,27 @@
-"""An incremental encoder, read once per sample: lines off their place, edges that jitter, edges that are missed."""
+"""An incremental encoder, read once per sample, with displaced lines, jittering edges and missed edges."""
 
 from libc.float cimport DBL_MAX
 from libc.math cimport fabs, floor, log, log1p
 from libc.stdint cimport int64_t, uint64_t
 
-# Beyond 2**53 neighbouring whole numbers are no longer separate doubles: a count would be made up.
+# Neighbouring integers beyond 2**53 are not separate doubles, so that a count would be arbitrary.
 cdef enum: COUNT_BITS = 53
 
 
 cdef struct Reader:
     double resolution, phase     # m per count, m
-    const double *lines          # line k of a turn lies at k + lines[k] counts
+    const double *lines          # line k of a turn is at k + lines[k] counts
     int64_t line_count
-    const double *shift          # of the whole scale, per sample [counts], or NULL
+    const double *shift          # shift of the scale in each sample [counts], or NULL
     double log_seen              # log(1 - probability of a missed edge)
     uint64_t random              # state of SplitMix64
-    double until_missed          # edges up to the next one that is missed
+    double until_missed          # number of edges up to the next missed edge
     int64_t level, lost
     bint started
 
 
 cdef inline double uniform(Reader *reader) noexcept nogil:
-    """In (0, 1): SplitMix64 (Steele, Lea and Flood 2014), upper 53 bits."""
+    """Return a random number in (0, 1), the upper 53 bits of SplitMix64 (Steele, Lea and Flood 2014)."""
     cdef uint64_t z
     reader.random += <uint64_t>0x9E3779B97F4A7C15
     z = reader.random
@@ -31,7 +31,7 @@ cdef inline double uniform(Reader *reader) noexcept nogil:
 
 
 cdef inline double next_missed(Reader *reader) noexcept nogil:
-    """Edges up to and including the next missed one: geometric, by inversion."""
+    """Return the number of edges up to and including the next missed one, geometric by inversion."""
     return DBL_MAX if reader.log_seen == 0.0 else 1.0 + floor(log(uniform(reader)) / reader.log_seen)
 
 
@@ -58,7 +58,7 @@ cdef inline double line_error(Reader *reader, double line) noexcept nogil:
 
 
 cdef inline int64_t level_of(Reader *reader, double x, Py_ssize_t sample) noexcept nogil:
-    """Number of the last line below x."""
+    """Return the number of the last line below x."""
     cdef double place = (x + reader.phase) / reader.resolution, level
     if reader.shift != NULL:
         place += reader.shift[sample]
@@ -71,7 +71,7 @@ cdef inline int64_t level_of(Reader *reader, double x, Py_ssize_t sample) noexce
 
 
 cdef inline int64_t read(Reader *reader, double x, Py_ssize_t sample) noexcept nogil:
-    """The count: of the edges between this sample and the last, some are not counted."""
+    """Return the count at x. Some edges since the last sample are missed."""
     cdef int64_t level = level_of(reader, x, sample), side
     cdef double edges
     if not reader.started:
