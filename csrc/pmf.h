@@ -6,10 +6,10 @@
  *
  *   counts, input -> encoder -> network of first-order stages -> columns -> recursion -> estimate
  *
- * The kernel knows no equation: the configuration lists the stages, and the sums of their outputs that are
- * regressors, target and instruments. Only the optional auxiliary model knows a body with friction, and only the
- * optional linear model knows a transfer function. The kernel uses no malloc, no globals and no libc. Compile with
- * -std=c99 -ffp-contract=off and never with -ffast-math: then every target gives the same bits. */
+ * The kernel has no fixed equation. The configuration lists the stages, and sums their outputs to regressors, target
+ * and instruments. Only the optional auxiliary model knows a body with friction, and only the optional linear model
+ * knows a transfer function. The kernel uses no malloc, no globals and no libc. Every target gives the same bits if
+ * compiled with -std=c99 -ffp-contract=off and without -ffast-math. */
 #ifndef PMF_H
 #define PMF_H
 
@@ -28,8 +28,8 @@ typedef double scalar_t;
 #define PMF_SCALAR(x) (x)
 #endif
 
-/* The configuration consists of scalars. Everything that depends on the data has these types, so that the same source
- * also runs several axes at once: many/pmf_lanes.h then defines them as vectors. */
+/* The configuration consists of scalars. Values that depend on the data have the types below. The file many/pmf_lanes.h
+ * defines these types as vectors, so that the same source runs several axes at once. */
 #ifdef PMF_LANES
 #include "many/pmf_lanes.h"
 #else
@@ -47,13 +47,13 @@ typedef int32_t integer_t;
  * known best one sample later. */
 enum {
     PMF_INPUT = 0, /* input times moving fraction */
-    PMF_VELOCITY = 1, /* mean velocity; the velocity from the counts is that of the last interval */
+    PMF_VELOCITY = 1, /* mean velocity, from the counts that of the last interval */
     PMF_DIRECTION = 2, /* time moving forward minus time moving backward, as a fraction of the interval */
     PMF_MOVING = 3, /* fraction of time moving */
     PMF_FORWARD = 4, /* fraction of time moving forward */
     PMF_BACKWARD = 5, /* minus the fraction of time moving backward */
-    PMF_FORWARD_VELOCITY = 6, /* the velocity's part from moving forward */
-    PMF_BACKWARD_VELOCITY = 7, /* the velocity's part from moving backward */
+    PMF_FORWARD_VELOCITY = 6, /* part of the velocity from moving forward */
+    PMF_BACKWARD_VELOCITY = 7, /* part of the velocity from moving backward */
     PMF_AUXILIARY = 8, /* first signal of the auxiliary model, which has the same eight signals */
     PMF_SPLIT_FORWARD = 16, /* late velocity from the counts while the auxiliary model moves forward */
     PMF_SPLIT_BACKWARD = 17, /* late velocity from the counts while the auxiliary model moves backward */
@@ -68,7 +68,7 @@ enum {
     /* signals of a linear process, which has no auxiliary model: */
     PMF_ONE = PMF_AUXILIARY, /* always 1 */
     PMF_START = PMF_AUXILIARY +
-        1, /* 1 in the first interval, delayed like the other signals: the effect of the initial state */
+        1, /* 1 in the first interval, delayed like the other signals, for the effect of the initial state */
     /* signal of direct methods without an auxiliary model if the step varies: */
     PMF_TURN = PMF_AUXILIARY /* effect of a reversal inside the interval on its mean velocity, per 1/12 of m v' */
 };
@@ -104,8 +104,8 @@ enum {
     PMF_DEAD_TIME = 2048,
     PMF_STATUS_END, /* follows the last bit, so that the union of all bits needs no further edit */
     PMF_STATUS_BITS = 2 * (PMF_STATUS_END - 1) - 1,
-    /* Groups of bits for a reader: theta is no (new) estimate; this sample was left out; effects outside the model, or
-     * a controller, move theta beyond its covariance. */
+    /* Groups of bits. In the first, theta is no new estimate. In the second, the sample was left out. In the third, a
+       controller or effects outside the model move theta beyond its covariance. */
     PMF_NOT_AN_ESTIMATE = PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET,
     PMF_SAMPLE_REJECTED = PMF_INVALID_INPUT | PMF_COUNT_JUMP,
     PMF_DISTORTED = PMF_UNMODELLED | PMF_FEEDBACK | PMF_DEAD_TIME
@@ -127,13 +127,13 @@ typedef struct {
     scalar_t velocity_per_count; /* resolution / dt */
     scalar_t position_per_count; /* resolution */
     uint32_t count_mask; /* 2^bits - 1 */
-    uint32_t max_change; /* a larger change of the count in one sample is a jump; 0: no check */
+    uint32_t max_change; /* largest change of the count in one sample without a jump; 0: no check */
     uint32_t standstill_samples; /* time without a count that means rest, in the unit of `idle` */
     scalar_t position_gain, velocity_gain; /* gains of the tracker, per count */
     scalar_t smooth_end, smooth_start; /* gains of the one-step smoother of the tracker's velocity */
 #if PMF_WITH_PROCESS
-    uint32_t process; /* 1: output of a linear process: positions count from zero, and rest means nothing */
-    uint32_t from_first; /* 1: positions count from the first count; the equation also holds for these */
+    uint32_t process; /* 1: output of a linear process, whose positions count from zero and may rest */
+    uint32_t from_first; /* 1: positions count from the first count, for which the equation also holds */
 #endif
 #if PMF_WITH_GUARD
     uint32_t guard; /* samples in motion for learning, before the guard judges strictly; 0: no guard */
@@ -152,7 +152,7 @@ typedef struct {
 /* Covariances of the tracker for a varying step, which give its gains; the counts have a variance of 1. */
 typedef struct {
     real_t place, cross,
-        speed; /* covariances of the last position and velocity; the first two are also its last gains */
+        speed; /* covariances of the last position and velocity. The first two are also the last gains. */
     real_t start_place, start_speed; /* covariances of the earlier velocity with the last position and velocity */
 } pmf_tracker_t;
 #endif
@@ -175,7 +175,7 @@ typedef struct {
     real_t last; /* prediction error of the last accepted count, while the next ones are suspicious */
     real_t lesson; /* last growth of `scatter` */
     real_t held; /* last input of the filters */
-    whole_t sound; /* samples since a suspicious one, saturating; during learning, samples without a suspicion */
+    whole_t sound; /* samples since the last suspicious sample, saturating */
     real_t earlier; /* error of the prediction before the last */
     real_t fair; /* scatter that motion alone explains */
 } pmf_guard_state_t;
@@ -183,7 +183,7 @@ typedef struct {
 
 typedef struct {
     whole_t count;
-    whole_t idle; /* samples since the last count, or sixteenths of a sample if the step varies; saturating */
+    whole_t idle; /* samples since the last count (sixteenths if the step varies), saturating */
     whole_t gap; /* recent number of samples between counts */
     whole_t fast;
     whole_t started; /* 2 after the second sample of a linear process */
@@ -215,13 +215,13 @@ typedef struct {
 } pmf_stage_t;
 
 #if PMF_WITH_STEPS
-/* Rules by which stages follow a varying step; the coefficients of a stage hold for the sample period. The step over
- * the period is now * (this step) + before * (the preceding step). The first rule belongs to stages that follow no
- * step. Lists replace a list of structures, so that compilers compute several rules at once. */
+/* Rules by which stages follow a varying step. The coefficients of a stage are those for the sample period. The step
+ * ratio is now * (ratio of this step) + before * (ratio of the preceding step). The first rule belongs to stages that
+ * follow no step. Lists replace a list of structures, so that compilers compute several rules at once. */
 typedef struct {
     scalar_t now[PMF_MAX_RATES], before[PMF_MAX_RATES];
     scalar_t half[PMF_MAX_RATES]; /* pole times half the sample period */
-    scalar_t keep[PMF_MAX_RATES]; /* 1: the memory of the stage counts, 0: it does not */
+    scalar_t keep[PMF_MAX_RATES]; /* 1: the memory of the stage counts, 0: the memory is ignored */
     /* effects on the coefficients: constant, by the step, and by the mean square of the step over time */
     scalar_t gain[PMF_MAX_RATES], growth[PMF_MAX_RATES], square[PMF_MAX_RATES];
 } pmf_rates_t;
@@ -259,8 +259,8 @@ typedef struct {
     uint32_t instrumental; /* 0: least squares, 1: instruments in their own columns */
     uint32_t first_column; /* first column of regressors, target and instruments */
     uint32_t min_updates; /* updates before the first estimate */
-    uint32_t residual_updates; /* number of first updates that use the accumulated right-hand side; later ones use the
-                                  innovation */
+    uint32_t residual_updates; /* number of first updates that use the accumulated right-hand side. Later updates use
+                                  the innovation. */
     scalar_t forgetting;
     scalar_t regularization; /* information that is never forgotten, as a fraction of the largest so far */
     scalar_t pivot; /* smallest relative pivot for a first estimate */
@@ -271,7 +271,8 @@ typedef struct {
 #if PMF_WITH_PROCESS
     scalar_t target_noise[PMF_MAX_NOISE]; /* covariance of the known noise in phi z */
     scalar_t target_power; /* power of the known noise in z^2 */
-    uint32_t constant, lowest; /* parameters that hold the output's level, and its share; PMF_NO_PARAMETER: none */
+    uint32_t constant,
+        lowest; /* parameters of the output's constant and of its lowest coefficient; PMF_NO_PARAMETER: none */
     scalar_t lift; /* shift of the constant for the first count, as a multiple of `lowest` */
 #endif
 #if PMF_WITH_SEPARATE
@@ -279,16 +280,16 @@ typedef struct {
 #endif
     uint32_t block; /* updates in a block with correlated errors; the spread of such blocks scales P */
     scalar_t correlated; /* number of updates with equal errors, assumed until such blocks exist */
-    uint32_t half_memory; /* half memory in looks at the size of the motion; 0: nothing is forgotten */
+    uint32_t half_memory; /* half memory, counted in looks at the motion; 0: nothing is forgotten */
     uint32_t leading; /* index of the parameter of the highest derivative */
     scalar_t haste,
-        leak; /* weight of outdated information at the next sample, and of the peaks after half a memory of motion */
+        leak; /* weights of outdated information at the next sample, and of the peaks after half a memory of motion */
     scalar_t shown; /* inverse square of the encoder's error in the leading column */
-    scalar_t outgrown; /* ratio of information in that column to its recent squares, above which the information comes
-                          from larger motions */
+    scalar_t outgrown; /* ratio of information in the leading column to recent squares, above which the information
+                          comes from larger motions */
 #if PMF_WITH_AUXILIARY
-    uint32_t growing; /* the first samples, which come from a poor model, have less weight, by this power of their
-                       * number; more than 1 only with shapes */
+    uint32_t growing; /* power of the sample number as the weight of early samples, whose model is poor; above 1 only
+                         with shapes */
 #endif
 #if PMF_WITH_NOISE
     scalar_t unexplained; /* ratio of mean square innovation to the known noise, above which the model is wrong; 0: no
@@ -323,8 +324,8 @@ typedef struct {
 typedef struct {
     pmf_sums_t sums;
     real_t peak[PMF_MAX_PARAMETERS]; /* largest information in motions of the present size */
-    real_t power, power_before; /* squares of the leading column over the encoder's error, in this half memory of motion
-                                   and in the last */
+    real_t power,
+        power_before; /* squares of the leading column over the encoder's error, in this half memory and the last */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS]; /* 1 / D */
     pmf_estimate_t estimate;
@@ -337,10 +338,9 @@ typedef struct {
     whole_t block_updates, blocks;
     whole_t moved; /* looks at samples in motion in this half memory */
     whole_t swings; /* swings of the leading column in this half memory and the last, as bits */
-    whole_t outdated; /* remaining updates of fast forgetting: the information comes from larger motions than the recent
-                         ones */
+    whole_t outdated; /* remaining updates of fast forgetting, after motions that were larger than the recent ones */
     whole_t excited; /* constant trace: remaining looks for which the axis counts as excited */
-    whole_t since; /* updates since the start, or since information was outdated; saturating */
+    whole_t since; /* updates since the start or since information was outdated, saturating */
     whole_t frozen; /* 1: too little information is left for further forgetting */
 #if PMF_WITH_PROCESS
     real_t lift; /* effect of `lowest` on the constant of the output itself */
@@ -366,24 +366,23 @@ enum {
     PMF_OF_WAVE = 3 /* sine of the position; it has no table */
 };
 
-/* Straight lines between evenly spaced knots; the last value continues beyond them. */
+/* Straight lines between evenly spaced knots. The last value continues beyond the knots. */
 typedef struct {
     uint32_t of;
     uint32_t resists; /* 1: the force acts against the motion, and holds at rest */
-    uint32_t positive; /* 1: its coefficient is never negative */
+    uint32_t positive; /* 1: the coefficient of the shape is never negative */
     uint32_t first, intervals; /* first knot and number of intervals */
-    uint32_t
-        node; /* node for the mean over an interval, with its direction; the stage at this node does not overwrite it */
-    uint32_t measured; /* node for the mean at the place of the counts, for the direct estimate; 0: none */
+    uint32_t node; /* node for the signed mean over an interval, which no stage overwrites */
+    uint32_t measured; /* node for the mean at the measured position, for the direct estimate; 0: none */
     scalar_t start,
-        knots_per_unit; /* first knot and scale, of the speed or the position; for a wave: periods per unit */
+        knots_per_unit; /* first knot and scale of the speed or position. The scale of a wave is in periods per unit. */
 } pmf_shape_t;
 
 typedef struct {
     uint32_t n;
     pmf_shape_t shape[PMF_MAX_SHAPES];
     scalar_t knot[PMF_MAX_KNOTS];
-    scalar_t sum[PMF_MAX_KNOTS]; /* shape of a speed: integral from its first knot, in steps */
+    scalar_t sum[PMF_MAX_KNOTS]; /* integral from the first knot, for shapes of a speed, in steps */
 } pmf_shapes_config_t;
 #endif
 
@@ -394,13 +393,14 @@ typedef struct {
     uint32_t has_initial;
     uint32_t direct_index[PMF_ROLES]; /* index of a role's parameter in the direct recursion; PMF_NO_PARAMETER: none */
     uint32_t index[PMF_ROLES]; /* index of a role's parameter in the instrumental recursion */
-    uint32_t check_column; /* measured filtered velocity; the model's velocity and acceleration follow */
+    uint32_t check_column; /* column of the measured filtered velocity; those of the model's velocity and acceleration
+                              follow */
     uint32_t
-        target_column; /* target, corrected by the error of the discrete filters for the model's own acceleration */
+        target_column; /* column of the target, which is corrected by the filters' error for the model's acceleration */
     uint32_t mass_column; /* column of the instrument of the mass */
-    uint32_t sensitivities; /* number of parameters; 0: the model's stops and reversals count as known */
+    uint32_t sensitivities; /* number of parameters that move the model's stops and reversals; 0: none */
     uint32_t cause[PMF_ROLES],
-        role[PMF_ROLES]; /* the model's signal that each parameter multiplies, and its first role */
+        role[PMF_ROLES]; /* signal of the model that each parameter multiplies, and the first role of the parameter */
     uint32_t trial_samples; /* samples of a new start before it is judged */
     scalar_t dt, input_gain;
     scalar_t jump_gain; /* gain of both stages that filter a blow at a stop */
@@ -411,7 +411,7 @@ typedef struct {
     scalar_t mismatch_limit; /* mean square difference of the velocities, as a fraction of their mean square */
     scalar_t noise_power; /* noise power of the filtered measured velocity */
     scalar_t lag_memory; /* forgetting of the comparison that shows a model ahead of the plant, per sample */
-    scalar_t lag_samples; /* number of samples that count as one in it, because the filters correlate neighbours */
+    scalar_t lag_samples; /* samples that count as one in this comparison, because the filters correlate neighbours */
 #if PMF_WITH_STEPS
     uint32_t steps; /* 1: the step varies */
 #endif
@@ -427,9 +427,8 @@ typedef struct {
 
 /* Effect of a parameter's change on the model's stops. */
 typedef struct {
-    real_t momentum; /* the mass times the deviation of its velocity, over dt */
-    real_t blow,
-        filtered; /* force by which a stop removes this momentum, and this force filtered by one and two stages */
+    real_t momentum; /* mass times the deviation of the velocity, over dt */
+    real_t blow, filtered; /* force by which a stop removes the momentum, and the force after one and two stages */
 } pmf_jump_t;
 
 typedef struct {
@@ -437,7 +436,7 @@ typedef struct {
     real_t velocity, position;
     pmf_jump_t jump[PMF_ROLES]; /* effect of each parameter on the stops */
     real_t power, mismatch;
-    real_t cross, innovations, changes; /* products of the innovations and the changes of the input; their squares */
+    real_t cross, innovations, changes; /* products of innovations and changes of the input, and their squares */
     whole_t running; /* 1: the model has parameters */
     whole_t trial; /* samples until the model is judged */
     whole_t trusted;
@@ -452,7 +451,8 @@ typedef struct {
 } pmf_auxiliary_state_t;
 
 #if PMF_WITH_LAG
-/* exp(-t / lag) over a part of a sample: its end, its integral, and the integral of t exp(-t / lag); t in samples. */
+/* Values of exp(-t / lag) over a part of a sample: the end value, the integral, and the integral of t exp(-t / lag), t
+ * in samples. */
 typedef struct {
     scalar_t rest, mean, moment;
 } pmf_decay_t;
@@ -465,23 +465,24 @@ typedef struct {
     scalar_t rate; /* samples per second */
     scalar_t dead_time; /* dead time [s], if no auxiliary model has its own */
 #if PMF_WITH_DEAD_TIME_FOUND
-    uint32_t found; /* 1: the dead time is estimated, as the last parameter */
+    uint32_t found; /* 1: the last parameter is an estimated dead time */
     uint32_t within; /* 1: the motion within the counts also estimates it */
     scalar_t counts; /* counts per unit of position */
     scalar_t growth; /* growth of the covariance of the estimated parameters, per sample */
 #endif
 #if PMF_WITH_LAG
-    uint32_t lags; /* 1: the input has a lag; the dead time is then known */
-    pmf_decay_t decay[2]; /* decay over the older input's part of an interval, and over the newer one's */
+    uint32_t lags; /* 1: the input has a lag and a known dead time */
+    pmf_decay_t decay[2]; /* decays over the parts of the older and the newer input */
 #endif
 } pmf_late_config_t;
 
 typedef struct {
-    real_t past[PMF_MAX_LATE]; /* ring of inputs; the input at `at` acts first in the interval of the counts */
-    real_t older, newer, part; /* inputs that act in that interval; the older one acts for the fraction `part` */
+    real_t past[PMF_MAX_LATE]; /* ring of inputs. The input at `at` acts first in the interval of the counts. */
+    real_t older, newer,
+        part; /* inputs that act in the interval of the counts. The older input acts for the fraction `part`. */
     real_t gathered; /* dead time of the accumulated sums [s] */
 #if PMF_WITH_LAG
-    real_t lagged; /* output of the lag at the end of that interval */
+    real_t lagged; /* output of the lag at the end of the interval */
 #endif
     whole_t at;
 } pmf_late_state_t;
@@ -499,11 +500,11 @@ typedef struct {
     real_t push, speed; /* largest force of the input, and largest speed */
     real_t begun; /* dead time of the motion at its beginning */
     real_t before, unsure; /* earlier dead time of the motion, and its variance */
-    real_t surprise, expected; /* squares of its distance beyond an edge, observed and expected */
+    real_t surprise, expected; /* squares of the distance beyond an edge, observed and expected */
     integer_t change; /* change of the counts in the last interval */
     whole_t running;
     whole_t age, near; /* samples since the beginning of the motion, and samples near an edge; saturating */
-    whole_t looks; /* 1: the motion began from its own earlier result, 2: and the result stayed */
+    whole_t looks; /* 1: the motion began from its own earlier result; 2: the result also stayed */
     whole_t tries; /* beginnings since the motion was last accepted */
     whole_t believes; /* source of the accepted dead time, PMF_BELIEVES_... */
 } pmf_found_state_t;
@@ -514,8 +515,8 @@ typedef struct {
 /* A linear process, simulated from the input alone with a slow copy of the estimate, and the filters 1 / A(s). */
 typedef struct {
     uint32_t enabled;
-    uint32_t n, m, offset; /* parameters: a_0 to a_(n-1), b_0 to b_m and the constant, if there is one */
-    uint32_t input_node; /* held input, delayed like the output and by its dead time */
+    uint32_t n, m, offset; /* the parameters are a_0 to a_(n-1), b_0 to b_m, and the constant if offset is 1 */
+    uint32_t input_node; /* node of the held input, delayed like the output and by the dead time */
     uint32_t first_column; /* first column of regressors, target and instruments */
     uint32_t update_samples; /* samples between two computations of the filters from the copy */
     uint32_t settle_samples; /* samples in addition to the settling of the process itself */
@@ -544,12 +545,12 @@ typedef struct {
     real_t parameter[PMF_MAX_PARAMETERS]; /* parameters of the copy */
     real_t b[PMF_MAX_PARAMETERS]; /* numerator in the form of the simulation */
     pmf_linear_filter_t own,
-        fast; /* filters of the copy, and more damped filters for data if those of the copy would settle too late */
+        fast; /* filters of the copy, and more damped filters for data if the copy's filters settle too late */
     pmf_linear_signals_t behind_own, behind_fast;
-    pmf_linear_signals_t bent; /* differences of the coefficients of these signals if time counts in samples */
+    pmf_linear_signals_t bent; /* corrections of the coefficients of these signals, with time in samples */
     real_t settling[PMF_MAX_ORDER];
     real_t output, power, mismatch;
-    real_t discount; /* weight of the sums from other filters; 1 if the filters did not change */
+    real_t discount; /* weight of sums from earlier filters; 1 if the filters did not change */
     whole_t since; /* updates of the direct estimate at the start */
     whole_t wait, age, unsettled, settled;
     whole_t running, in_charge;
@@ -560,7 +561,8 @@ typedef struct {
 typedef struct {
     uint32_t settle_samples;
 #if PMF_WITH_PROCESS
-    uint32_t first_samples; /* settling at the start, shorter if the initial state is part of the equation */
+    uint32_t first_samples; /* samples of settling at the start. The value is shorter if the initial state is part of
+                               the equation. */
 #endif
     pmf_encoder_config_t encoder;
     pmf_network_config_t network;
@@ -583,7 +585,7 @@ typedef struct {
     whole_t status;
     whole_t settle; /* samples until the filters have forgotten their start */
 #if PMF_WITH_GUARD
-    whole_t hold; /* samples until they have forgotten the replacement of a suspicious sample */
+    whole_t hold; /* samples until the filters have forgotten the replacement of a suspicious sample */
 #endif
     pmf_encoder_state_t encoder;
     pmf_network_state_t network;
@@ -610,20 +612,20 @@ typedef struct {
 } pmf_state_t;
 
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
-/* Reset the counter: it would have read `count` at the last sample. Estimate and filters stay. */
+/* Set the reading of the counter at the last sample. Estimate and filters stay. */
 void pmf_rebase(pmf_state_t *state, uint32_t count);
 /* Report lost samples before pmf_step() of the next one, which reads `count`. Filters and model restart with its
  * motion; the sums of the estimate stay. A few lost samples are better replaced by straight lines and stepped through.
  */
 void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
-/* Report that the last sample was a guess: the recursion skips the next `samples` (in slow motion some more), at most
- * the settling time of the filters. The filters go on. */
+/* Report that the last sample was a guess. The recursion skips `samples` samples, or more in slow motion, at most the
+ * settling time. The filters continue. */
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples);
-/* Process one sample: `input` is applied from now on, `count` is read now. Returns the status bits. */
+/* Process one sample: `input` acts from the moment at which `count` is read. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 #if PMF_WITH_STEPS
-/* Set the time since the last sample [s] before pmf_step() of a configuration with a rate; without this call it is the
- * sample period. A step that is not positive, or longer than 100 periods, is flagged as an invalid input. */
+/* Set the time since the last sample [s] before pmf_step() if the configuration has a rate. The default is the sample
+ * period. A step that is not positive, or longer than 100 periods, is flagged as an invalid input. */
 void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step);
 #endif
 /* Write P of the estimate (n x n, row by row), with theta_cov = innovation variance times P. A borrowed estimate of
@@ -631,12 +633,12 @@ void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step);
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
 /* Return the estimate of the last step. */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
-/* Open the memory after a change of the plant: the information on one parameter, or with PMF_NO_PARAMETER on all, is
- * multiplied by root^2, 0 < root <= 1. The estimate stays; filters and auxiliary model go on. The inflation of standard
- * errors restarts, also with root = 1. */
+/* Open the memory after a change of the plant. The information on one parameter, or on all with PMF_NO_PARAMETER, is
+ * multiplied by root^2, 0 < root <= 1. Estimate, filters and auxiliary model stay. The inflation of standard errors
+ * restarts, also with root = 1. */
 void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
-/* Return the variance of an estimated parameter, for the observed colour of the innovations; PMF_UNKNOWN before the
- * first estimate. */
+/* Return the variance of an estimated parameter, corrected for coloured innovations. Before the first estimate the
+ * variance is PMF_UNKNOWN. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
 #define PMF_UNKNOWN PMF_R(1e30)
 /* Return the number of parameters of the estimate. */
@@ -665,7 +667,8 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state);
 /* Return the CRC-32 of ISO 3309 (Ethernet, zlib); `crc` is the CRC of the preceding data, 0 at the start. */
 uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size);
 
-/* An alarm on a parameter of the estimate, after every step. Its sums are not part of the state: clear them to start.
+/* An alarm on a parameter of the estimate, after every step. The sums of the alarm are not part of the state. Clear the
+ * sums at the start.
  */
 typedef struct {
     uint32_t parameter;
@@ -685,7 +688,7 @@ typedef struct {
 int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums, const pmf_config_t *config,
                        const pmf_state_t *state);
 
-/* Effects of compiler options on the arithmetic of this build, as bits; 0: the bits are those of Python. */
+/* Effects of compiler options on this build's arithmetic, as bits. With 0 the results have the bits of Python. */
 enum { PMF_CONTRACTED = 1, PMF_REARRANGED = 2, PMF_NO_NAN = 4, PMF_FLUSHED = 8 };
 uint32_t pmf_arithmetic(void);
 

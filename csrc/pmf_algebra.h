@@ -46,7 +46,7 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
             pivot -= sum * lower[i][j];
         }
         inverse[i] =
-            PMF_R(1.0) / PMF_IF(pivot > floor, pivot, floor); /* floor > 0: P stays positive for any information */
+            PMF_R(1.0) / PMF_IF(pivot > floor, pivot, floor); /* a floor > 0 keeps P positive for any information */
     }
 }
 
@@ -100,7 +100,7 @@ typedef struct {
     real_t lower[N][N], inverse[N], half[N][N];
 } projection_t;
 
-/* Compute information = W^T Z^-1 W (lower half) and move = W^T Z^-1 move; keep the factors for `project_more`. */
+/* Compute information = W^T Z^-1 W (lower half) and move = W^T Z^-1 move. The factors stay for `project_more`. */
 PMF_INLINE void project(pmf_recursion_state_t *state, uint32_t p, projection_t *projection, real_t information[N][N],
                         real_t move[N])
 {

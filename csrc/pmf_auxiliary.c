@@ -43,7 +43,7 @@ static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parame
  * from the root of order 1. */
 static real_t stop_time(real_t z, real_t speed, real_t target)
 {
-    real_t q = speed / (speed - target); /* 1 - exp(-z t) at the stop; target has the opposite sign */
+    real_t q = speed / (speed - target); /* 1 - exp(-z t) at the stop, with a target of the opposite sign */
     real_t x = PMF_R(2.0) * q / (PMF_R(2.0) - q);
     uint32_t i;
     for (i = 0; i < NEWTON_TURNS; ++i) {
@@ -62,7 +62,8 @@ static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backw
     real_t sign = PMF_IF(backward, PMF_R(-1.0), PMF_R(1.0));
     real_t net = sign * body->force - PMF_IF(backward, body->coulomb[1], body->coulomb[0]);
     real_t speed = sign * phase->velocity, h = phase->left, z, n, phi, end, distance;
-    /* a little damping always makes the division by z safe; below it the motion over dt is that of constant force */
+    /* A little damping makes the division by z safe. With less damping the motion over dt is that of a constant force.
+     */
     real_t rate = PMF_IF(backward, body->viscous[1], body->viscous[0]) / body->mass * dt + PMF_R(1e-9);
     real_t target = net * dt / (body->mass * rate);
     z = rate * h;
@@ -243,7 +244,7 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 }
 
 #if PMF_LATE
-/* The older input acts for a part of the interval, the newer one for the rest; the simulation of both parts is exact.
+/* The older input acts for a part of the interval, the newer input for the remainder. Both parts are simulated exactly.
  */
 PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                      const pmf_late_state_t *late, real_t *signal)
@@ -261,7 +262,7 @@ PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_a
     rest.velocity = phase.velocity;
     rest.left = PMF_R(1.0) - late->part;
     moved = PMF_SPAN(config, state) * (phase.distance[0] + phase.distance[1]);
-    state->position += moved; /* start of the shapes in the second part */
+    state->position += moved; /* the shapes start again for the second part */
     advance(config, state, &second, &rest, signal);
     state->position -= moved;
     pushed = late->older * (phase.moving[0] + phase.moving[1]) + late->newer * (rest.moving[0] + rest.moving[1]);
@@ -309,7 +310,7 @@ PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxil
     state->trial = PMF_W(config->trial_samples);
 }
 
-/* Restart a model that lost the plant at the measured velocity, as often as needed. */
+/* Restart a model that lost the plant. The restart sets the measured velocity. */
 static void try_again(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t velocity)
 {
     state->trusted = PMF_W(0);
@@ -327,7 +328,7 @@ PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_au
     real_t limit;
     truth_t running = state->running != 0U, looks, judged, lost;
     if (config->adapt == 0U) {
-        return running | PMF_NOT(running); /* without a check, the model passes */
+        return running | PMF_NOT(running); /* a model without a check is accepted */
     }
     if (!PMF_ANY(running)) {
         return running;

@@ -1,4 +1,4 @@
-/* An input that acts late: the input that drives the axis in the interval of the counts. Only pmf_step.c includes this
+/* An input that acts late drives the axis in the interval of the counts. Only pmf_step.c includes this
  * file.
  * SPDX-License-Identifier: Apache-2.0
  *
@@ -11,11 +11,11 @@
 
 #if PMF_LATE
 
-/* Distance [samples] from the accepted dead time, above which the sums were linearised too far away. */
+/* Distance [samples] from the accepted dead time at which sums count less, because of their linearisation. */
 #define FAR_AWAY PMF_R(0.25)
 #define ROOT_OF_ANOTHER \
-    PMF_R(0.1) /* root of the weight of these sums if the motion within the counts has looked again */
-#define ROOT_OF_FAR_AWAY PMF_R(0.25) /* root of the weight of these sums in other cases */
+    PMF_R(0.1) /* root of the weight of distant sums after a second look of the motion within the counts */
+#define ROOT_OF_FAR_AWAY PMF_R(0.25) /* root of the weight of distant sums in other cases */
 
 static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -41,7 +41,7 @@ static void acts_behind(const pmf_late_config_t *late, const pmf_late_state_t *s
     *newer = state->past[(state->at + whole) % kept];
 }
 
-/* Delay the input after the encoder, whose input is that of the interval before the last, like its other signals. */
+/* Delay the input after the encoder. All signals of the encoder belong to the interval before the last. */
 static void delay_input(const pmf_config_t *config, pmf_state_t *state)
 {
     const pmf_late_config_t *late = &config->late;
@@ -61,7 +61,7 @@ static void delay_input(const pmf_config_t *config, pmf_state_t *state)
 }
 
 #if PMF_WITH_AUXILIARY
-/* The regressor of the dead time is a derivative at the model's dead time; the direct target counts from there. */
+/* The regressor of the dead time is a derivative at the model's dead time, from which the direct target counts. */
 static void correct_direct(const pmf_config_t *config, const pmf_state_t *state, real_t *column)
 {
     uint32_t index = config->auxiliary.direct_index[PMF_DELAY], first = config->direct.first_column;
@@ -71,10 +71,10 @@ static void correct_direct(const pmf_config_t *config, const pmf_state_t *state,
 }
 
 #if PMF_FOUND
-#define APART PMF_R(4.0) /* limit in standard deviations */
-#define HALF PMF_R(0.5) /* [samples]: least standard deviation of a dead time that is kept */
-#define GUESSED PMF_R(5.0) /* times that: the dead time is unknown */
-#define WELL_KNOWN PMF_R(0.1) /* standard deviation [samples] of a dead time that the recursion alone knows well */
+#define APART PMF_R(4.0) /* contradiction [standard deviations] of the dead time */
+#define HALF PMF_R(0.5) /* least standard deviation [samples] of a dead time that is held */
+#define GUESSED PMF_R(5.0) /* a dead time is unknown above this multiple of WELL_KNOWN */
+#define WELL_KNOWN PMF_R(0.1) /* standard deviation [samples] below which the recursion knows the dead time well */
 
 static real_t within_reach(const pmf_late_config_t *late, real_t dead_time)
 {
@@ -109,8 +109,8 @@ static void move_to(const pmf_recursion_state_t *own, uint32_t p, real_t dead_ti
     believed->theta[p - 1U] = dead_time;
 }
 
-/* Choose the dead time by the best source: the motion within the counts, a certain recursion, the last accepted value,
- * the recursion as it is. `own` is the active recursion. */
+/* Choose the dead time from the best source, in this order: the motion within the counts, a certain recursion, the last
+ * accepted value, any recursion. `own` is the active recursion. */
 static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_recursion_state_t *own, uint32_t p)
 {
     const pmf_late_config_t *late = &config->late;
@@ -126,7 +126,7 @@ static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_re
     } else {
         variance = estimate->variance_factor[p - 1U] * estimate->innovation_variance * inflation;
         found->believes = had == PMF_BELIEVES_NONE ? PMF_BELIEVES_NONE : PMF_BELIEVES_HELD;
-        if (had == PMF_BELIEVES_OWN || had == PMF_BELIEVES_NONE) { /* otherwise its sums belong to another dead time */
+        if (had == PMF_BELIEVES_OWN || had == PMF_BELIEVES_NONE) { /* sums from another dead time do not count */
             found->believes = variance > PMF_R(0.0) && variance < limit * limit ? PMF_BELIEVES_OWN : PMF_BELIEVES_NONE;
         }
         dead_time = found->believes == PMF_BELIEVES_HELD ? found->dead_time : dead_time;
@@ -141,7 +141,7 @@ static void believe(const pmf_config_t *config, pmf_state_t *state, const pmf_re
     move_to(own, p, found->dead_time, variance, &found->believed);
 }
 
-/* Return P at the accepted dead time (n x n): the recursion's uncertainty is replaced by the known variance */
+/* Return P (n x n) at the accepted dead time, with the known variance in place of the recursion's */
 static void covariance_there(const pmf_recursion_config_t *config, const pmf_recursion_state_t *own,
                              const pmf_estimate_t *believed, real_t *p)
 {

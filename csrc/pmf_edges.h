@@ -9,11 +9,11 @@
 
 #define WIDE PMF_R(0.1) /* variance of the place above which a count is a reading of its middle */
 #define TWELFTH (PMF_R(1.0) / PMF_R(12.0))
-#define BLUR PMF_R(0.05) /* standard deviation of an edge: other errors of the model */
+#define BLUR PMF_R(0.05) /* standard deviation of an edge by unmodelled effects */
 #define FIRST_BLUR PMF_R(0.5) /* error of the first linearisation */
-#define BLUR_AGE PMF_R(5.0) /* memory with which this error fades */
+#define BLUR_AGE PMF_R(5.0) /* memory with which the error of the first linearisation fades */
 #define EDGE_MEMORY PMF_R(0.998)
-#define NEAR PMF_R(3.0) /* deviations from an edge */
+#define NEAR PMF_R(3.0) /* distance of a place near an edge, in standard deviations */
 #define FAR PMF_R(5.0) /* beyond this distance a count has no information */
 
 /* Density over distribution of a standard normal variable, from -6 in steps of a quarter. */
@@ -32,7 +32,7 @@ static const scalar_t mills[45] = {
     PMF_SCALAR(1.48671994e-06),
 };
 
-/* Return the ratio at t < 5: cubic between the knots, with the ratio's own slope -r (r + t). */
+/* Return the ratio r at t < 5 by cubic interpolation with the exact slope -r (r + t). */
 static real_t mills_ratio(real_t t)
 {
     real_t at = (t + PMF_R(6.0)) * PMF_R(4.0), knot, low, high, fall, falls;
@@ -62,7 +62,7 @@ static real_t deviation_of(real_t variance)
     }
     return root;
 }
-/* Update the covariance after the motion: only place and velocity move. */
+/* Update the covariance after a motion of place and velocity. */
 static void carry(pmf_found_state_t *found, const motion_t *motion, uint32_t n)
 {
     real_t place[MOST_KNOWN], velocity[MOST_KNOWN];
@@ -89,8 +89,7 @@ static void carry(pmf_found_state_t *found, const motion_t *motion, uint32_t n)
     found->covariance[SPEED][SPEED] = speed;
 }
 
-/* Update all numbers by new knowledge of one of them, which moves by `moved` and loses the fraction `gone` of its
- * variance. */
+/* Update all numbers after one number moved by `moved` and lost the fraction `gone` of its variance. */
 static void learn(pmf_found_state_t *found, uint32_t n, uint32_t which, real_t moved, real_t gone)
 {
     real_t gain[MOST_KNOWN], own = found->covariance[which][which];
@@ -111,7 +110,7 @@ static void learn(pmf_found_state_t *found, uint32_t n, uint32_t which, real_t m
     }
 }
 
-/* Compare the number and size of violations of an edge to their expectation. */
+/* Compare the violations of an edge to their expected number and size. */
 static void note_edge(pmf_found_state_t *found, real_t t, real_t ratio)
 {
     real_t square = t * t;
@@ -124,7 +123,7 @@ static void note_edge(pmf_found_state_t *found, real_t t, real_t ratio)
     found->surprise += t < PMF_R(0.0) ? square : PMF_R(0.0);
 }
 
-/* Apply a count to the place, which is between two edges; the nearer edge counts. */
+/* Apply a count to the place, which is between two edges. Only the nearer edge is used. */
 static void cut_off(pmf_found_state_t *found, uint32_t n)
 {
     real_t variance = found->covariance[PLACE][PLACE], up = PMF_R(1.0) - found->place, blur, all, root, t, ratio;

@@ -3,11 +3,11 @@
  *
  * With several counts per sample, the velocities at both ends of an interval give the instant of a reversal inside
  * it. A tracker of piecewise constant acceleration estimates these velocities (Kalata 1984, fixed gains, smoothed by
- * one step). With less than two counts per sample the tracker would only follow the staircase: the direction is then
- * that of the last count. */
+ * one step). With less than two counts per sample the tracker would only follow the staircase. The last count then
+ * gives the direction. */
 #include "pmf_guard.h"
 
-/* The code has branches but no loop: on a microcontroller the smaller code is also faster. */
+/* The code has branches but no loop. Small code is therefore also fast on a microcontroller. */
 #if defined(PMF_PARAMETERS) && defined(__GNUC__) && !defined(PMF_STRAIGHT)
 #define PMF_FOR_SIZE __attribute__((cold))
 #else
@@ -15,7 +15,7 @@
 #endif
 
 #define FAST_COUNTS 2U /* counts in one sample above which the tracker is trusted */
-#define FAST_SPEED PMF_R(2.0) /* or in one sample period */
+#define FAST_SPEED PMF_R(2.0) /* counts in one sample period above which the tracker is trusted */
 #define CLOSE 3U
 /* Pauses are counted in samples, or in ticks if the step varies. */
 #if PMF_STEPS
@@ -30,7 +30,7 @@
 
 /* Gains of the tracker and of its smoother. */
 #if PMF_STEPS
-#define TRAVELLED(speed) ((speed) * ratio) /* within the step */
+#define TRAVELLED(speed) ((speed) * ratio) /* counts travelled within the step */
 #define AS_SPEED(change) ((change) / ratio)
 #define SMOOTH_BEFORE(gains) ((gains)->smooth_before)
 typedef struct {
@@ -89,7 +89,7 @@ static uint32_t ticks_of(const pmf_encoder_config_t *config, real_t ratio)
     return PMF_SAMPLE(config) != 1U ? (uint32_t)((real_t)PMF_TICKS * ratio + PMF_R(0.5)) : 1U;
 }
 
-/* A short step has few counts, however fast the motion is. */
+/* A short step has few counts even in fast motion. */
 static uint32_t next_fast(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, uint32_t counts,
                           uint32_t ticks)
 {
@@ -152,12 +152,13 @@ static void track(const gains_t *gains, pmf_encoder_state_t *state, real_t innov
     state->innovation = innovation;
 }
 
-/* Check the sample without knowledge of the motion; after an error the filters settle again. */
+/* Check the sample without knowledge of the motion. An error lets the filters settle again. */
 static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t *input,
                      integer_t *change, whole_t *counts)
 {
-    truth_t invalid =
-        PMF_NOT(*input * *input <= PMF_LARGEST_INPUT * PMF_LARGEST_INPUT); /* NaN, or its square may be infinite */
+    truth_t invalid = PMF_NOT(*input * *input <=
+                              PMF_LARGEST_INPUT *
+                                  PMF_LARGEST_INPUT); /* the input is NaN, or the square of the input may be infinite */
     whole_t status = PMF_W(0);
     if (PMF_ANY(invalid)) {
         *input = PMF_IF(invalid, state->input, *input);
@@ -182,7 +183,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     real_t position;
 #if PMF_PROCESS
     if (config->process != 0U) {
-        middle += PMF_R(0.5); /* a count is a reading of its middle */
+        middle += PMF_R(0.5); /* a count stands for the middle of its interval */
     }
 #endif
     position = config->position_per_count * middle;
@@ -210,8 +211,8 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 }
 
 #if PMF_WITH_GUARD
-/* Return whether counts were put back at their place, as far as an encoder can tell. A stop could hide in slow motion,
- * and any motion between two wrong counts in a row. */
+/* Return whether counts were put back to their true place. Slow motion could hide a stop, and two successive wrong
+ * counts could hide any motion. */
 static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, integer_t change,
                        integer_t motion)
 {
@@ -301,7 +302,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
         truth_t apart = (status & PMF_COUNT_JUMP) != 0U;
         status |= pmf_guard(config, state, input, count, apart, &change);
         counts = magnitude(change);
-        motion = PMF_IF(apart, change, state->guard.change); /* counts that are put back are no counts of the motion */
+        motion = PMF_IF(apart, change, state->guard.change); /* corrected counts do not belong to the motion */
         status |= bridged(config, state, change, motion);
     } else {
         state->count = count;
@@ -312,7 +313,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     motion = change;
 #endif
     fast = NEXT_FAST(counts);
-    /* Position of the axis within the new count, in counts; a count is a reading of its middle. */
+    /* Position of the axis within the new count, in counts. A count stands for the middle of its interval. */
     changed = PMF_TO_REAL(change);
     predicted = PMF_IF(started, state->position + TRAVELLED(state->velocity) - changed, PMF_R(0.5));
     innovation = PMF_R(0.5) - predicted;

@@ -1,4 +1,4 @@
-/* Forgetting in the sums of a recursion: its amount and its time. Only pmf_recursion.c includes this file.
+/* Amount and time of forgetting in the sums of a recursion. Only pmf_recursion.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_FORGETTING_H
 #define PMF_FORGETTING_H
@@ -13,7 +13,7 @@
 #define PARAMETERS(config) ((config)->n_parameters)
 #define INSTRUMENTAL(config) ((config)->instrumental)
 #endif
-/* An export has one scheme of forgetting: the code of the others is left out. */
+/* An export has the code of one scheme of forgetting. */
 #ifdef PMF_SCHEME
 #define SCHEME(config) PMF_SCHEME
 #else
@@ -45,7 +45,7 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
         real_t part = (PMF_R(1.0) - config->forgetting) * along[i] / size;
         for (j = 0; j <= i; ++j) {
             real_t less = state->sums.cross[i][j] - part * along[j];
-            if (i == j) { /* rounding, or a foreign state that is no sum of squares, can make this negative */
+            if (i == j) { /* the form is negative after rounding, or in a foreign state that is no sum of squares */
                 less = PMF_IF(less > PMF_R(0.0), less, PMF_R(0.0));
             }
             state->sums.cross[i][j] = PMF_IF(where, less, state->sums.cross[i][j]);
@@ -53,8 +53,8 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
     }
 }
 
-/* With directional forgetting a sample takes the fraction 1 - f of the information in one of p directions, and on
- * average one p-th of that. */
+/* With directional forgetting a sample loses the fraction 1 - f of the information in one of p directions, on average
+ * (1 - f) / p in each. */
 PMF_INLINE scalar_t directions(const pmf_recursion_config_t *config)
 {
     (void)config; /* an export has these values as constants */
@@ -95,7 +95,7 @@ PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_re
 
 /* Return the weight of the past at the next sample. With constant trace, it is the fraction of P by which the last
  * sample lowered P, but at most twice the normal forgetting. Motions that excite the axis are forgotten at least
- * normally: otherwise the information of larger motions would stay for ever. */
+ * normally, so that the information of larger motions does not stay for ever. */
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE(config->forgetting * config->forgetting), weight = PMF_ALIKE(config->forgetting);
@@ -111,7 +111,7 @@ PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf
     return PMF_IF(state->frozen != 0U, PMF_R(1.0), weight);
 }
 
-/* If a model follows the estimate, the first samples come from a poor one. Until the memory is full, the weight of a
+/* If a model follows the estimate, the first samples come from a poor model. Until the memory is full, the weight of a
  * sample is proportional to its number, so that early errors fade with the square of time. */
 PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t weight)
 {
@@ -205,12 +205,12 @@ PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
 #endif
 
 #if PMF_ENDLESS
-#define MOST_WEIGHT PMF_R(524288.0) /* 2^19 samples in a sum */
+#define MOST_WEIGHT PMF_R(524288.0) /* largest number of samples in a sum, 2^19 */
 #define LONG_MEMORY PMF_SCALAR(0.999999) /* forgetting from which a sum may hold MOST_WEIGHT samples */
 
-/* A sum of float32 cannot take a term below 2^-24 of its value. Before that, the weight of the past is repeatedly
- * halved: without forgetting, the memory is the last millions of samples. Only a sample with more than its share
- * triggers this, because at rest the sums do not grow. */
+/* A sum of float32 cannot take a term below 2^-24 of its value. The weight of the past is therefore halved repeatedly.
+ * Without forgetting, the memory is the last millions of samples. Only a sample with much information triggers the
+ * halving, because at rest the sums do not grow. */
 PMF_INLINE void make_room(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t first, real_t own,
                           uint32_t p)
 {

@@ -3,7 +3,7 @@
 
 #define CREDIT PMF_R(10.0) /* error of the model's velocity, over its power, above which the velocity is reset */
 
-/* The counter shows the distance during the gap, unless it wrapped; the next samples show the velocity. */
+/* The counter shows the distance during the gap unless the counter wrapped. The next samples show the velocity. */
 static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, uint32_t count)
 {
 #if PMF_WITH_SPLIT

@@ -1,17 +1,17 @@
 /* Samples that no motion explains: a reset counter, a wrong reading, a spike of the input. Only pmf_encoder.c includes
  * this file. SPDX-License-Identifier: Apache-2.0
  *
- * The guard predicts a change of the counts from the last change, from the change of that, and from the input. A
+ * The guard predicts a change of the counts from the last change, the last second difference, and the input. A
  * leaking maximum of the prediction errors is the limit of the motion. At rest, and with an input larger than the
  * recent ones, the limit grows in proportion to the input. A change beyond the limit is left out, and the predicted
  * change replaces it.
  *
- * The next sample decides. If it changes as predicted, the counter was reset: its zero has moved and the motion goes
- * on. If it returns, the reading was wrong: the missed travel is spread evenly over the samples since the last good
- * one. If it continues from the suspicious sample, and the third does too, it is a blow: the held-back travel is
- * added, no count is lost, and the filters settle again. An input far beyond the largest recent one is judged two
- * samples later, before the filters receive it. By then the counts have responded, or the input has stayed;
- * otherwise the last input replaces it. A sample without a suspicion is never changed.
+ * The next sample decides. If the count changes as predicted, the counter was reset. The zero of the counter has moved,
+ * and the motion continues. If the count returns, the reading was wrong. The missed travel is spread evenly over the
+ * samples since the last good sample. If the next two samples continue from the suspicious sample, the motion is a
+ * blow. The held-back travel is added, so that no count is lost, and the filters settle again. An input far beyond the
+ * largest recent input is judged two samples later, before the filters receive it. If neither the counts responded nor
+ * the input stayed, the preceding input replaces it. A sample without a suspicion is never changed.
  *
  * A wrong count below the limit is accepted. The next one then misses by three times as much in the other direction,
  * and returns to the earlier motion: the prediction removes the first one, and the filters settle. Wrong counts must
@@ -34,29 +34,29 @@
 #define NOISE PMF_R(2.0) /* error of a second difference of counts */
 #define REST_EDGE PMF_R(6.0) /* smaller errors are never suspicious at rest */
 #define MOTION_EDGE PMF_R(8.0) /* smaller errors are never suspicious in motion */
-#define CAUTION PMF_R(3.0) /* limit, as a multiple of the errors so far */
+#define CAUTION PMF_R(3.0) /* limit in motion, as a multiple of the errors so far */
 #define EARLY_CAUTION PMF_R(30.0) /* limit at the start, as a multiple of the errors so far */
 #define EARLY_SPIKE PMF_R(1e6) /* limit at the start, as a multiple of the largest input */
-#define PEAK_MARGIN \
-    PMF_R(1.25) /* multiple of the leaking peak: otherwise a constant input would move the peak in every sample */
-#define NEW_SIZE \
-    PMF_R(2.0) /* multiple of the peak above which the limit of the motion grows with the input, at most by: */
+#define PEAK_MARGIN                                                                                                    \
+    PMF_R(1.25) /* multiple of the leaking peak above which an input moves the peak, so that a constant input does not \
+                 */
+#define NEW_SIZE PMF_R(2.0) /* multiple of the peak above which the limit of the motion grows with the input */
 #define LARGEST_GROWTH PMF_R(100.0)
-#define SWINGS PMF_R(0.25) /* fraction of the largest input: a smaller change gives little information */
+#define SWINGS PMF_R(0.25) /* fraction of the largest input, below which a change gives little information */
 #define GAIN_STEP PMF_R(0.03125) /* step of the normalised gradient */
-#define LEAST_PEAK PMF_R(1e-12) /* least peak of an input: its inverse square is a finite number */
+#define LEAST_PEAK PMF_R(1e-12) /* least peak of an input, whose inverse square is finite */
 #define LARGEST_RATE PMF_R(1e9) /* largest rate of a predicted change, which must fit an integer */
 #define ANY_SHARE PMF_R(1e20)
-#define LESSON PMF_R(0.125) /* counted fraction of an excess, after learning */
-#define LARGEST_SWING PMF_R(5.1) /* multiple of the last error, backwards, that a wrong count can cause */
-#define SPOILT_BAND PMF_R(0.7) /* band around the effect of a wrong count; outside it the next count is wrong */
+#define LESSON PMF_R(0.125) /* fraction of an excess that counts after learning */
+#define LARGEST_SWING PMF_R(5.1) /* largest opposite error after a wrong count, as a multiple of the last error */
+#define SPOILT_BAND \
+    PMF_R(0.7) /* relative band around the effect of a wrong count, outside which the next count is wrong */
 #define GOES_ON PMF_R(0.3) /* relative difference of a blow from sample to sample */
 #define LARGEST_BLOW PMF_R(100.0) /* largest blow, as a multiple of the scatter */
-#define BACKWARDS \
-    PMF_R(0.25) /* fraction of an error: a neighbour of this size and of the other sign comes with a wrong count */
-#define DOUBTFUL PMF_R(3.0) /* multiple of the error that motion alone explains */
+#define BACKWARDS PMF_R(0.25) /* fraction of an error that the opposite neighbour of a wrong count has */
+#define DOUBTFUL PMF_R(3.0) /* lessons above this multiple of the error by motion alone are doubtful */
 #define LOOKED_AT(config) ((config)->guard + PMF_GUARD_SOUND) /* updates at which the lessons are final */
-#define CALM(config) ((config)->guard >> 3) /* samples after a suspicious one without learning */
+#define CALM(config) ((config)->guard >> 3) /* samples without learning after a suspicious sample */
 
 static integer_t signed_count(uint32_t mask, whole_t count); /* defined in pmf_encoder.c */
 
@@ -65,8 +65,8 @@ static real_t size_of(real_t x)
     return PMF_IF(x < PMF_R(0.0), -x, x);
 }
 
-/* Learn from an accepted sample. After the first learning, possible effects of a wrong count are no lesson: they are
- * missed by J, -3 J, 3 J, -J, and wrong counts come in groups. */
+/* Learn from an accepted sample. After the first learning, possible effects of a wrong count are no lesson. A wrong
+ * count by J causes the errors J, -3 J, 3 J and -J, and wrong counts come in groups. */
 PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t where,
                               real_t missed)
 {
@@ -80,7 +80,7 @@ PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_stat
     guard->scatter = PMF_IF(where, guard->scatter + excess, guard->scatter);
 }
 
-/* Begin a suspicion: a lesson of the sample just before is withdrawn. */
+/* Begin a suspicion, and withdraw the lesson of the preceding sample. */
 PMF_SELDOM void begin_suspicion(pmf_guard_state_t *guard, truth_t where, real_t last)
 {
     truth_t fresh = where & ((guard->wait > 0U) | (size_of(guard->missed) > guard->scatter + STEP));
@@ -110,7 +110,7 @@ PMF_SELDOM void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing
     guard->gain = PMF_IF(where, gain, guard->gain);
 }
 
-/* Return the largest allowed error of a prediction; `open` allows any error, because nothing is known yet. */
+/* Return the largest allowed error of a prediction. `open` allows any error, because nothing is known yet. */
 static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, truth_t *open)
 {
     const pmf_guard_state_t *guard = &state->guard;
@@ -120,13 +120,12 @@ static real_t limit_of(const pmf_encoder_config_t *config, const pmf_encoder_sta
     reach = PMF_IF(last > reach, last, reach);
     share = PMF_IF(guard->peak > LEAST_PEAK, reach / guard->peak, PMF_IF(reach > PMF_R(0.0), ANY_SHARE, PMF_R(0.0)));
 #if PMF_PROCESS
-    if (config->process !=
-        0U) { /* the output of a process is no motion: it may step, and only unprecedented steps are suspicious */
+    if (config->process != 0U) { /* the output of a process may step, and only unprecedented steps are suspicious */
         *open = PMF_NOT(learned | (guard->seen > config->guard >> 3));
         return REST_EDGE + EARLY_CAUTION * (guard->scatter + STEP) * PMF_IF(share < PMF_R(1.0), PMF_R(1.0), share);
     }
 #endif
-    missed = learned | (guard->scatter > PMF_R(0.0)); /* or a smooth motion, which was fully predicted */
+    missed = learned | (guard->scatter > PMF_R(0.0)); /* a smooth motion was fully predicted */
     *open = (guard->seen < FIRST_SAMPLES) |
             (PMF_NOT(missed | (guard->seen > config->guard >> 3)) & (moves | (share > PMF_R(0.0))));
     last = guard->scatter + PMF_IF((share > NEW_SIZE) | PMF_NOT(missed), STEP, PMF_R(0.0));
@@ -145,7 +144,7 @@ PMF_SELDOM integer_t sum_of(integer_t a, integer_t b)
     return signed_count(0xffffffffU, ((whole_t)a + (whole_t)b) & 0xffffffffU);
 }
 
-/* Return the predicted change. Two differences of counts may be wrong by two counts. */
+/* Return the predicted change, which may be wrong by two counts. */
 static integer_t foreseen_change(integer_t change, real_t rate)
 {
     real_t sure = size_of(rate) - NOISE;
@@ -153,7 +152,8 @@ static integer_t foreseen_change(integer_t change, real_t rate)
     return sum_of(change, rounded(PMF_IF(rate < PMF_R(0.0), -sure, sure)));
 }
 
-/* Two wrong readings in a row may look like the first two samples of a blow; a third one continues only after a blow.
+/* Two successive wrong readings may look like the first two samples of a blow. The third sample continues only after a
+ * blow.
  */
 PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed,
                            real_t pending, real_t limit)
@@ -171,8 +171,8 @@ PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_s
            (size_of(missed) < LARGEST_BLOW * (guard->scatter + STEP)) & (size_of(pending) <= most);
 }
 
-/* During learning: a jump has the errors J and -2 J, a wrong reading J and -3 J. Return whether this error is the
- * largest so far. */
+/* Return whether this error is the largest so far. During learning a jump causes the errors J and -2 J, and a wrong
+ * reading J and -3 J. */
 PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed)
 {
     real_t first = guard->missed, size = size_of(first);
@@ -185,9 +185,9 @@ PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_
     return wild & (size > MOTION_EDGE) & (guard->seen < config->guard);
 }
 
-/* A motion is missed with the same sign until the prediction follows it; an error with a neighbour of the other sign
- * may come from a wrong count. The lessons are doubtful if the errors far exceed those of motion: then wrong counts
- * were accepted and are in the estimates. All begin again, the guard with the errors of motion alone. */
+/* Predictions miss a motion with one sign until they follow it. Two neighbouring errors of opposite sign may come from
+ * a wrong count. The lessons are doubtful if the errors far exceed those of motion, because the estimates then contain
+ * wrong counts. Guard and estimates then begin again, the guard with the errors of motion alone. */
 static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t looks, real_t miss,
                              real_t scatter, whole_t status)
 {
@@ -212,8 +212,8 @@ static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state
     return PMF_BIT(doubtful, PMF_BEGIN_AGAIN);
 }
 
-/* The lesson of a wrong count would hide all others. The guard does not restart from the first sample, because it might
- * never finish learning. */
+/* The lesson of a wrong count would hide all other wrong counts. The guard does not restart from the first sample,
+ * because the learning might never end. */
 PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t change)
 {
     guard->scatter = PMF_IF(where, PMF_R(0.0), guard->scatter);
@@ -223,7 +223,8 @@ PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t chang
     guard->change = PMF_IF(where, rounded(change), guard->change);
 }
 
-/* Decide on a change from the accepted count if it or an earlier one is suspicious. A doubtful input counts as none. */
+/* Decide on a change from the accepted count if this or an earlier change is suspicious. A doubtful input has no
+ * effect. */
 PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t count,
                                 truth_t apart, integer_t *change)
 {
@@ -243,7 +244,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     limit = (PMF_R(1.0) + gap) * limit_of(config, state, &open); /* errors add up until the next good sample */
     back = size_of(missed_whole) <= limit;
     back = (back & PMF_NOT(suspected & (size < size_of(missed_whole)))) | open | apart;
-    /* or the last accepted count was wrong: then the count returns to the earlier motion */
+    /* if the last accepted count was wrong, the count returns to the earlier motion */
     spoilt = PMF_R(0.5) * (gap + PMF_R(2.0)) * (gap + PMF_R(3.0)) * last;
     undone = PMF_NOT(back) & (size_of(missed_whole + spoilt) < SPOILT_BAND * size_of(spoilt));
     begin_suspicion(guard, PMF_NOT(suspected | back), last);
@@ -257,7 +258,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     sound = back | anew | real;
     ends = sound | (guard->suspect >= PMF_GUARD_SUSPECTS);
     wild = back & PMF_NOT(suspected | apart | undone) & was_wild(config, guard, missed_whole);
-    /* The missed travel since the last good sample is spread evenly: at once, it would look like an acceleration. */
+    /* The missed travel since the last good sample is spread evenly, so that it does not look like an acceleration. */
     closes = (suspected | undone) & sound & PMF_NOT(real | open | apart);
     rate = PMF_IF(back, whole, part - guard->missed); /* a blow continues from the last reading */
     missed = PMF_IF(back, missed_whole, missed);
@@ -276,7 +277,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
         anew = anew & PMF_NOT(anew);
     }
 #endif
-    /* a moved zero hides the motion; the mean of its neighbours is the best guess */
+    /* a moved zero hides the motion, so that the mean of the neighbouring changes is the best guess */
     read = PMF_IF(closes & back, sum_of(guard->change, rounded(predicted + share - gap * last)), read);
     *change = PMF_IF(sound, PMF_IF(anew, sum_of(read, rounded(missed - share)), *change), foreseen);
     guard->change = PMF_IF(apart, guard->change, PMF_IF(sound, PMF_IF(closes | real, read, *change), foreseen));
@@ -321,7 +322,7 @@ static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t 
     grow(config, guard, real & (size > guard->peak), size);
 }
 
-/* Judge a new input: it sets a new size, or it is doubtful. */
+/* Judge a new input, which sets a new size or is doubtful. */
 PMF_SELDOM truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
                               real_t missed_before, real_t size)
 {
@@ -358,8 +359,8 @@ static whole_t guard_input(const pmf_encoder_config_t *config, pmf_encoder_state
     return PMF_BIT(large, PMF_INVALID_INPUT);
 }
 
-/* Process a sample: `change`, from the accepted count, and state->input_before become the accepted values. `apart`
- * means that max_speed has rejected the change. Returns status bits. */
+/* Process a sample and return status bits. `change`, counted from the accepted count, and state->input_before become
+ * the accepted values. `apart` means that max_speed has rejected the change. */
 static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input, whole_t count,
                          truth_t apart, integer_t *change)
 {

@@ -7,12 +7,12 @@
 
 #define MIN_BLOCKS 8.0
 #define SKIPPED_INNOVATIONS 4U /* number of first innovations that are skipped, because they do not show the noise */
-#define JUDGED 16U /* updates between two verdicts on the model, half-way between two looks; a power of two */
-#define NEGLIGIBLE PMF_R(1e-6) /* mean square fraction of the target that a model may leave unexplained */
+#define JUDGED 16U /* updates between two verdicts on the model (a power of two), half-way between two looks */
+#define NEGLIGIBLE PMF_R(1e-6) /* fraction of the target's mean square that a model may leave unexplained */
 #define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
 #if PMF_WITH_NOISE
-/* Note the innovations of a stretch of samples; the innovations of the last stretch are also kept. */
+/* Sum the innovations of a stretch of samples, and keep the sums of the last stretch. */
 static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                              real_t target)
 {
@@ -30,7 +30,7 @@ static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion
 }
 
 /* Check whether the innovations exceed the known noise and the standard errors. Only the last two stretches count, so
- * that the transient of the start is forgotten, however large it was. */
+ * that even a large transient at the start is forgotten. */
 static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                            real_t target)
 {
@@ -74,7 +74,7 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 {
     pmf_estimate_t *estimate = &state->estimate;
     real_t square = estimate->innovation * estimate->innovation;
-    real_t f = memory_of(config, state, PMF_ALIKE(config->forgetting)); /* with the forgetting of the samples */
+    real_t f = memory_of(config, state, PMF_ALIKE(config->forgetting)); /* the sums forget like the samples */
     where = where & (state->started > SKIPPED_INNOVATIONS) & (state->frozen == 0U);
     if (PMF_ANY(where)) {
         state->weight = PMF_IF(where, f * state->weight + PMF_R(1.0), state->weight);
@@ -86,7 +86,7 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
 
 #if PMF_PROCESS
 /* Return the variance of the constant plus `lift` times the lowest coefficient, over the variance of the innovations.
- * It is computed as a sum of squares, because it would be a small difference of entries of P. */
+ * The variance is a sum of squares here, because entries of P would give it as a small difference. */
 PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
 {
     real_t x[N], sum = PMF_R(0.0);
@@ -104,10 +104,10 @@ PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recurs
 }
 #endif
 
-/* Compare the spread of theta by blocks of innovations to that of white ones (batch means). With weights w, its
- * covariance is P (sum w^2) S P, where S is the long-run covariance of the scores; white innovations with equal weights
- * have P times their variance. Blocks missing from MIN_BLOCKS count as blocks of equal innovations, over the memory of
- * the filters. `move` is a block's sum after the gain. */
+/* Compare the spread of theta by blocks of innovations to that of white ones (batch means). With weights w, the
+ * covariance of theta is P (sum w^2) S P, where S is the long-run covariance of the scores. White innovations with
+ * equal weights give P times their variance. Blocks missing from MIN_BLOCKS count as blocks of equal innovations over
+ * the memory of the filters. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        real_t move[N])
 {
@@ -121,13 +121,13 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
         real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
         real_t *inflation = &state->estimate.inflation[i], change;
 #if PMF_PROCESS
-        if (i == config->constant) { /* the constant as the user reads it */
+        if (i == config->constant) { /* the constant in the form that the user reads */
             white = lifted_factor(config, state) * state->estimate.innovation_variance;
             move[i] += state->lift * move[config->lowest];
         }
 #endif
         change = move[i] * move[i] * share / white - PMF_IF(few, PMF_ALIKE(config->correlated), *inflation);
-        /* values beyond the number format, or 0/0, would stay for ever */
+        /* infinite values and NaN would stay for ever */
         *inflation = PMF_IF(where & (change - change == PMF_R(0.0)), *inflation + change / blocks, *inflation);
     }
 }

@@ -31,7 +31,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 /* Lanes and straight steps (many/pmf_straight.c) leave out parts for which the structures have room. */
 #if defined(PMF_LANES) || defined(PMF_STRAIGHT)
 #define PMF_WHOLE 0
-#define PMF_LINEAR 0 /* its matrices would save time in lanes only if all axes computed them at once */
+#define PMF_LINEAR 0 /* lanes save time on the matrices of a process only if all axes compute them at once */
 #else
 #define PMF_WHOLE 1
 #define PMF_LINEAR PMF_WITH_LINEAR
@@ -44,14 +44,14 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_MODELLED(config) ((config)->auxiliary.enabled != 0U)
 #endif
 #if !PMF_WHOLE && !defined(PMF_MOTIONS)
-#define PMF_SHAPED 0 /* tables that each axis reads elsewhere save time only for motions */
-#define PMF_LATE 0 /* the same holds for different inputs of each axis */
+#define PMF_SHAPED 0 /* if each axis reads a table elsewhere, lanes save time only for motions */
+#define PMF_LATE 0 /* if each axis reads another input, lanes save time only for motions */
 #else
 #define PMF_SHAPED (PMF_MAX_SHAPES > 0)
 #define PMF_LATE PMF_WITH_DEAD_TIME
 #endif
 #if !PMF_WHOLE
-#define PMF_STEPS 0 /* each axis would have its own coefficients */
+#define PMF_STEPS 0 /* a varying step would give each axis its own coefficients */
 #else
 #define PMF_STEPS PMF_WITH_STEPS
 #endif
@@ -61,7 +61,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #else
 #define PMF_STEPPED(truth) (truth)
 #endif
-/* A sample period in the unit of pauses, and the interval that the auxiliary model simulates [s]. */
+/* Sample period in the unit of pauses, and interval [s] that the auxiliary model simulates. */
 #if PMF_STEPS
 #define PMF_SAMPLE(config) (PMF_STEPPED((config)->rate > PMF_R(0.0)) ? (uint32_t)PMF_TICKS : 1U)
 #define PMF_SPAN(config, state) (PMF_STEPPED((config)->steps != 0U) ? (state)->step : (config)->dt)
@@ -82,7 +82,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_NOT(truth) ((truth) == 0)
 #define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
 
-/* Code that seldom runs is compiled for size. */
+/* Rarely used code is compiled for size. */
 #if defined(__GNUC__)
 #define PMF_SELDOM __attribute__((cold, noinline)) static
 #else
@@ -90,32 +90,31 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #endif
 
 /* Source of the accepted value of an estimated dead time. */
-#define PMF_BELIEVES_NONE 0U /* the recursion, because nothing better exists */
+#define PMF_BELIEVES_NONE 0U /* the recursion, without a better source */
 #define PMF_BELIEVES_HELD 1U /* the last accepted value */
-#define PMF_BELIEVES_OWN 2U /* the recursion, which knows it well */
+#define PMF_BELIEVES_OWN 2U /* the recursion, which knows the dead time well */
 #define PMF_BELIEVES_WITHIN 3U /* the motion within the counts */
 
-#define PMF_OLDEST 1000000U /* samples that the motion counts */
-#define PMF_LOOKS 2U /* looks until it is accepted */
-#define PMF_MOST_TRIES 3U /* beginnings until another dead time is tried */
+#define PMF_OLDEST 1000000U /* limit of the motion's counter of samples */
+#define PMF_LOOKS 2U /* looks until the motion's dead time is accepted */
+#define PMF_MOST_TRIES 3U /* beginnings of the motion until another dead time is tried */
 
-#define PMF_FOLLOWED 4U /* samples between two steps of the slow copy; a power of two */
+#define PMF_FOLLOWED 4U /* samples between two steps of the slow copy, a power of two */
 
 /* Limits of the values in a state. */
-#define PMF_FAST_SAMPLES 3U /* samples after two or more counts in one sample */
-#define PMF_BLOCK_MEMORY 100U /* memory in blocks of innovations */
+#define PMF_FAST_SAMPLES 3U /* samples that count as fast after two or more counts in one sample */
+#define PMF_BLOCK_MEMORY 100U /* memory of the statistics, in blocks of innovations */
 #define PMF_LEAST_RATIO PMF_R(1e-6) /* least ratio of a step to the sample period */
 #define PMF_MOST_RATIO PMF_R(100.0)
-#define PMF_LONGEST 4U /* largest ratio: a longer step is a gap */
-#define PMF_LOOK 4U /* updates between two looks at the size of the motion: no column changes much faster */
+#define PMF_LONGEST 4U /* largest ratio of a step to the sample period, above which the step is a gap */
+#define PMF_LOOK 4U /* updates between two looks at the size of the motion, because no column changes much faster */
 #define PMF_SWING_BITS 15U /* bits of the looks in this half memory and in the last */
-/* Status bit from encoder to filters only: a wrong count was replaced as well as an encoder can tell. */
+/* Internal status bit for the filters: a wrong count was put back to its true place. */
 #define PMF_BRIDGED 0x80000000U
-#define PMF_BEGIN_AGAIN 0x40000000U /* wrong counts were accepted while the guard learned */
-#define PMF_GUARD_SUSPECTS 16U /* suspicious changes in a row; then the guard restarts */
-#define PMF_GUARD_SOUND \
-    3U /* samples since a suspicious one, after which an error and its neighbours belong to the motion */
-#define PMF_GUARD_DOUBTS 3U /* doubts about the last two inputs, as bits; the earlier input has the higher bit */
+#define PMF_BEGIN_AGAIN 0x40000000U /* internal status bit: the guard accepted wrong counts while it learned */
+#define PMF_GUARD_SUSPECTS 16U /* successive suspicious changes that restart the guard */
+#define PMF_GUARD_SOUND 3U /* samples since a suspicious sample, after which errors belong to the motion */
+#define PMF_GUARD_DOUBTS 3U /* doubts about the last two inputs as bits, the higher for the earlier input */
 #ifdef PMF_FLOAT32
 #define PMF_LARGEST_INPUT PMF_R(1e15)
 #else
@@ -129,7 +128,7 @@ PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* Values that each step computes before it reads them are zero in a saved state. */
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state);
-/* Copy byte by byte: an assignment need not copy the padding, which a checksum covers. */
+/* Copy byte by byte, because an assignment need not copy the padding, which a checksum covers. */
 void pmf_copy(const void *from, void *to, uint32_t size);
 
 /* The parts of a step; `signal` has PMF_SIGNALS entries. */
@@ -143,46 +142,46 @@ PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_a
                                      const pmf_late_state_t *late, real_t *signal);
 #endif
 #if PMF_FOUND
-/* Inputs that act in an interval: the older one for the fraction `part`, then the newer one. */
+/* The two inputs of an interval. The older input acts for the fraction `part`, then the newer input. */
 typedef struct {
     real_t older, newer, part;
 } acts_t;
 
-/* Move the motion within the counts by these inputs, and fit it and its parameters to the next count. `usable` means
- * that the counts show the axis. */
+/* Move the motion within the counts by two inputs, and fit the motion and its parameters to the next count. `usable`
+ * means that the counts show the axis. */
 void pmf_within_step(const pmf_config_t *config, pmf_state_t *state, const acts_t *acts, uint32_t usable);
-/* Set the auxiliary model to that motion, which the counts have already checked. */
+/* Set the auxiliary model to the motion within the counts, which the counts have checked. */
 void pmf_within_lend(const pmf_config_t *config, pmf_state_t *state);
-/* Return whether the dead time of that motion is reliable, and its variance. */
+/* Return whether the motion within the counts has a reliable dead time, and the variance of this dead time. */
 uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, real_t *variance);
 #endif
 #if PMF_SHAPED
-/* Compute forces of a place at the place of the counts, after the encoder's signals of the same step. */
+/* Compute the forces of a place at the measured position, after the encoder's signals of the same step. */
 PMF_API void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal);
 #endif
-/* The equation holds exactly for the model: the residual of its columns is the error of the discretisation, which the
- * plant shares. It is subtracted from the target. Regressors and target then include the effect of the parameters on
- * the model's stops and reversals. `first` is the column of the first regressor. */
+/* The equation holds exactly for the model. The residual of the model's columns is therefore the error of the
+ * discretisation, which is subtracted from the target. Regressors and target then include the effect of the parameters
+ * on the model's stops and reversals. `first` is the column of the first regressor. */
 PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state,
                                    uint32_t first, real_t *column);
 PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state);
-/* Judge the model by the measured velocity; true if its instruments are usable. */
+/* Judge the model by the measured velocity, and return whether its instruments are usable. */
 PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                     const real_t *column, truth_t held);
-/* Return PMF_FEEDBACK if the changes of the input follow the innovations, otherwise 0; `where` marks a step of the
+/* Return PMF_FEEDBACK if the changes of the input follow the innovations, otherwise 0. `where` marks a step of the
  * recursion. */
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
                                        truth_t where, real_t change);
-/* Return PMF_DEAD_TIME if the measured velocity lags the model's, as with a late input, otherwise 0. */
+/* Return PMF_DEAD_TIME if the measured velocity lags the model's velocity, otherwise 0. */
 PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                    const real_t *column, truth_t where);
-/* Move the copy towards an estimate, whose parameters are found by `index`. */
+/* Move the slow copy towards an estimate, with `index` as the places of its parameters. */
 PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
                                   const real_t *theta, const uint32_t *index);
 #if PMF_LINEAR
 /* Compute the columns of the linear process from the network's nodes of the same step. */
 void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column);
-/* Run the recursion on these columns if the model has settled, otherwise use the direct estimate; return the status. */
+/* Run the recursion on the columns of a settled model, otherwise use the direct estimate. Returns the status. */
 uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled);
 /* Multiply all accumulated sums by a factor <= 1. */
 void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
@@ -191,11 +190,11 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);
 #if PMF_PROCESS
-/* Compute the estimate of an output that counts from its first value, with the constant of the output itself. */
+/* Compute the estimate for the output itself if the equation counts from the first output. */
 PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                 pmf_estimate_t *lifted);
 #endif
-/* Run encoder, auxiliary model and network only, for batch methods: the columns are in state->network.column. */
+/* Run encoder, auxiliary model and network only, for batch methods. The columns are in state->network.column. */
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 
 #ifdef __cplusplus

@@ -1,8 +1,9 @@
-/* An input with a first-order lag, as in a current loop: two levels with the same effect on a body.
+/* An input with a first-order lag, such as a current loop, as two levels with the same effect on a body.
  * SPDX-License-Identifier: Apache-2.0
  *
  * Between two switches the lagged input is an exponential. Two levels, one for each half of the interval, have the same
- * mean and the same first moment. They keep velocity and position at its end, except for the damping within a sample.
+ * mean and the same first moment. The two levels keep velocity and position at the end of the interval, except for the
+ * damping within a sample.
  */
 #ifndef PMF_LAG_H
 #define PMF_LAG_H

@@ -19,21 +19,22 @@
 
 #if PMF_LINEAR
 #define SETTLED PMF_R(0.05)
-#define SETTLED_FAST PMF_R(0.01) /* limit of the settling for fast filters, which forget soon */
+#define SETTLED_FAST PMF_R(0.01) /* limit of the settling for fast filters, which forget early */
 #define DISCOUNT PMF_R(2.0)
-#define WORST PMF_R(1.0) /* mean square error of the model over the mean square output: the model explains nothing */
-#define WORST_DAMPED PMF_R(2.0) /* the same ratio without any correlation, at equal power */
-#define LEAST PMF_R(2.0) /* least decay of a copy, over the samples so far */
-#define IN_TIME PMF_R(4.5) /* least decay of its filters, to settle in as many further samples */
-#define RATE PMF_R(30.0) /* decay of the filters of data, if its own are too slow */
-#define AGAIN PMF_R(3.0) /* multiple of the samples */
+#define WORST \
+    PMF_R(1.0) /* ratio of the mean square error to the mean square output, at which a model explains nothing */
+#define WORST_DAMPED PMF_R(2.0) /* ratio of the errors without correlation, at equal power */
+#define LEAST PMF_R(2.0) /* least decay of a copy over the samples so far */
+#define IN_TIME PMF_R(4.5) /* least decay of filters that settle within as many further samples */
+#define RATE PMF_R(30.0) /* decay of the filters of data if the filters of the copy are too slow */
+#define AGAIN PMF_R(3.0) /* ratio of samples at which slower filters replace fast ones */
 #define DOUBTFUL PMF_R(0.05) /* remaining fraction of the sums after filters that became too slow */
-#define PART PMF_R(0.3) /* fraction of the direct estimate's samples */
-#define LONGER PMF_R(4.0) /* squared ratio of standard errors */
-#define SHORT_BAR PMF_R(0.01) /* fraction of the parameter */
+#define PART PMF_R(0.3) /* least fraction of the direct estimate's samples */
+#define LONGER PMF_R(4.0) /* largest squared ratio of standard errors */
+#define SHORT_BAR PMF_R(0.01) /* fraction of a parameter as a small standard error */
 
-/* After foreign filters, a process exactly obeys the equation of its sampled form. The coefficients are the parameters
- * of the process plus these differences. */
+/* After the fast filters, a process exactly obeys the equation of its sampled form. The coefficients are the parameters
+ * of the process plus the differences computed here. */
 static void bend(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     real_t row[M], one = config->offset != 0U ? state->b[config->m + 1U] * config->scale[0] : PMF_R(0.0);
@@ -49,8 +50,8 @@ static void bend(const pmf_linear_config_t *config, pmf_linear_state_t *state)
     state->bent.one[0] -= one;
 }
 
-/* Take over the filters of the copy, and discount the sums from the preceding filters: early ones may have been lightly
- * damped, with large columns. With permanent filters for data, only the instruments were worse. */
+/* Take over the filters of the copy, and discount the sums from the preceding filters. Early filters may have been
+ * lightly damped, with large columns. With permanent filters for data, only the instruments were worse. */
 static void adopt(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     real_t largest = PMF_R(0.0), a[M];
@@ -125,7 +126,8 @@ static real_t model_output(const pmf_linear_config_t *config, const pmf_linear_s
     return config->offset != 0U ? output + state->b[config->m + 1U] * config->scale[0] * signals->one[0] : output;
 }
 
-/* Pass one sample of all signals through the copy's filters; return the simulated output at its end. */
+/* Pass one sample of all signals through the copy's filters, and return the simulated output at the end of the sample.
+ */
 static real_t simulate(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
 {
     pmf_linear_signals_t *signals = &state->behind_own;
@@ -140,7 +142,8 @@ static real_t simulate(const pmf_linear_config_t *config, pmf_linear_state_t *st
     return model;
 }
 
-/* Pass one sample of the data through the fast filters; return the correction of the target for the copy's equation. */
+/* Pass one sample of the data through the fast filters, and return the correction of the target for the copy's
+ * equation. */
 static real_t bent(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t input)
 {
     pmf_linear_signals_t *signals = &state->behind_fast;
@@ -187,14 +190,14 @@ void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *stat
     state->mismatch = config->memory * state->mismatch + (end - model) * (end - model);
 }
 
-/* Return whether its output explains nothing of the measured output. During its build-up, less is required. */
+/* Return whether the model explains nothing of the measured output. During build-up the limit is more tolerant. */
 static uint32_t is_lost(const pmf_linear_state_t *state)
 {
     real_t worst = state->damped != 0U ? WORST_DAMPED : WORST;
     return state->settled != 0U && state->mismatch > worst * state->power ? 1U : 0U;
 }
 
-/* Move the copy by a fraction of the way to theta, with these a, if the result is stable. */
+/* Move the copy by a fraction of the way to theta if the result is stable. */
 static uint32_t take(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, const real_t *a,
                      real_t part)
 {
@@ -243,10 +246,10 @@ static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t
     state->damped = 1U;
 }
 
-/* Begin a model from an estimate, with filters for data that settle in as many samples as have passed: its own if they
- * do. Other filters of the same order lose little if the instruments keep the model's filters, because the equation
- * holds after every filter. If the model rings for long, or noise makes it unstable, the data have filters of a more
- * damped model. */
+/* Begin a model from an estimate. The filters for data must settle in as many samples as have passed, as the model's
+ * own filters may do. Other filters of the same order lose little if the instruments keep the model's filters, because
+ * the equation holds after every filter. If the model rings for long, or noise makes it unstable, the data have filters
+ * of a more damped model. */
 static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples)
 {
     real_t a[M];
@@ -267,9 +270,9 @@ static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *sta
     return 1U;
 }
 
-/* Move the copy towards an estimate, as far as it stays stable, before the filters are computed again. If its filters
- * would not settle in time, data leave them; return 1 at this moment. Without forgetting, slower filters replace fast
- * ones once time allows, because they average more of the noise. */
+/* Move the copy towards an estimate, as far as it stays stable, before the filters are computed again. If the filters
+ * of the copy do not settle in time, data leave these filters, and the function returns 1 once. Without forgetting,
+ * slower filters later replace fast filters, because they average more noise. */
 static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta,
                        real_t samples, uint32_t forgets)
 {
@@ -294,8 +297,8 @@ static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *st
     return leaving;
 }
 
-/* While the direct estimate is active, the model starts from it. It starts again if it does not lead to a refined
- * estimate within twice the samples: the first copy may have been far off. */
+/* While the direct estimate is active, the model starts from it. The model starts again if it gives no refined estimate
+ * within twice the samples, because the first copy may have been wrong. */
 static void start(const pmf_linear_config_t *config, pmf_linear_state_t *state, const pmf_recursion_state_t *direct)
 {
     uint32_t wait = 2U * state->since;
@@ -314,8 +317,8 @@ static real_t bar(const pmf_estimate_t *estimate, uint32_t i, uint32_t inflated)
     return estimate->variance_factor[i] * estimate->innovation_variance * inflation;
 }
 
-/* The refined estimate takes over once it has a fair fraction of the direct estimate's samples, if its standard errors
- * are small enough or not much larger. After foreign filters, innovations are not white. */
+/* The refined estimate takes over after a fair fraction of the direct estimate's samples, if its standard errors are
+ * small or not much larger. After the fast filters, innovations are not white. */
 static uint32_t refined_enough(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;

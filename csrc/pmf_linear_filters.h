@@ -1,5 +1,5 @@
-/* Filters 1 / A(s) of a varying polynomial: exact for a held signal, trapezoidal for a sampled one. Only pmf_linear.c
- * includes this file. SPDX-License-Identifier: Apache-2.0 */
+/* Filters 1 / A(s) of a varying polynomial, exact for a held signal and trapezoidal for a sampled signal. Only
+ * pmf_linear.c includes this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_LINEAR_FILTERS_H
 #define PMF_LINEAR_FILTERS_H
 #include "pmf_internal.h"
@@ -8,7 +8,7 @@
 #define M PMF_MAX_ORDER
 #define HALVINGS 6
 #define TAYLOR 10U
-#define SHIFTS 16U /* largest number of steps to the left */
+#define SHIFTS 16U /* largest number of shifts of the roots to the left */
 
 /* Return whether all roots are in the left half-plane (Routh 1877) and slow enough for the samples. */
 static uint32_t plausible(const pmf_linear_config_t *config, const real_t *a)
@@ -111,7 +111,7 @@ static void discretise(pmf_linear_filter_t *filter, uint32_t n)
     }
 }
 
-/* Compute the filter of a polynomial; a filter for sampled signals only needs no step. */
+/* Compute the filter of a polynomial. A filter for sampled signals only has no step. */
 static void make_filter(pmf_linear_filter_t *filter, uint32_t n, const real_t *a, uint32_t stepping)
 {
     real_t divisor = PMF_R(1.0), part = PMF_R(1.0);
@@ -222,7 +222,7 @@ static uint32_t decays(const pmf_linear_config_t *config, const real_t *a, real_
     return plausible(config, moved);
 }
 
-/* Move all roots to the left until they decay at `rate`; return 0 if the number of steps did not suffice. */
+/* Shift all roots to the left until they decay at `rate`. Returns 0 if the number of shifts did not suffice. */
 static uint32_t damp(const pmf_linear_config_t *config, real_t *a, real_t rate)
 {
     uint32_t shifts;
@@ -251,8 +251,8 @@ static void held(const pmf_linear_filter_t *filter, uint32_t n, real_t u, real_t
     }
 }
 
-/* Apply the trapezoidal rule with the mean of a signal over the sample. The middle of the states, c + q / 2^(n-i) with
- * the last one's increment q, is each state's increment except for the one above. */
+/* Apply the trapezoidal rule with the mean of a signal over the sample. With the last state's increment q, the middle
+ * of the states is c + q / 2^(n-i). The increment of a state is the middle of the next state. */
 static void trapezoidal(const pmf_linear_filter_t *filter, uint32_t n, real_t mean, real_t w[M])
 {
     real_t middle[M + 1], q = mean;

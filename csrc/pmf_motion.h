@@ -1,5 +1,5 @@
-/* An interval of a body that only the input moves, and its derivatives by all unknowns. Only pmf_edges.h includes this
- * file. SPDX-License-Identifier: Apache-2.0 */
+/* The motion of a body under the input in an interval, and the derivatives of this motion by all unknowns. Only
+ * pmf_edges.h includes this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_MOTION_H
 #define PMF_MOTION_H
 
@@ -9,7 +9,7 @@
 
 #define PLACE 0U
 #define SPEED 1U
-#define FIRST 2U /* place, velocity and parameters */
+#define FIRST 2U /* index of the first parameter, after place and velocity */
 #define MOST_KNOWN (PMF_MAX_PARAMETERS + 2)
 
 /* The end of a sample, and its derivatives by place, velocity and theta at the start. */
@@ -31,7 +31,7 @@ static void roles_of(const pmf_config_t *config, const real_t *theta, real_t rol
     }
 }
 
-/* Return the acceleration of a body at a velocity; at rest, the acceleration after breaking away. */
+/* Return the acceleration of a body at a velocity. At rest it is the acceleration after breaking away. */
 static real_t acceleration_of(const body_t *body, real_t velocity)
 {
     uint32_t way = velocity < PMF_R(0.0) ? 1U : 0U;
@@ -69,7 +69,7 @@ static void add_phase(phase_t *whole, const phase_t *part)
     whole->moving[1] += part->moving[1];
 }
 
-/* Differentiate an interval `whole` from its first velocity, by way of the velocity at the switch, to the last one. */
+/* Differentiate an interval `whole` from the first velocity through the velocity at the switch to the last velocity. */
 static void differentiate(const pmf_config_t *config, const body_t *first, const body_t *second, const phase_t *whole,
                           const real_t velocity[3], real_t part, motion_t *motion)
 {

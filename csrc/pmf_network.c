@@ -9,7 +9,7 @@
 #define TAP(c, t, from) column[c] += tap[t].weight * node[from];
 
 #if PMF_STEPS
-#if PMF_LAYOUT != 0U /* an export has exactly the rules that it needs */
+#if PMF_LAYOUT != 0U /* an export has exactly the rules of its stages */
 #define RATES(config) PMF_MAX_RATES
 #define STAGES(config) PMF_MAX_STAGES
 #else
@@ -17,9 +17,9 @@
 #define STAGES(config) (config)->n_stages
 #endif
 
-#define RECENT PMF_R(0.99609375) /* forgetting of steps: 256 samples */
+#define RECENT PMF_R(0.99609375) /* forgetting of steps, a memory of 256 samples */
 
-/* Return the mean square of the step over time; long steps have more weight. */
+/* Return the mean square of the step over time, in which long steps have more weight. */
 static real_t mean_square(pmf_network_state_t *state)
 {
     real_t longest = (real_t)PMF_LONGEST, step = state->ratio < longest ? state->ratio : longest;
@@ -28,8 +28,8 @@ static real_t mean_square(pmf_network_state_t *state)
     return state->cubes / state->time;
 }
 
-/* A stage: the trapezoidal rule with its zero cancelled, a delay, or a value of the auxiliary model. `memory` has the
- * source of the preceding step. */
+/* Step a stage, which is a trapezoidal rule with a cancelled zero, a delay, or a value of the auxiliary model. `memory`
+ * has the source of the preceding step. */
 #define FOLLOW(k, from, rate) \
     STEPPED(k, from, gain[rate] * (stage[k].b0 * w + stage[k].b1 * memory[k]) + keep[rate] * *y)
 #define CANCELLED(k, from, rate) STEPPED(k, from, gain[rate] * (stage[k].b0 * w) + keep[rate] * *y)
@@ -42,7 +42,7 @@ static real_t mean_square(pmf_network_state_t *state)
         memory[k] = w;                                        \
     }
 
-/* Apply the trapezoidal rule over a step; h is the pole times half the step. */
+/* Apply the trapezoidal rule over a step, with h as the pole times half the step. */
 static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_rates_t *rates = &config->rates;
@@ -76,7 +76,7 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
 #endif
 
 #ifdef PMF_NETWORK
-/* Straight code for known stages and taps, as a list in order. */
+/* Straight code for known stages and taps, listed in order. */
 #define STAGE(k, from)                                          \
     {                                                           \
         real_t w = node[from], y = stage[k].b0 * w + memory[k]; \

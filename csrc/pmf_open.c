@@ -1,4 +1,4 @@
-/* Open the memory of an estimate: P grows, theta stays. SPDX-License-Identifier: Apache-2.0 */
+/* Open the memory of an estimate, so that P grows and theta stays. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32
@@ -23,14 +23,14 @@ static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
             state->sums.square[i][j] *= keep;
         }
         state->sums.right[i] *= keep;
-        state->peak[i] *= keep; /* otherwise the regularisation would mistake the new information for a poor one */
+        state->peak[i] *= keep; /* otherwise the regularisation would take the new information for poor */
     }
     state->sums.weight *= keep;
     state->sums.squares *= keep * keep;
 }
 
-/* Open one parameter alone: the information R = W or W^T Z^-1 W becomes R - (1 - keep) r r^T / R_ii with r = R e_i. The
- * information on the other parameters for given theta_i stays: in L D L^T with parameter i first, only its pivot
+/* Open one parameter alone. The information R = W or W^T Z^-1 W becomes R - (1 - keep) r r^T / R_ii with r = R e_i. The
+ * information on the other parameters for given theta_i stays. In L D L^T with parameter i first, only the pivot of i
  * shrinks.
  *
  * Least squares takes R from the sums. The factors of the last step also hold the regularisation, which may exceed
@@ -39,7 +39,8 @@ static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_sta
 {
     uint32_t p = config->n_parameters, i, j;
     real_t r[PMF_MAX_PARAMETERS], own = state->sums.cross[one][one] - feigned(config, state, one, one);
-    if (!(own > FAINT * state->sums.cross[one][one])) { /* no information on it exists that could be removed */
+    if (!(own >
+          FAINT * state->sums.cross[one][one])) { /* without information on the parameter, nothing can be removed */
         return;
     }
     for (i = 0; i < p; ++i) {
@@ -53,7 +54,7 @@ static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_sta
         }
         after = state->sums.cross[i][i] - feigned(config, state, i, i);
         if (!(after >
-              FAINT * before)) { /* all its information depended on the other parameter: only the rounding is left */
+              FAINT * before)) { /* only rounding is left, because all information depended on the other parameter */
             after = before > PMF_R(0.0) ? FAINT * before : PMF_R(0.0);
             state->sums.cross[i][i] = after + feigned(config, state, i, i);
         }

@@ -1,10 +1,10 @@
 /* Check whether numbers can be a state of this configuration.
  * SPDX-License-Identifier: Apache-2.0
  *
- * A checksum shows that a state was not damaged, not that it is valid: any writer of the bytes can compute it. So
- * every whole number is compared to its limits by the configuration before a state is accepted (one of them is an
- * index). Every real number must be finite and have its sign. An accepted state may still be wrong. It cannot write
- * outside its memory, block the estimator, or hold a value that is no number. */
+ * A checksum shows that a state was not damaged, not that it is valid: any writer of the bytes can compute it. Before a
+ * state is accepted, every integer is therefore compared to its limits, because one of the integers is an index. Every
+ * real number must be finite and have its sign. An accepted state may still be wrong. It cannot write outside its
+ * memory, block the estimator, or hold a value that is no number. */
 #include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32
@@ -12,11 +12,11 @@
 #else
 #define LARGEST PMF_R(1.7976931348623157e308)
 #endif
-#define MOST_COUNTS PMF_R(1e15) /* limit of the tracker: far more than a counter of 32 bits can cause */
+#define MOST_COUNTS PMF_R(1e15) /* limit of the tracker, far beyond a counter of 32 bits */
 #define REALS(member) \
     ((uint32_t)(sizeof(member) / (sizeof(real_t)))) /* number of reals in an array, or in a structure of reals */
 
-/* Return whether numbers are within limits; NaN is not. */
+/* Return whether numbers are within limits. NaN is outside. */
 PMF_SELDOM uint32_t within(const real_t *number, uint32_t numbers, real_t least, real_t most)
 {
     uint32_t i, fine = 1U;
@@ -139,7 +139,7 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
            within(&state->mass, 1U, PMF_R(0.0), PMF_R(1.0)) & not_negative(&state->weight, 1U) &
            not_negative(&state->innovation_square, 1U) & at_most(state->started, state->updates) &
            finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
-           /* a block may end some updates late, and has only updates without a status */
+           /* a block counts only updates without a status, and may end some updates late */
            at_most(state->block_updates, state->updates) &
 #if PMF_WITH_NOISE
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &

@@ -16,10 +16,11 @@
 
 #define POOR PMF_R(50.0) /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3) /* information below FREEZE times the regularisation is no longer forgotten */
-#define LEAST_CLEAN PMF_R(0.02) /* fraction of a column's information */
+#define LEAST_CLEAN PMF_R(0.02) /* fraction of a column's information that remains without the known noise */
 
-/* Subtract the apparent information of the known noise. If hardly any is left, excitation is poor: some is kept, so
- * that P stays positive. Before the first estimate nothing is subtracted, because the noise may exceed the information.
+/* Subtract the apparent information of the known noise. If hardly any information is left, excitation is poor, and a
+ * fraction is kept so that P stays positive. Before the first estimate nothing is subtracted, because the noise may
+ * exceed the information.
  */
 PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p,
                                   real_t information[N][N])
@@ -79,7 +80,7 @@ PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_sta
 }
 
 /* Compute the move of theta before the gain. A young estimate uses the right-hand side, which removes the rounding of
- * the first solution. Later it uses the innovation, so that rounding of the sums has no effect. */
+ * the first solution. Later the innovation is used, so that rounding of the sums has no effect. */
 PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, const real_t *zeta,
                          uint32_t p, uint32_t instrumental, real_t move[N])
 {
@@ -199,7 +200,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
         note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
-        /* not together with the comparison of sizes or the check of the model: one sample would take long */
+        /* the sizes and the model are checked in other samples, so that no sample takes long */
         ends = scored & ((state->updates & 1U) != 0U) & (state->block_updates >= config->block);
         if (PMF_ANY(ends)) {
             end_block(config, state, ends, p, instrumental, &projection);
@@ -211,8 +212,8 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled);
 }
 
-/* Check the sums as well: an overflow would show in theta much later, or never. The check goes row by row, so that no
- * addition waits for all others. */
+/* Check the sums as well, because an overflow would show in theta much later, or never. The check adds row by row, so
+ * that no addition waits for all others. */
 PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, uint32_t instrumental)
 {
     real_t sum = state->innovation_square;
@@ -238,8 +239,8 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
     return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
 }
 
-/* An export with shapes has recursions of two sizes, which use loops: code for every size would be twice the rest of
- * the kernel. */
+/* An export with shapes has recursions of two sizes. Both use loops, because code for every size would be twice the
+ * rest of the kernel. */
 #if defined(PMF_PARAMETERS) || (PMF_MAX_SHAPES > 0 && PMF_LAYOUT != 0U)
 #define EVERY_SIZE 0
 #else
@@ -247,8 +248,8 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
 #endif
 
 #if EVERY_SIZE
-/* The same code with the number of parameters as a constant: loops unroll, the bits stay. It is split into functions,
- * because the time of a compiler grows faster than the size of a function. */
+/* The same code with a constant number of parameters. Loops unroll, and the bits stay. The code is split into
+ * functions, because a compiler's time grows faster than the size of a function. */
 #define FIXED(p, instrumental)                                                                                         \
     PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, \
                                                    const real_t *column)                                               \
@@ -350,7 +351,7 @@ void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_re
                 x[j] -= recursion->factor[k][j] * x[k];
             }
         }
-        for (i = 0; i < n; ++i) { /* symmetric to the last bit: the lower half is copied */
+        for (i = 0; i < n; ++i) { /* the copied lower half makes the matrix symmetric to the last bit */
             p[i * n + column] = i >= column ? x[i] : p[column * n + i];
         }
     }

@@ -1,12 +1,12 @@
-/* The scale of information: information from larger motions than the recent ones is outdated. Only pmf_recursion.c
+/* The scale of information, by which information from larger than recent motions is outdated. Only pmf_recursion.c
  * includes this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_SCALE_H
 #define PMF_SCALE_H
 
 #include "pmf_forgetting.h"
 
-#define HALF_MEMORIES 4U /* ratio by which the bits of the last half memory are larger */
-#define SOME PMF_R(0.0625) /* fraction of the encoder's squared error, above which the axis moves */
+#define HALF_MEMORIES 4U /* factor between the bits of this half memory and of the last */
+#define SOME PMF_R(0.0625) /* fraction of the encoder's squared error above which the axis moves */
 #define LITTLE PMF_SCALAR(0.25) /* fraction of the starting limit that ends the fast forgetting */
 
 /* Sum the squares of the acceleration in motion, in units of the encoder's error, over this half memory of motion and
@@ -21,8 +21,8 @@ PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursio
     return moves & PMF_NOT(state->moved < config->half_memory);
 }
 
-/* Return whether both sums exceed the encoder's errors, and whether the axis visibly accelerated and braked. Other
- * motions, such as a constant speed, give little information, however long. */
+/* Return whether both sums exceed the encoder's errors, and whether the axis visibly accelerated and braked. Even long
+ * motions of constant speed give little information. */
 PMF_INLINE truth_t excites(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE((scalar_t)config->half_memory);
@@ -41,8 +41,7 @@ PMF_INLINE void end_half_memory(pmf_recursion_state_t *state, truth_t ends)
 }
 
 /* After every half memory of motions that excite the axis, lower the peaks to the level of these motions. Information
- * beyond the reach of recent accelerations comes from larger motions, and is forgotten fast: a memory counts time for
- * any size of motion. */
+ * that recent accelerations cannot explain comes from larger motions, and is forgotten fast. */
 PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               truth_t looks, uint32_t p, real_t known)
 {

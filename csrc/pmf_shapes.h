@@ -1,10 +1,10 @@
-/* Shapes: forces of a given form and an unknown size, only in the auxiliary model (for pmf_auxiliary.c).
+/* Shapes are forces of a given form and an unknown size in the auxiliary model (for pmf_auxiliary.c).
  * SPDX-License-Identifier: Apache-2.0
  *
  * A shape is friction at a speed, friction at a place, or a force at a place. Its form is a sine, a square, or a
  * table of the configuration with straight lines between its knots. In an interval a shape acts with its mean along
- * the motion. The mean over the speeds is exact for a constant acceleration. So friction that falls within a
- * fraction of a sample's speed change needs no smaller steps. */
+ * the motion. The mean over the speeds is exact for a constant acceleration. A friction that falls within a fraction of
+ * a sample's speed change therefore needs no smaller steps. */
 #ifndef PMF_SHAPES_H
 #define PMF_SHAPES_H
 
@@ -19,7 +19,7 @@ typedef struct {
 
 typedef struct {
     real_t velocity, left; /* remaining fraction of the interval */
-    real_t distance[2], moving[2]; /* forward, backward; as fractions of the interval */
+    real_t distance[2], moving[2]; /* times of motion forward and backward, as fractions of the interval */
 } phase_t;
 
 #if PMF_SHAPED
@@ -27,12 +27,12 @@ typedef struct {
 /* Defined in pmf_auxiliary.c. */
 static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backward, phase_t *phase);
 
-#define FORESIGHTS 2U /* iterations of the end of an interval, each with the means along the preceding one */
-#define MOST_PERIODS PMF_R(1e9) /* beyond this number of periods, a value does not show the place in a period */
+#define FORESIGHTS 2U /* iterations of the end of an interval, each with the means along the preceding motion */
+#define MOST_PERIODS PMF_R(1e9) /* largest number of periods at which a number shows the place within a period */
 
 typedef struct {
     real_t velocity, place; /* position and velocity at one end of a motion */
-    real_t value[PMF_MAX_SHAPES]; /* values of the shapes of a place; only at the beginning */
+    real_t value[PMF_MAX_SHAPES]; /* values of the shapes of a place, only at the beginning of a motion */
 } shape_end_t;
 
 /* Return the number of knots from the first one, within the table. */
@@ -49,8 +49,8 @@ static integer_t knot_before(const pmf_shape_t *shape, real_t x)
     return PMF_IF(i < last, i, last);
 }
 
-/* Return sin(2 pi x), x in periods from the start: a polynomial over a quarter of a period through Chebyshev's nodes,
- * with an error of 1e-13. */
+/* Return sin(2 pi x), x in periods. A polynomial through Chebyshev's nodes over a quarter of a period has an error of
+ * 1e-13. */
 static real_t wave_value(const pmf_shape_t *shape, real_t at)
 {
     real_t x = (at - shape->start) * shape->knots_per_unit, s;
@@ -81,7 +81,7 @@ static real_t shape_value(const pmf_shapes_config_t *config, const pmf_shape_t *
     return shape->of == PMF_OF_WAVE ? wave_value(shape, at) : value_in_table(config, shape, at);
 }
 
-/* Return the integral from the first knot, in steps of the table; the last value continues beyond it. */
+/* Return the integral from the first knot, in steps of the table. The last value continues beyond the table. */
 static real_t shape_integral(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t at)
 {
     real_t x = knots_from_first(shape, at), part, low;
@@ -125,7 +125,7 @@ static real_t speed_of(real_t velocity)
     return PMF_IF(velocity < PMF_R(0.0), -velocity, velocity);
 }
 
-/* Return the body with the means of its shapes; `mean` keeps these means, for friction against the motion. */
+/* Return the body with the means of its shapes. `mean` keeps these means for friction against the motion. */
 static body_t shaped_body(const pmf_shapes_config_t *config, const body_t *plain, const real_t *parameter,
                           const shape_end_t *from, const shape_end_t *to, real_t time, real_t *mean)
 {
@@ -175,7 +175,7 @@ static body_t body_at_rest(const pmf_auxiliary_config_t *config, const pmf_auxil
     return shaped_body(&config->shapes, plain, state->parameter, &here, &here, PMF_R(0.0), mean);
 }
 
-/* Predict the place of a body after a time [s], or at an earlier stop; return the time. */
+/* Predict the place of a body after a time [s] or at an earlier stop. Returns the time. */
 static real_t foresee(const body_t *body, truth_t backward, const shape_end_t *from, real_t time, shape_end_t *to)
 {
     real_t side = PMF_IF(backward, PMF_R(-1.0), PMF_R(1.0)), speed = side * from->velocity;
@@ -192,7 +192,7 @@ static real_t foresee(const body_t *body, truth_t backward, const shape_end_t *f
     return time;
 }
 
-/* Do `move` with the means of the shapes along the resulting motion, and add these means to the shapes' signals. */
+/* Call `move` with the means of the shapes along the resulting motion, and add these means to the shapes' signals. */
 static void move_shaped(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state, const body_t *plain,
                         truth_t forward, truth_t backward, phase_t *phase, real_t *signal)
 {

@@ -9,16 +9,16 @@
 #define PMF_MAX_NOISE PMF_MAX_PARAMETERS
 #define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
 #define PMF_MAX_ORDER 6 /* largest order of a simulated linear process */
-#define PMF_MAX_LATE 22 /* inputs that are kept for a dead time: two more than its whole samples */
-#define PMF_MAX_SHAPES 6 /* shapes, the forces of the auxiliary model in addition to the body's; 0 leaves them out */
+#define PMF_MAX_LATE 22 /* inputs kept for a dead time, two more than the whole samples */
+#define PMF_MAX_SHAPES 6 /* number of shapes in the auxiliary model; 0 leaves shapes out */
 #define PMF_MAX_KNOTS 520 /* knots in the tables of all shapes */
 #define PMF_MAX_RATES 16 /* rules by which stages follow a varying step */
-#define PMF_WINDOW_BLOCKS 8 /* blocks of a sliding window; 0 saves their memory if no window is used */
+#define PMF_WINDOW_BLOCKS 8 /* blocks of a sliding window; 0 saves the memory of the window */
 
-/* 0 leaves a part out, with its code and its memory. */
+/* 0 leaves out a part with its code and memory. */
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
 #define PMF_WITH_LINEAR 1 /* the model of a linear process and its recursion */
-#define PMF_WITH_PROCESS 1 /* an output without an encoder's friction: its start and its own noise */
+#define PMF_WITH_PROCESS 1 /* the output of a process, with its start and noise */
 #define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
 #define PMF_WITH_DEAD_TIME_FOUND 1 /* an estimated dead time */
 #define PMF_WITH_LAG 1 /* an input with a first-order lag */
@@ -27,12 +27,12 @@
 #define PMF_WITH_ENDLESS 1 /* float32 without forgetting, or with slow forgetting that may fill the sums */
 #define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */
 #define PMF_WITH_NOISE 1 /* known covariance of the noise */
-#define PMF_WITH_STEPS 1 /* each sample comes with the time since the last one */
+#define PMF_WITH_STEPS 1 /* each sample has the time since the preceding sample */
 
-#define PMF_LAYOUT 0U /* CRC-32 of the state's fields; for the module, Python knows it */
+#define PMF_LAYOUT 0U /* CRC-32 of the state's fields. Python computes the number for the module. */
 
 /* An export also defines the number of parameters of every recursion (PMF_PARAMETERS), whether it has instruments
- * (PMF_INSTRUMENTAL), its forgetting (PMF_SCHEME), and PMF_FLOAT32 for float32 arithmetic. For the module, the build
- * does this. */
+ * (PMF_INSTRUMENTAL), its forgetting (PMF_SCHEME), and PMF_FLOAT32 for float32 arithmetic. The build defines these
+ * macros for the module. */
 
 #endif

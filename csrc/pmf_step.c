@@ -1,9 +1,9 @@
 /* One sample through encoder, network and recursion. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_dead_time.h"
 
-#define TAKE_OVER PMF_R(3.0) /* ratio of samples, or of variances */
-#define SHORT_BAR PMF_R(0.01) /* fraction of the mass */
-/* Mean square of the step over time, in squared periods, above which the direct methods are wrong by percents. */
+#define TAKE_OVER PMF_R(3.0) /* ratio of samples, or of variances, at which an estimate takes over */
+#define SHORT_BAR PMF_R(0.01) /* fraction of the mass as a small standard error */
+/* Mean square of the step over time [squared periods] above which direct methods err by percents. */
 #define BURSTS PMF_R(2.0)
 /* Status bits of the instrumental recursion that remain with the estimate of the simpler method. */
 #define KEPT_ON_FALLBACK ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK))
@@ -80,7 +80,7 @@ PMF_API uint32_t pmf_parameters(const pmf_config_t *config)
     return config->direct.n_parameters;
 }
 
-/* Clear the filters, which may also hold a value beyond the number format. */
+/* Clear the filters, which may hold infinite values. */
 static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(&state->network, (uint32_t)sizeof state->network);
@@ -96,7 +96,7 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 }
 
 #if PMF_WITH_GUARD
-/* Begin again: wrong counts were accepted, and all sums contain them. */
+/* Begin again, because all sums contain wrong counts. */
 PMF_SELDOM void begin_again(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(&state->direct, (uint32_t)sizeof state->direct);
@@ -177,7 +177,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     if (PMF_ANY(settling)) {
 #if PMF_WITH_AUXILIARY
         if (PMF_MODELLED(config)) {
-            /* the measured velocity is known now: the model need not approach it with its own time constant */
+            /* the model takes the known velocity at once, instead of approaching it with its own time constant */
             truth_t half_way = settling & (state->settle == config->settle_samples / 2U);
             state->auxiliary.velocity =
                 PMF_IF(half_way, state->network.column[config->auxiliary.check_column], state->auxiliary.velocity);
@@ -221,7 +221,7 @@ static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *di
 }
 
 #if PMF_STEPS
-/* A sum over samples becomes an integral over time: each row, one sample late, has half the weight of its two
+/* A sum over samples becomes an integral over time. Each row, one sample late, has half the weight of its two
  * neighbouring steps. Otherwise the samples of a burst would have all weight, and the pause none. */
 static void weigh_instruments(const pmf_recursion_config_t *config, pmf_network_state_t *network)
 {
@@ -235,8 +235,8 @@ static void weigh_instruments(const pmf_recursion_config_t *config, pmf_network_
 }
 #endif
 
-/* The instrumental estimate takes over once it has a fair fraction of the samples of the direct one, which began
- * earlier. It must also know the mass about as well, or well enough. */
+/* The instrumental estimate takes over after a fair fraction of the direct estimate's samples. The instrumental
+ * estimate must also know the mass about as well, or well enough. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
@@ -253,14 +253,14 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 #if PMF_FOUND
     if (config->late.found != 0U && state->found.looks != 0U) {
         enough = TAKE_OVER * gathered >
-                 state->direct.sums.weight; /* neither estimate searches for the dead time any longer */
+                 state->direct.sums.weight; /* both estimates have ended the search for the dead time */
     }
 #endif
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
-/* Forget the early residuals of the instrumental estimate, at times orders of magnitude larger than the direct one's.
- * They are no noise, and without forgetting would stay in the error bars. */
+/* Forget the early residuals of the instrumental estimate, which are not noise. Without forgetting they would stay in
+ * the error bars, and may be orders of magnitude larger than the direct residuals. */
 static void forget_start(pmf_state_t *state, truth_t where)
 {
     real_t limit = state->instrument.weight * state->direct.estimate.innovation_variance;
@@ -296,7 +296,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
 #if PMF_FOUND
-    if (config->late.within == 0U) /* otherwise more samples are available for the verdict */
+    if (config->late.within == 0U) /* other configurations have more samples for the verdict */
 #endif
         status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
                                      trusted & settled & (state->auxiliary.in_charge != 0U));
@@ -388,7 +388,7 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
     }
     variance = estimate->variance_factor[parameter] * estimate->innovation_variance *
                (inflation > PMF_R(0.0) ? inflation : PMF_R(1.0));
-    return variance < PMF_UNKNOWN ? variance : PMF_UNKNOWN; /* it may also leave the number format */
+    return variance < PMF_UNKNOWN ? variance : PMF_UNKNOWN; /* the value may also be infinite */
 }
 #endif
 

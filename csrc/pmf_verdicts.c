@@ -1,4 +1,4 @@
-/* Verdicts from the auxiliary model's errors: the input follows them, or the input acts late.
+/* Verdicts from the auxiliary model's errors on an input that follows the errors, or that acts late.
  * SPDX-License-Identifier: Apache-2.0
  *
  * Both verdicts are correlations of known values, sample by sample, and each gives one bit of the status. */
@@ -7,17 +7,17 @@
 #if PMF_WITH_AUXILIARY
 
 #define FEEDBACK_MEMORY PMF_R(0.999)
-/* Least squared correlation of the velocity residual with the model's acceleration if the model leads the plant, and
- * the least lead in samples: 0.06 and 0.03 for half a sample of dead time under position control, 0.2 in open loop.
- * Chance and a right model stay below one of both. The third limit is the least evidence, in independent samples. */
+/* The first limit is the least squared correlation of the velocity residual with the model's acceleration, and the
+ * second the least lead [samples]. Half a sample of dead time gives 0.06 and 0.03 under position control, and 0.2 in
+ * open loop. Chance and a right model stay below one of these limits. The third limit is the least evidence, in
+ * independent samples. */
 #define LATE_PART PMF_R(0.04)
 #define LATE_BY PMF_R(0.02)
 #define LATE_SURE PMF_R(9.0)
-#define FEEDBACK_STARTS \
-    250U /* innovations of a young estimate are large and not informative; a verdict needs twice as many */
-#define FEEDBACK_TURNS 16U /* length of the stretches of updates that are used and skipped by turns: half the cost */
-/* Squared correlation of the controller's response to the encoder's error with the equation's response: 0.14 to 0.8
- * under position control, at most 0.04 in open loop, however seldom the input changes. */
+#define FEEDBACK_STARTS 250U /* updates whose large innovations are ignored; a verdict needs twice as many updates */
+#define FEEDBACK_TURNS 16U /* updates in stretches that are used and skipped by turns, at half the cost */
+/* Squared correlation of the controller's response to the encoder's error with the equation's response: The value is
+ * 0.14 to 0.8 under position control, and at most 0.04 in open loop, even with rare changes of the input. */
 #define FEEDBACK_PART PMF_R(0.09)
 
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,

@@ -2,14 +2,15 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Under control through a coarse encoder the input follows the encoder's error, so that instruments from the input
- * fail. The likelihood of the counts does not suffer: a body moved by the input alone lies between two edges at
- * every sample. Its place, velocity and parameters have a normal distribution. The model carries this distribution
- * from sample to sample, and each count cuts it off at its nearest edge; mean and covariance of the rest are kept
- * (assumed density filtering). A count far from an edge has no information, a count near an edge more than a
- * variance of a twelfth. So standard errors shrink with the number of edges and not with its root.
+ * fail. The likelihood of the counts does not suffer. It says that a body moved by the input alone lies between two
+ * edges at every sample. Its place, velocity and parameters have a normal distribution. The model carries this
+ * distribution from sample to sample. Each count cuts off the distribution at the nearest edge. The mean and covariance
+ * of the remainder are kept (assumed density filtering). A count far from an edge has no information, a count near an
+ * edge more than a variance of a twelfth. Standard errors therefore shrink with the number of edges instead of its
+ * root.
  *
- * This assumes a right model. The distance of the place beyond an edge is compared to its own deviation, and if it
- * is too large too often, the motion begins again. */
+ * The method assumes a right model. If the place is too often too far beyond an edge, in its own standard deviations,
+ * the motion begins again. */
 #ifndef PMF_WITHIN_H
 #define PMF_WITHIN_H
 
@@ -17,12 +18,12 @@
 
 #if PMF_FOUND
 
-#define GROWING PMF_R(100.0) /* memory in samples; samples linearised further away have less weight */
-#define SURPRISED PMF_R(1.3) /* ratio to the expectation that means another motion */
-#define STRAYED PMF_R(6.0) /* squared deviations by which a moved dead time shows that its variance was too small */
-#define WIDENED PMF_R(4.0) /* after such a move the sums count a quarter */
+#define GROWING PMF_R(100.0) /* memory [samples], which gives less weight to samples linearised further away */
+#define SURPRISED PMF_R(1.3) /* ratio to the expectation above which the motion is wrong */
+#define STRAYED PMF_R(6.0) /* squared deviations above which a moved dead time had too small a variance */
+#define WIDENED PMF_R(4.0) /* factor of the covariance after such a move */
 #define SLACK PMF_R(0.1)
-#define WHILE PMF_R(0.25) /* interval of comparison: until the variance falls to this fraction */
+#define WHILE PMF_R(0.25) /* fraction of the variance that ends an interval of comparison */
 #define STAYED PMF_R(0.25) /* [samples] */
 #define YOUNG 10U
 #define ENOUGH_AGE 100U /* samples before the motion is accepted, and samples near an edge: */
@@ -30,7 +31,7 @@
 #define SHARP PMF_R(0.1) /* standard deviation [samples] of a known dead time */
 #define LEAST_KEPT PMF_R(0.3) /* least kept fraction of mass and viscous friction in one sample */
 
-/* Keep masses and frictions from becoming negative, and the dead time within the kernel's room. */
+/* Keep masses and frictions positive, and the dead time within the kernel's room. */
 static void keep_possible(const pmf_config_t *config, pmf_found_state_t *found, const real_t *before)
 {
     const uint32_t *index = config->auxiliary.index;
@@ -108,8 +109,8 @@ static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_
     found->running = role[PMF_MASS] > PMF_R(0.0) ? 1U : 0U;
 }
 
-/* Begin from the accepted dead time. Before one exists, begin at the dead time of an uncertain estimate: every
- * beginning tries another one. */
+/* Begin from the accepted dead time. Without an accepted dead time, every beginning tries that of an uncertain
+ * estimate. */
 static void begin(const pmf_config_t *config, pmf_state_t *state)
 {
     const uint32_t *from = config->auxiliary.direct_index;
@@ -123,8 +124,8 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
     begin_at(config, state, role, 0U);
 }
 
-/* The data so far were linearised further away, and their error would stay. So begin once more from the result, until
- * the result stays. Until then it suffices for the auxiliary model. */
+/* The data so far were linearised further away, and their error would stay. Begin once more from the result until the
+ * result stays. The auxiliary model may already use the result. */
 static void look_again(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_found_state_t *found = &state->found;
@@ -141,7 +142,7 @@ static void look_again(const pmf_config_t *config, pmf_state_t *state)
     }
 }
 
-/* A dead time that moves beyond its own variance was linearised too far away: the sums so far have less weight. */
+/* A dead time that moves beyond its own variance was linearised too far away, so that the sums lose weight. */
 static void doubt(const pmf_config_t *config, pmf_found_state_t *found)
 {
     uint32_t late = config->auxiliary.index[PMF_DELAY], i, j, n = FIRST + parameters_of(config);
