@@ -1,4 +1,4 @@
-# One door for every chore; each target makes the environment it needs in .venv.
+# Each target makes the environment that it needs, in .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
 SERVICE_TOOLS = mosquitto chromium
@@ -10,9 +10,9 @@ SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[c
 .PHONY: demo test test-long test-core coverage spark kills broker-kills service-faults soak check format bench bench-compare study hostile firmware \
     firmware-tools service-tools spark-tools golden images clean
 
-# What the build needs, then pmfid with what it needs itself, at the versions of requirements-dev.txt. An edit of Python
-# counts at once, an edit of C after `make`. What a command imports is compiled to bytecode, as some environments forbid
-# Python to do so later.
+# Build tools, then pmfid with its dependencies, at the versions of requirements-dev.txt. An edit of Python counts at
+# once, an edit of C after `make`. The imports of commands are compiled to bytecode here, because some environments
+# forbid later compilation.
 IMPORTED = click jinja2 matplotlib numpy polars pydantic rich scipy
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
@@ -22,7 +22,7 @@ IMPORTED = click jinja2 matplotlib numpy polars pydantic rich scipy
 	$(IMPORTED) ../../../../src
 	touch $@
 
-# What tests, checks and studies need beyond that.
+# Additional packages for tests, checks and studies.
 .venv/tools: requirements-dev.txt | .venv/installed
 	$(PIP) install -r requirements-dev.txt
 	touch $@
@@ -30,8 +30,8 @@ IMPORTED = click jinja2 matplotlib numpy polars pydantic rich scipy
 demo: .venv/installed
 	.venv/bin/python -m examples.demo --out demo-report
 
-# Cross compiler, emulator and checkers for the tests of the firmware; without them those tests skip. Installed only on
-# request, as .ci/run does, and only where apt answers.
+# Cross compiler, emulator and checkers for the firmware's tests, which skip without these tools. INSTALL_TOOLS requests
+# the installation, which needs apt.
 firmware-tools:
 	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null && ! (command -v arm-none-eabi-gcc && command -v \
 	qemu-system-arm && command -v cppcheck && command -v clang && command -v valgrind) >/dev/null; then \
@@ -41,7 +41,7 @@ firmware-tools:
 	    $(FIRMWARE_TOOLS) >/dev/null 2>&1 || echo "no firmware tools: their tests will skip"; \
 	fi
 
-# The broker and the browser for the tests of the service; without them they skip. In the same way.
+# Broker and browser for the service's tests, which skip without them.
 service-tools: firmware-tools
 	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null && \
 	! (PATH="$$PATH:/usr/sbin" command -v mosquitto && command -v chromium) >/dev/null; then \
@@ -51,7 +51,7 @@ service-tools: firmware-tools
 	    $(SERVICE_TOOLS) >/dev/null 2>&1 || echo "no service tools: their tests will skip"; \
 	fi
 
-# The Java runtime for the tests of the fleet on Spark, and the extra; without them those tests skip.
+# Java runtime for the fleet's tests on Spark, which skip without it.
 spark-tools:
 	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null && ! command -v java >/dev/null; then \
 	  root=$$([ "$$(id -u)" = 0 ] || echo "sudo -n"); \
@@ -66,18 +66,17 @@ EXTRA = import sys, tomllib; \
 	$(PIP) install -c requirements-dev.txt $$(.venv/bin/python -c '$(EXTRA)' spark)
 	touch $@
 
-# One process: a Spark in it has the other cores.
+# The tests run in one process, because Spark uses the other cores.
 spark: .venv/spark
 	@$(MAKE) --no-print-directory spark-tools INSTALL_TOOLS=1
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -p no:benchmark tests/spark
 
-# A process for each core with one thread each (the threads of several would only wait for each other), a file of tests
-# in one of them; benchmarks stay out, they want the machine for themselves. Bytecode is kept: where an environment
-# forbids it, each process rewrites every assertion again, and each command that a test starts compiles all of pmfid.
+# The tests run in one process per core. Each process has one thread, because the threads of several processes would
+# wait for each other. A file of tests runs in a single process. Benchmarks need the whole machine and run elsewhere.
+# Without kept bytecode each process would rewrite every assertion, and each command would compile all of pmfid.
 WORKERS ?= auto
 KEPT = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
-# The whole run is bounded as well [s], against what no test's own limit reaches. The tests of the structure are those
-# of `make check`.
+# BOUND limits the whole run [s], in addition to the limit of each test. `make check` runs the tests of the structure.
 BOUND = 840
 PYTEST = $(KEPT) timeout --kill-after=20 $(BOUND) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile \
     --max-worker-restart 2 -p no:benchmark
@@ -85,13 +84,13 @@ STRUCTURE = tests/test_architecture.py tests/test_names.py tests/test_prose.py
 test: .venv/tools firmware-tools service-tools
 	$(PYTEST) -m "not long" $(STRUCTURE:%=--ignore %)
 
-# The rest, of seconds each.
+# The tests that take seconds each.
 test-long: BOUND = 7200
 test-long: .venv/tools firmware-tools service-tools
 	$(PYTEST) -m long
 
-# Core's tests in an environment of the hard dependencies alone. Out stay the tests of the layers above core (service,
-# fleets, design, what lists the results of all layers) and of the extras (formats, frames).
+# The core's tests with the hard dependencies alone. Excluded are tests of the upper layers (service, fleets, design),
+# tests of results from all layers, and tests of extras (formats, frames).
 ABOVE = $(wildcard tests/test_fleet_*.py tests/test_design_*.py tests/test_hostile*.py) $(addprefix tests/, service spark) \
     $(patsubst %,tests/test_%.py,formats frames logs_study openings presentation reproduce unpacked)
 build/core/bin/pytest: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
@@ -101,31 +100,31 @@ build/core/bin/pytest: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOUR
 test-core: build/core/bin/pytest
 	$(PYTEST:.venv/%=build/core/%) -m "not long" $(STRUCTURE:%=--ignore %) $(ABOVE:%=--ignore %)
 
-# The lines of src/pmfid that the fast tests reach in their own processes.
+# Coverage of src/pmfid by the fast tests.
 coverage: BOUND = 2700
 coverage: .venv/tools firmware-tools service-tools
 	mkdir -p build/coverage
 	$(PYTEST) -m "not long" --cov --cov-report=html:build/coverage/html --cov-report=term
 
-# An hour of a hundred axes at their full rate: memory, latency and open files over time.
+# Memory, latency and open files of the service in an hour with a hundred axes at full rate.
 soak: .venv/tools service-tools
 	mkdir -p results/images
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.load --axes 100 --seconds 3600 \
 	--out results/service_soak.md --image results/images/service_soak.png
 
-# The service killed without notice, at named points and at random; every state and row must be as without.
+# Kill the service at named points and at random. Every state and row must be the same as without kills.
 KILLS ?= 1000
 kills: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
 
-# The broker killed with the whole service connected to it, and the service in between.
+# Kill the broker of a connected service, and at times the service.
 BROKER_KILLS ?= 50
 SERVICE_KILLS ?= 20
 broker-kills: .venv/tools service-tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.broker_campaign \
 	--kills $(BROKER_KILLS) --service-kills $(SERVICE_KILLS)
 
-# The service when something else fails: messages, disks, browsers, the process itself. Wants a broker, and root for disks.
+# Study of the service with faulty messages, disks, browsers and processes. It needs a broker, and root for disks.
 service-faults: .venv/tools service-tools
 	mkdir -p results/images
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.faults --out results/service_faults.md
@@ -144,7 +143,7 @@ format: .venv/tools
 	.venv/bin/clang-format -i $(KERNEL)
 	.venv/bin/ruff check --fix .
 
-# Peers that nothing else needs: sippy_unipi brings CasADi with it.
+# Peers for the benchmarks only, because sippy_unipi also installs CasADi.
 .venv/peers: requirements-bench.txt | .venv/tools
 	$(PIP) install -r requirements-bench.txt
 	touch $@
@@ -158,7 +157,7 @@ bench: .venv/peers
 	.venv/bin/python -m benchmarks.table .benchmarks/latest.json .benchmarks/instructions.json .benchmarks/reading.json \
 		results/benchmarks.md
 
-# The time of a sample in this version over that in the commit REF, in turn on this machine.
+# Compare the time of a sample with that of the commit REF, both measured in turn.
 REF ?= HEAD~1
 bench-compare: .venv/installed
 	mkdir -p .benchmarks
@@ -168,7 +167,7 @@ firmware: .venv/tools
 	mkdir -p results/images
 	.venv/bin/python -m tests.firmware.study --out results/footprint.md
 
-# Every page of results, into results/: hours.
+# Write every page of results to results/, which takes hours.
 study: .venv/tools .venv/spark
 	mkdir -p results/images
 	.venv/bin/pmfid explain --page > docs/axis_toml.md
@@ -199,11 +198,11 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.million --out results/million.md
 	.venv/bin/python -m tests.hostile.study --out results/hostile.md
 
-# Attacks at length, an hour at most: crafted states under the sanitizers, openings, names in exports, calls, pipes.
+# Attack states under the sanitizers, openings, names in exports, calls and pipes for up to an hour.
 hostile: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.hostile.campaign $(PARTS)
 
-# What every method computes on fixed records; the diff shows a change of numbers.
+# Results of every method on fixed records, whose diff shows a change of numbers.
 golden: .venv/installed
 	.venv/bin/python -m tests.golden.make
 

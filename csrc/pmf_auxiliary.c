@@ -262,7 +262,7 @@ PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_a
     rest.velocity = phase.velocity;
     rest.left = PMF_R(1.0) - late->part;
     moved = PMF_SPAN(config, state) * (phase.distance[0] + phase.distance[1]);
-    state->position += moved; /* the shapes start again for the second part */
+    state->position += moved; /* the shapes of the second part start here */
     advance(config, state, &second, &rest, signal);
     state->position -= moved;
     pushed = late->older * (phase.moving[0] + phase.moving[1]) + late->newer * (rest.moving[0] + rest.moving[1]);

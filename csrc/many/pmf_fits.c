@@ -1,8 +1,8 @@
 /* Check whether numbers can be a configuration of this build.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Python fills the structure and passes it as a whole. Every value that steers memory, as a number of turns or as an
- * index, is compared here to the available room, whoever filled it. An exported configuration has passed this check. */
+ * Python fills the structure and passes it as a whole. Every number of turns and every index is compared here to the
+ * available memory, whatever program filled the structure. An exported configuration has passed this check. */
 #include "pmf_many.h"
 
 #define NODES (PMF_SIGNALS + PMF_MAX_STAGES)
@@ -39,7 +39,7 @@ static uint32_t columns_fit(uint32_t first, uint32_t parameters, uint32_t instru
                : 0U;
 }
 
-/* The constant needs the coefficient of its lift: both exist or none. */
+/* The constant and the coefficient of its lift exist together or not at all. */
 static uint32_t level_fits(const pmf_recursion_config_t *recursion)
 {
     uint32_t none = recursion->constant == PMF_NO_PARAMETER && recursion->lowest == PMF_NO_PARAMETER;
@@ -64,7 +64,7 @@ static uint32_t is_parameter(uint32_t index)
     return index < PMF_MAX_PARAMETERS || index == PMF_NO_PARAMETER ? 1U : 0U;
 }
 
-/* Return whether a signal may be written to a node: none, or a node after those of encoder and body. */
+/* Return whether a signal may be written to a node. Valid are no node and the nodes after those of encoder and body. */
 static uint32_t may_be_written(uint32_t node)
 {
     return node == 0U || (node >= PMF_SIGNALS && node < NODES) ? 1U : 0U;

@@ -1,4 +1,4 @@
-/* The whole kernel for several axes at once: the same sources with vectors for numbers.
+/* The whole kernel for several axes at once, from the same sources with vectors for numbers.
  * SPDX-License-Identifier: Apache-2.0
  *
  * This file is compiled once for each width of a vector, PMF_LANE_BYTES, with the processor's option for it. Its only
@@ -17,7 +17,7 @@
 #endif
 #include "../pmf_sizes.h"
 #undef PMF_WINDOW_BLOCKS
-#define PMF_WINDOW_BLOCKS 0 /* seldom used, but most of the memory */
+#define PMF_WINDOW_BLOCKS 0 /* a window is rarely used, but would take most of the memory */
 
 #include "../pmf_auxiliary.c"
 #include "../pmf_verdicts.c"
@@ -43,7 +43,7 @@ static uint32_t axis_of(uint32_t lane, uint32_t axes)
     return lane < axes ? lane : axes - 1U;
 }
 
-/* Load word by word: all lanes of a vector follow one another. */
+/* Load word by word, because the lanes of a vector are neighbours in memory. */
 static void load(const pmf_layout_t *layout, uint32_t axes, const unsigned char *packed, pmf_state_t *state)
 {
     const unsigned char *own[PMF_LANES];
@@ -127,7 +127,7 @@ static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, cons
     many->status[row] = (uint32_t)state->status[lane];
 }
 
-/* Fetch the next tile while this one is computed: the processor cannot predict rows of so different axes. */
+/* Fetch the next tile during the computation, because the processor cannot predict the rows of different axes. */
 static void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint64_t samples)
 {
     uint64_t bytes = rows->sample == (int64_t)rows->size ? (samples - sample) * rows->size : 1U, at;
@@ -137,7 +137,7 @@ static void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint64
     }
 }
 
-/* Return the number of axes in the next group; 0 if the rest is faster one by one. */
+/* Return the number of axes in the next group, or 0 if the remaining axes are faster one by one. */
 static uint32_t group_of(uint64_t left)
 {
     return left >= PMF_LANES ? PMF_LANES : 4U * left >= PMF_LANES ? (uint32_t)left : 0U;
@@ -175,7 +175,7 @@ static void run_group(const pmf_config_t *config, const pmf_layout_t *layout, co
     store(layout, axes, state, packed);
 }
 
-/* The unused part of a state is cleared once: it is large, and no group changes it. */
+/* The large unused part of a state is cleared once, because no group changes it. */
 static uint64_t run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                     uint64_t end, unsigned char *packed)
 {
@@ -216,7 +216,7 @@ static pmf_rows_t table_of(const void *start, uint64_t samples)
 
 typedef int64_t sum_truth_t __attribute__((vector_size(PMF_LANES * 8)));
 
-/* The current blocks of some axes. */
+/* The current blocks of the axes of a group. */
 typedef struct {
     pmf_sum_t theta[PMF_MAX_PARAMETERS], sums[WIDTH];
 } scores_t;
@@ -235,7 +235,7 @@ static void load_scores(const pmf_scored_t *many, uint32_t p, uint64_t first, ui
     }
 }
 
-/* Add samples; axes for which the truth does not hold keep their sums. */
+/* Add samples to the sums of the axes for which the truth holds. */
 static void add_samples(uint32_t p, truth_t where, const real_t *phi, scores_t *scores)
 {
     pmf_sum_t kept[WIDTH];

@@ -26,11 +26,11 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 
 #define PMF_API static __attribute__((unused))
 
-/* x - 0 is x to the last bit, and the compiler copies it to every lane. */
+/* x - 0 is x to the last bit, and the compiler copies x to every lane. */
 #define PMF_ALIKE(x) ((x) - (real_t){0})
 #define PMF_R(x) PMF_ALIKE(PMF_SCALAR(x))
 #define PMF_W(x) ((whole_t){0} + (x))
-/* All whole numbers that become real fit 32 bits, for which processors have a conversion. */
+/* All integers that become real fit 32 bits, for which processors have a conversion. */
 #define PMF_TO_REAL(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), real_t)
 #define PMF_TO_INTEGER(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), integer_t)
 
@@ -53,8 +53,8 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
         }                                                      \
     } while (0)
 
-/* These are the names of the instructions in gcc and clang: reading immintrin.h, which has functions for them, would
- * take a fifth of the compiler's time. */
+/* These are the names of the instructions in gcc and clang. The header immintrin.h has functions for the instructions,
+ * but reading it would take a fifth of the compiler's time. */
 static inline int pmf_any(truth_t truth)
 {
 #if defined(__SSE4_1__)

@@ -1,7 +1,7 @@
 /* Words of a state that a configuration uses, and their packing.
  * SPDX-License-Identifier: Apache-2.0
  *
- * The sizes in pmf.h are those of the largest model; a drive with three parameters uses a tenth of them. */
+ * The sizes in pmf.h are those of the largest model. A drive with three parameters uses a tenth of such a state. */
 #include "pmf_many.h"
 
 #include <stddef.h>
@@ -36,8 +36,8 @@ static void leave_tail(unused_t *unused, uint32_t at, uint32_t p, size_t size)
     leave_out(unused, at + p * (uint32_t)size, at + PMF_MAX_PARAMETERS * (uint32_t)size);
 }
 
-/* Mark the unused part of a matrix with p rows and columns; `lower` means that only the lower half is used, with the
- * diagonal only if it is 1. */
+/* Mark the unused part of a matrix with p rows and columns. With `lower` only the lower half is used, and the diagonal
+ * only if `lower` is 1. */
 static void leave_matrix(unused_t *unused, uint32_t at, uint32_t p, uint32_t lower, uint32_t diagonal)
 {
     uint32_t row = PMF_MAX_PARAMETERS * (uint32_t)sizeof(scalar_t), i;
@@ -174,8 +174,8 @@ static void fill_state(pmf_state_t *state)
     }
 }
 
-/* Pass over all words once; add the reals in use, in a state that is nonzero where a packed one has content, or the
- * whole numbers. */
+/* Pass over all words once, and add the reals in use or the integers. The given state is nonzero where a packed state
+ * has content. */
 static void add_words(pmf_layout_t *layout, const unused_t *unused, const pmf_state_t *filled,
                       const unsigned char *is_whole, uint32_t whole)
 {

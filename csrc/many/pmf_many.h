@@ -1,19 +1,18 @@
-/* Many axes with one configuration: for fleets and simulations on a computer, not needed on a drive.
+/* Many axes with one configuration, for fleets and simulations on a computer.
  * SPDX-License-Identifier: Apache-2.0
  *
- * Every axis has the bits of pmf_step() for it alone. If compiler and processor have vectors, several axes are
- * computed at once (pmf_lanes.c). Between two calls a state is packed: it has only the words that the configuration
- * uses. */
+ * Every axis has the bits of pmf_step() for a single axis. If compiler and processor have vectors, several axes are
+ * computed at once (pmf_lanes.c). Between two calls a state is packed to the words that the configuration uses. */
 #ifndef PMF_MANY_H
 #define PMF_MANY_H
 
 #include "../pmf_internal.h"
 
-/* Ways to compute: one axis after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
+/* Ways to compute axes: one after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
 enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
 
-/* The place of a word of a state: byte offsets in pmf_state_t and in the packed state, and its number among the
- * vectors. */
+/* Places of a word of a state: byte offsets in pmf_state_t and in the packed state, and the number among the vectors.
+ */
 typedef struct {
     uint32_t offset, packed, lane;
 } pmf_word_t;
@@ -24,7 +23,7 @@ typedef struct {
 typedef struct {
     uint32_t reals, words;
     uint32_t packed_size; /* bytes of a packed state */
-    uint32_t lane_words; /* vectors in a state of lanes; 0: this configuration has no lanes */
+    uint32_t lane_words; /* vectors in a state of lanes, or 0 if the configuration has no lanes */
     pmf_word_t word[PMF_MAX_WORDS];
 } pmf_layout_t;
 
@@ -40,7 +39,7 @@ typedef struct {
     pmf_rows_t input; /* float or double */
     pmf_rows_t counts; /* int32_t or int64_t */
     uint64_t samples;
-    uint64_t every; /* samples between two kept estimates; the last estimate is always kept; 0: only the last */
+    uint64_t every; /* samples between two kept estimates, or 0 for none. The last estimate is always kept. */
     uint64_t kept; /* estimates of each axis: */
     double *theta, *variance_factor, *inflation; /* axes x kept x parameters */
     double *innovation, *innovation_variance; /* axes x kept */
@@ -49,8 +48,8 @@ typedef struct {
 
 /* Scores of blocks of `size` samples for a deviation from reference parameters, after the filters. With e = z - phi^T
  * theta they are the sums of zeta e, zeta phi^T and zeta zeta^T, p + 2 p^2 numbers. `first` is the first of the columns
- * phi, z, zeta. `left_out` is the status of samples that do not count, and `disturbed` that of samples that must not
- * fill a block alone. */
+ * phi, z, zeta. Samples with a bit of `left_out` do not count. Samples with a bit of `disturbed` must not fill a block
+ * alone. */
 typedef struct {
     uint32_t first, parameters, size, left_out, disturbed;
 } pmf_scoring_t;
@@ -62,20 +61,20 @@ typedef struct {
     uint32_t way;
     uint64_t samples;
     double *sums; /* sums of the current block */
-    uint32_t *progress; /* samples of the current block, and the number of disturbed ones */
+    uint32_t *progress; /* numbers of samples and of disturbed samples in the current block */
     uint64_t kept; /* most blocks of an axis */
     double *blocks;
     unsigned char *lost; /* 1: the block had only disturbed samples */
 } pmf_scored_t;
 
-/* Code for one method alone (pmf_straight.h), and general code. */
+/* Code for a single method (pmf_straight.h), and general code. */
 enum { PMF_GENERAL = 0, PMF_RLS, PMF_BCRLS, PMF_RIV, PMF_METHODS };
 
-/* Run axes `first` to `end` through all samples, in groups; `packed` holds the states of all axes. Returns the axis
- * after the last group: the remaining axes are too few for a group. */
+/* Run the axes `first` to `end` through all samples in groups. `packed` holds the states of all axes. Returns the axis
+ * after the last group, because the remaining axes are too few for a group. */
 typedef uint64_t pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
                                  uint64_t first, uint64_t end, unsigned char *packed);
-/* Compute block scores in groups, of axes 0 to `end`. */
+/* Compute the block scores of the axes 0 to `end` in groups. */
 typedef uint64_t pmf_lanes_score_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
                                    const pmf_scored_t *many, uint64_t end, unsigned char *packed);
 typedef struct {
@@ -83,36 +82,36 @@ typedef struct {
     pmf_lanes_run_t *run[PMF_METHODS]; /* by pmf_method_of() */
     pmf_lanes_score_t *score;
 } pmf_lanes_t;
-/* Return null if this build or the processor has no such way, or if it does not pay for so few samples. */
+/* Return null if the build or the processor does not have the way, or if the way is slower for the few samples. */
 const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples);
 
-/* Count a sample of a block of an axis; return 1 if the block has all its samples. */
+/* Count a sample of an axis. Returns 1 if the block of the axis is complete. */
 uint32_t pmf_count_sample(const pmf_scoring_t *scoring, uint32_t status, uint32_t *progress);
-/* Write the block and begin the next one; return 1 if all its samples were disturbed. */
+/* Write the block and begin the next one. Returns 1 if all samples of the block were disturbed. */
 uint32_t pmf_end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *progress, double *block);
 
 extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 
 #ifndef PMF_LANES
-/* Return 1 if these can be the numbers of a configuration of this build, 0 if they would lead beyond its memory. */
+/* Return 1 if the numbers can be a configuration of this build, 0 if they would exceed the memory. */
 uint32_t pmf_fits(const pmf_config_t *config);
 uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
-/* Compute the layout. `is_whole` has, for every four bytes of a pmf_state_t, 1 for a whole number, otherwise 0.
+/* Compute the layout. For every four bytes of a pmf_state_t, `is_whole` has 1 for an integer, otherwise 0.
  * `version` is that of packed states. Returns 0 if the words exceed a layout. */
 #define PMF_WITHOUT_COMPUTED 3U /* from this version on, values that each step computes again are not packed */
 uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, uint32_t version, pmf_layout_t *layout);
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
-/* Unpack a state; its unused part stays as it is, which is zero after pmf_init() or pmf_clear(). */
+/* Unpack a state. The unused part of the state stays, which is zero after pmf_init() or pmf_clear(). */
 void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state);
 /* Return the fastest way of this build on this processor. */
 uint32_t pmf_many_way(void);
-/* Run axes `first` to `end` through all samples; `packed` holds the states of all axes. */
+/* Run the axes `first` to `end` through all samples. `packed` holds the states of all axes. */
 void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                   uint64_t end, unsigned char *packed);
-/* Process one sample of a block of an axis; return 1 if the block has all its samples. */
+/* Process one sample of an axis. Returns 1 if the block of the axis is complete. */
 uint32_t pmf_score(const pmf_config_t *config, const pmf_scoring_t *scoring, pmf_state_t *state, scalar_t input,
                    uint32_t count, const double *theta, double *sums, uint32_t *progress);
-/* Process all samples of all axes; `packed` holds their states. */
+/* Process all samples of all axes, whose states are in `packed`. */
 void pmf_many_scores(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
                      const pmf_scored_t *many, uint64_t axes, unsigned char *packed);
 #endif

@@ -1,7 +1,7 @@
-/* The parts of the kernel that a drive with mass, viscous and Coulomb friction needs, by the recursive method whose
- * name is PMF_STRAIGHT. The code has no tests for absent parts, unrolled loops over parameters, and the network as
- * straight code. The method `plain`, for every equation and method, only leaves out the tests for rare parts.
- * SPDX-License-Identifier: Apache-2.0 */
+/* The parts of the kernel for a drive with mass, viscous and Coulomb friction. PMF_STRAIGHT names the recursive method.
+ * The code has no tests for absent parts, unrolled loops over parameters, and the network as straight code. The method
+ * `plain`, for every equation and method, only leaves out the tests for rare parts. SPDX-License-Identifier: Apache-2.0
+ */
 #define METHOD_plain 0
 #define METHOD_rls 1
 #define METHOD_bcrls 2
@@ -10,7 +10,7 @@
 #define NUMBER(method) NUMBER_OF(method)
 #define METHOD NUMBER(PMF_STRAIGHT)
 
-/* Stages: number, source; columns and their further taps: column, tap, node. */
+/* Lists of the stages (number, source), the columns and the further taps (column, tap, node). */
 #define MEASURED(STAGE, DELAY) \
     STAGE(0, 1) STAGE(1, 25) DELAY(2, 25) DELAY(3, 26) DELAY(4, 28) STAGE(5, 2) STAGE(6, 30) STAGE(7, 0) STAGE(8, 32)
 #define DIRECT(COLUMN, TAP) \

@@ -1,7 +1,7 @@
 /* Motions of the auxiliary model under one input, for several parameters at once.
  * SPDX-License-Identifier: Apache-2.0
  *
- * This file is compiled like pmf_lanes.c, and once without vectors: then one motion follows the other. */
+ * This file is compiled like pmf_lanes.c, and once without vectors for one motion after the other. */
 #ifdef PMF_LANE_BYTES
 #define PMF_LANES (PMF_LANE_BYTES / 8)
 #define PMF_MOTIONS
@@ -29,7 +29,7 @@ typedef struct {
     pmf_auxiliary_state_t state;
     pmf_late_state_t late;
     lag_decay_t decay[2];
-    int64_t at[PMF_LANES]; /* sample of the input that acts, and its elapsed steps */
+    int64_t at[PMF_LANES]; /* sample of the active input, and the steps since its start */
     uint64_t gone[PMF_LANES];
     real_t part; /* fraction of a step in which the preceding input still acts */
     real_t acting, sum[3];
@@ -73,7 +73,7 @@ static double input_at(const pmf_motions_t *motions, int64_t sample)
     return sample >= 0 ? motions->input[sample] : motions->before[past > 0 ? past : 0];
 }
 
-/* Find the input that acts before step `step`; whole (PMF_LANES) are the steps by which the input is late. */
+/* Find the input that acts before step `step`, if the input is late by `whole` (PMF_LANES) steps. */
 static void find_input(const pmf_motions_t *motions, int64_t step, const int64_t *whole, run_t *run)
 {
     int64_t hold = (int64_t)motions->hold;
@@ -130,7 +130,7 @@ static void keep(const pmf_motions_t *motions, uint64_t first, uint64_t row, run
     }
 }
 
-/* Run the motions of one group of lanes; return the first motion of the next group. */
+/* Run the motions of one group of lanes. Returns the first motion of the next group. */
 static uint64_t run_motions(const pmf_motions_t *motions, uint64_t first)
 {
     pmf_auxiliary_config_t config = *motions->config;

@@ -1,4 +1,4 @@
-/* Motions of the auxiliary model for several parameters: for off-line estimators, not needed on a drive.
+/* Motions of the auxiliary model for several sets of parameters, for off-line estimators.
  * SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_MOTIONS_H
 #define PMF_MOTIONS_H
@@ -14,12 +14,12 @@ typedef struct {
     const double *parameter; /* motions x PMF_ROLES */
     const double *velocity, *position; /* at the start: motions */
     const double *input; /* samples */
-    const double *span; /* length of each sample [s], if nothing acts late; null: hold dt */
-    const double *before; /* n_before >= 1 inputs before the first; the oldest has acted for ever */
+    const double *span; /* length of each sample [s] if nothing acts late, or null for hold dt */
+    const double *before; /* n_before >= 1 inputs before the first. The oldest input has always acted. */
     uint64_t n_before;
-    const double *decay; /* motions x 2 x 3, for a lag after the dead time; null: no lag */
-    const double
-        *on_top; /* one row, or one for each motion (own_force), as fine as the means; it acts at once; null: none */
+    const double *decay; /* motions x 2 x 3 for a lag after the dead time, or null for no lag */
+    const double *on_top; /* null, or an input that acts at once, as fine as the means: one row, or one for each motion
+                             (own_force) */
     uint32_t own_force;
     double *mean, *direction, *moving; /* motions x means; null: not requested */
     double *end; /* velocities: motions */

@@ -1,8 +1,8 @@
-/* Block scores: the joint information of several samples on a deviation from reference parameters.
+/* Block scores are the joint information of several samples on a deviation from reference parameters.
  * SPDX-License-Identifier: Apache-2.0
  *
- * The sums are double for any type of the kernel's numbers. Each sum has one order, so that an axis has the same
- * bits alone and among others. */
+ * The sums are double for any type of the kernel's numbers. Each sum has a fixed order, so that the bits of an axis do
+ * not depend on other axes. */
 #include "pmf_scores.h"
 
 uint32_t pmf_count_sample(const pmf_scoring_t *scoring, uint32_t status, uint32_t *progress)
@@ -57,7 +57,7 @@ void pmf_many_scores(const pmf_config_t *config, const pmf_layout_t *layout, con
     const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
     uint64_t axis = lanes != 0 ? lanes->score(config, layout, scoring, many, axes, packed) : 0U;
     pmf_state_t state;
-    if (axis < axes) { /* it takes as long as some samples */
+    if (axis < axes) { /* this step takes as long as some samples */
         pmf_clear(&state, (uint32_t)sizeof state);
     }
     for (; axis < axes; ++axis) {

@@ -1,4 +1,4 @@
-/* One sample of block scores, for one axis or for several at once: pmf_sum_t is a double, or a vector of doubles.
+/* One sample of block scores for one axis or for several axes at once. pmf_sum_t is a double, or a vector of doubles.
  * SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_SCORES_H
 #define PMF_SCORES_H

@@ -1,5 +1,5 @@
-/* Steps of one axis for the most frequent configurations: the same sources, compiled for one method and its network.
- * SPDX-License-Identifier: Apache-2.0 */
+/* Steps of one axis for the most frequent configurations, from the same sources compiled for one method and its
+ * network. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_STRAIGHT_H
 #define PMF_STRAIGHT_H
 
