@@ -37,7 +37,7 @@ CHANGES = (
 LEAST, MOST = 0.05, 0.6
 #: Times in moves: length of the calibration record, earliest change and its variation, and time after the change.
 REFERENCE, BEFORE, VARIED, AFTER = 400, 40, 3, 25
-#: Memory of the estimator in moves; simulated hours of the calibration; increments per turn on the benches.
+#: Memory of the estimator in moves, simulated hours of the calibration, and increments per turn on the benches.
 MEMORY, HOURS, INCREMENTS = 1.5, 1.0, 1024
 
 

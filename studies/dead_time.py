@@ -44,7 +44,7 @@ COMPARED, ASKED = 2, 5
 SAID = Status.FALLBACK | Status.DEAD_TIME | Status.STARTING
 #: Dead time [samples] of the bound.
 BOUND_AT = 0.5
-#: Step of the difference quotients for the bound: a fraction of a parameter, and for the dead time in samples.
+#: Steps of the difference quotients for the bound, as a fraction of a parameter and, for the dead time, in samples.
 STEP = 1e-3
 
 
@@ -141,10 +141,8 @@ def estimate(estimator: Estimator, record: CartRecord, end: int | None = None) -
 
 
 def judged(axis: Axis, kind: str, samples: float, record: CartRecord, method: str, compared: bool) -> Estimated | None:
-    """Return the outcome, or None if the method refuses the record or its status marks the estimate as invalid.
-
-    With `compared`, the bars are divided by the bars of the method that knows the dead time.
-    """
+    """Return the outcome, or None if the method refuses the record or its status marks the estimate as invalid. With
+    `compared`, the bars are divided by the bars of the method that knows the dead time."""
     estimator, true = estimator_of(axis, record, method, kind=kind), truth(axis)
     known = estimator_of(axis, record, method, samples * axis.dt, kind)
     end = ON_THE_WAY if method == "riv" else None
@@ -195,8 +193,8 @@ def bound(axis: Axis, samples: float, motion: str) -> Floats:
     """Return the growth (3,) of the least standard deviations of mass, viscous and Coulomb friction by an unknown dead
     time.
 
-    This is the Cramer-Rao bound for a white error of the whole simulated position with an unknown start. It is taken at
-    the true parameters, from central differences. The encoder's step cancels, except in the input that it makes.
+    This is the Cramer-Rao bound for a white error of the whole simulated position with an unknown start. Central
+    differences at the true parameters give the bound. The encoder's step cancels, except in its effect on the input.
     """
     record = late_record(axis, samples, motion, 1024, 1)
     true, late = truth(axis), samples * axis.dt
@@ -224,7 +222,7 @@ def bounds() -> Iterator[list[str]]:
 
 
 def reported(piece: Piece) -> Iterator[list[str]]:
-    """Yield how often a model without a dead time reports it, for each size."""
+    """Yield the rate of reported dead times for each size, by a model without a dead time."""
     axis = AXES[piece.axis]
     for motion in piece.motions:
         for fine in piece.increments:

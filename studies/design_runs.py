@@ -50,7 +50,7 @@ class Trial:
 
     @property
     def size(self) -> float:
-        """The D size of the observed scatter: (determinant of the covariance)^(1/p)."""
+        """Size of the observed scatter for criterion D, (determinant of the covariance)^(1/p)."""
         return float(np.linalg.det(np.cov(self.errors.T)) ** (1 / self.errors.shape[1]))
 
 
@@ -153,7 +153,7 @@ def experiments(runs: int) -> Iterator[list[str]]:
         }
         for method in METHODS:
             if samples == 1 and method == "interval":
-                continue  # its start needs filters, and the filters need more samples
+                continue  # the estimator's start needs filters, and the filters need more samples
             found = {name: trial(problem, u, method, runs) for name, u in inputs.items()}
             gain = found["trapezoid"].size / found["design"].size
             for name, each in found.items():

@@ -18,7 +18,7 @@ from pmfid.types import Floats
 from studies.design_case import NOMINAL, STARTS, case
 
 WRONG = (0.8, 0.9, 1.0, 1.1, 1.2)
-#: Allowed error of the end in a scenario: position [m], velocity [m/s].
+#: Allowed errors at the end of a scenario: position [m] and velocity [m/s].
 END_TOLERANCE = (0.01, 0.01)
 #: Violation of a limit [m, m/s] that rounding explains.
 ROUNDING = 1e-9
@@ -72,7 +72,7 @@ def optimum(problem: Problem) -> Design:
 
 
 def wrong_masses() -> Iterator[list[str]]:
-    """Yield rows: the design's mass over the true one, then the cells of an outcome."""
+    """Yield rows with the ratio of the design's mass to the true mass, and the cells of an outcome."""
     problem = case("m")
     best = float(optimum(problem).fisher[0, 0])
     for factor in WRONG:
@@ -87,7 +87,9 @@ def robust_problem() -> Problem:
 
 
 def robust() -> Iterator[list[str]]:
-    """Yield rows: true mass over the design's, cells of the outcome of the robust design, violation of a limit."""
+    """Yield rows: ratio of the true mass to the design's mass, cells of the robust design's outcome, violation of a
+    limit.
+    """
     problem = case("m")
     design = optimum(robust_problem())
     for factor in WRONG:
@@ -107,7 +109,7 @@ def breaks(problem: Problem, found: Outcome) -> bool:
 
 
 def rounds(seeds: int, number: int = 2) -> Iterator[list[str]]:
-    """Yield rows: believed mass over the true one, round, mass after it, cells of the outcome; worst of the seeds."""
+    """Yield rows for the worst seed: believed over true mass, round, mass after the round, cells of the outcome."""
     problem = case("m")
     best = float(optimum(problem).fisher[0, 0])
     for factor in (0.8, 1.2):

@@ -24,9 +24,7 @@ FAULTS = ((0.0, 0.0), (0.01, 0.0), (0.03, 0.0), (0.1, 0.0), (0.01, 1e-5), (0.01,
 
 def run_once(plant: Plant, motion: str, increments: int, off: float, late: float, seed: int) -> tuple[Floats, Floats]:
     """Return errors (2, 3) of `EdgeFit`, relative and in standard deviations, and relative errors (3,) of `interval`.
-
-    Errors are NaN if a method refuses the record.
-    """
+    Errors are NaN if a method refuses the record."""
     axis, rng = plant.axis, np.random.default_rng([seed, 33])
     resolution = axis.resolution * 4096 / increments
     u, _ = move(plant, motion, resolution, np.full(SAMPLES, axis.dt), seed)
@@ -55,7 +53,7 @@ def measure(machines: Mapping[str, tuple[str, float]], seeds: range) -> None:
     print("|---|---|---|---|---|---|---|---|")
     for name, bench in machines.items():
         if bench[1]:
-            continue  # of a pendulum `move` has no simulation that is fine enough
+            continue  # `move` cannot simulate a pendulum finely enough
         plant = make_plant(*bench)
         for motion in MOTIONS:
             for increments in INCREMENTS:

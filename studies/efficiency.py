@@ -14,7 +14,7 @@ from studies.processes import cramer_rao, efficiencies, last_estimate, model_of,
 
 METHOD = "srivc"
 GOAL = 0.9
-#: First seed of this section: its runs differ from those of the other tables.
+#: First seed of the section on efficiency. The runs differ from those of the other tables.
 FIRST = 10_000
 
 

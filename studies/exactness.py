@@ -11,17 +11,15 @@ from pmfid.types import Floats
 
 RTOL, ATOL = 1e-10, 1e-13
 DT, SAMPLES, HELD = 0.02, 500, 4
-#: Input levels [V]; with the offset below, stiction holds the cart at the small ones.
+#: Input levels [V]. With OFFSET, stiction holds the cart at the small levels.
 LEVELS = (-3.0, -0.35, 0.0, 0.35, 3.0)
 OFFSET = 0.1  # [N]
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Largest difference of position [m] and velocity [m/s] over `duration` [s], with counts of special samples.
-
-    The counts are reversals, samples at rest, and samples with a stop or a reversal inside.
-    """
+    """Largest difference of position [m] and velocity [m/s] over `duration` [s], with counts of special samples. The
+    counts are reversals, samples at rest, and samples with a stop or a reversal inside."""
 
     position: float
     velocity: float

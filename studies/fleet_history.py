@@ -99,9 +99,9 @@ class Cost:
 class Found:
     """The comparison of a history to the truth.
 
-    `right` counts the changed axes that are named, and `others` are further named axes. `causes` and `times` count
-    correct ones among the right axes. `error` and `apart` are the root mean square error of the size, relative and in
-    standard deviations. `next` is the largest score of an unnamed axis; an axis with 1 would be named.
+    `right` counts the changed axes that are named, and `others` are further named axes. `causes` and `times` count the
+    correct causes and times among the right axes. `error` and `apart` are the root mean square error of the size,
+    relative and in standard deviations. `next` is the largest score of an unnamed axis; an axis with 1 would be named.
     """
 
     changed: int
@@ -180,10 +180,8 @@ def renamed(path: Path, copy: Path, ending: str) -> None:
 
 
 def numpy_rate() -> float:
-    """Return samples per second of recursive least squares with three parameters, in NumPy over axes.
-
-    The peer has no filters, no instruments and no error bars.
-    """
+    """Return samples per second of recursive least squares with three parameters, in NumPy over axes. The peer has no
+    filters, no instruments and no error bars."""
     rng = np.random.default_rng(0)
     phi = rng.standard_normal((SAMPLES, SIDE_BY_SIDE, 3))
     z = phi @ np.array([1.0, 2.0, 3.0]) + rng.standard_normal((SAMPLES, SIDE_BY_SIDE))
@@ -198,7 +196,7 @@ def numpy_rate() -> float:
 
 
 def padasip_rate(seed: int = 0) -> float:
-    """Return samples per second of padasip on one axis, or NaN if it is not installed."""
+    """Return samples per second of padasip on one axis, or NaN without padasip."""
     try:
         import padasip  # type: ignore[import-untyped]
     except ImportError:

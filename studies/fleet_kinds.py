@@ -65,7 +65,7 @@ class Kind:
 
     @property
     def controlled(self) -> bool:
-        """Whether a position controller makes the motion; otherwise it is in open loop."""
+        """Whether a position controller makes the motion. Without a controller, the motion is in open loop."""
         return self.motion in ("moves", "shuttle")
 
     @property
@@ -197,10 +197,10 @@ def log_of(kind: Kind, k: int, seed: int) -> tuple[pl.DataFrame, Machine, Change
 class Score:
     """The results for the axes of a kind.
 
-    `good` counts good ones of `periods`, and `wrong` describes the good ones that are wrong. `axes_good` and
-    `axes_wrong` are the same for axes. `steps` counts the steps: `named` of them were found, `said` were reported as
-    beyond the record. `false` counts named axes without a step. `codes` lists findings with their periods, and `rate`
-    is in million samples per second.
+    `good` counts the good estimates among `periods`, and `wrong` describes the wrong ones of the good estimates.
+    `axes_good` and `axes_wrong` are the same for axes. `steps` counts the steps, `named` the found steps, and `said`
+    the steps that were reported as beyond the record. `false` counts named axes without a step. `codes` lists findings
+    with their periods, and `rate` is in million samples per second.
     """
 
     kind: str

@@ -2,8 +2,8 @@
 
 python -m studies.fleet_stream --out results/fleet_stream.md
 
-A gateway writes a Parquet file with a block of each axis at fixed intervals; the stream runs as a separate process. It
-holds a rate if its lag at the end is at most two batches.
+A gateway writes a Parquet file with a block of each axis at fixed intervals; the stream runs as a separate process. The
+stream holds a rate if its lag at the end is at most two batches.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from studies.monitoring.pipe import write_axis
 BLOCK = 100
 #: Number of different motions, and the latest start within them [samples]: no two axes have the same state.
 MOTIONS, LATEST = 8, 6000
-#: Factor from a failed rate to the next one.
+#: Factor from a failed rate to the next rate.
 LESS = 0.7
 #: Longest time for the start of Java with the first batch, and for the last batches [s].
 STARTED, ENDED = 180.0, 600.0
@@ -95,7 +95,7 @@ class Gateway:
 
 @contextmanager
 def stream(folder: Path, shards: int, interval: float) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `pmfid fleet stream` on the folder; end it with all of its processes."""
+    """Run `pmfid fleet stream` on the folder, and end the stream with all its processes."""
     places = [str(folder / "in"), "--config", str(folder / "axis.toml"), "--out", str(folder / "out")]
     pace = ["--checkpoint", str(folder / "checkpoint"), "--shards", str(shards), "--interval", str(interval)]
     command = [str(Path(sys.executable).with_name("pmfid")), "fleet", "stream", *places, *pace]

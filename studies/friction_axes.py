@@ -1,4 +1,4 @@
-"""Benches and frictions of the study of model spread: those of the study of confidence, and two more."""
+"""Benches and frictions of the study of model spread. The study of confidence has the same ones except two."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ def information_left(bench: Bench, seed: int, loss: str) -> Floats:
     """Return the growth (3,) of the Cramer-Rao bounds.
 
     A held input is known in a filled gap, because its instants can be reported. Another input is known as far as nearby
-    samples determine it. In a long gap, or in one that is left out, the input is unknown.
+    samples determine it. In a long gap or an omitted gap, the input is unknown.
     """
     method, run, there = lost(bench, seed, loss)
     line, _, there = fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there))

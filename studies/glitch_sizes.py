@@ -37,16 +37,14 @@ HELD_BACK = ("spindle", "stage", "gantry")
 #: A method with a larger error of the mass without wrong counts is not judged on that record.
 CLEAN = 0.02
 FAR, FORGOTTEN = 0.05, 0.01
-#: Status bits that count as a flag; the others do not say that the mass is wrong.
+#: Status bits that count as a flag. All other bits do not say that the mass is wrong.
 FLAGS = ~(Status.STANDSTILL | Status.FEEDBACK | Status.FALLBACK)
 
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator on the record of an axis, with its track without wrong counts.
-
-    The first and last place of a wrong count and the first judged sample are included.
-    """
+    """An estimator on the record of an axis, with its track without wrong counts. The first and last place of a wrong
+    count and the first judged sample are included."""
 
     axis: str
     method: str
@@ -73,11 +71,8 @@ class Harm:
 
 
 def case_of(axis: str, method: str, seed: int, precision: str = "float64", start: bool = False) -> Case | None:
-    """Return a case; the seed chooses motion and encoder.
-
-    None means that the method is not within `CLEAN` without wrong counts. With `start`, counts are wrong from the start
-    instead of from a third on.
-    """
+    """Return a case; the seed chooses motion and encoder. None means that the method is not within `CLEAN` without
+    wrong counts. With `start`, counts are wrong from the start instead of from a third on."""
     machine = AXES[axis]
     motion, increments = MOTIONS[seed % 3], INCREMENTS[seed // 3 % len(INCREMENTS)]
     record = machine_record(machine, "nothing", motion, increments, 700 + seed)
@@ -162,10 +157,8 @@ def mutated(
 
 
 def climb(case: Case, rate: float, seconds: float, rng: np.random.Generator) -> tuple[float, Harm, int]:
-    """Find sizes and places with the largest unflagged deviation, by hill climbing.
-
-    Returns the first deviation, the worst one, and the number of trials.
-    """
+    """Find sizes and places with the largest unflagged deviation, by hill climbing. Returns the first deviation, the
+    worst one, and the number of trials."""
     places = wrong_places("uniform", rate, case, rng)
     sizes = wrong_sizes("log-uniform", 1000, places.size, rng)
     worst = harm(case, places, sizes)

@@ -40,7 +40,7 @@ METHODS: Mapping[str, type[RecursiveEstimator]] = MappingProxyType(
 MEMORY, CUTOFF = 500, 0.5
 #: Axes held back; the guard was tuned on the others.
 HELD_BACK = ("spindle", "gantry")
-#: A deviation is relative to the parameter, or to this number of standard deviations if they are larger.
+#: A deviation is relative to the parameter, or to this number of standard deviations if the latter are larger.
 STDS = 50.0
 SUSPICIOUS = Status.COUNT_JUMP | Status.INVALID_INPUT
 

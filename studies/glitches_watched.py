@@ -43,7 +43,7 @@ class Heard:
 
 @dataclass(frozen=True)
 class Watched:
-    """The same run with faults and without them: a mistake without faults is not their effect."""
+    """A run with and without faults. A mistake of the run without faults is no effect of the faults."""
 
     faulty: Heard
     clean: Heard
@@ -80,10 +80,8 @@ def _calibration(name: str) -> Calibration:
 
 
 def _spoiled(kind: str, u: Floats, counts: Counts, first: int, dt: float, rng: np.random.Generator) -> Spoiled | None:
-    """Return the record with the fault at the sample `first`, or at the next sample at rest.
-
-    The kind of 1 % glitches goes from there to the end.
-    """
+    """Return the record with the fault at the sample `first`, or at the next sample at rest. Glitches of the kind with
+    1 % go from the fault to the end."""
     places = np.array([first])
     if kind == "1 % glitches":
         places = first + np.flatnonzero(rng.random(u.size - first) < 0.01)
@@ -121,7 +119,7 @@ def _heard(axis: Axis, calibration: Calibration, u: Floats, counts: Counts, step
 
 
 def rows(runs: int) -> Iterator[list[str]]:
-    """Yield rows: axis, fault, runs, reported outliers; false alarms and found steps, with the fault and without."""
+    """Yield rows: axis, fault, runs, reported outliers, and false alarms and found steps with and without the fault."""
     for name in WATCHED:
         for kind in KINDS:
             found = list(watched(name, kind, runs))

@@ -69,9 +69,9 @@ def simulate_loop(
 def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt: float) -> Floats:
     """Return the output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
 
-    `theta` maps the time [s] to a_0 to a_{n-1}, b_0 (n + 1,). The parameters are constant over each sample, with the
-    value at its middle. The exponential is a power series to fifth order, for slow parameters and poles well below 1 /
-    dt.
+    `theta` maps the time [s] to a_0 to a_{n-1}, b_0 (n + 1,). The parameters are constant over each sample and have the
+    values at the sample's middle. The exponential is a power series to fifth order, for slow parameters and poles well
+    below 1 / dt.
     """
     u = np.asarray(u, float)
     move, x, y = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(u.size)

@@ -34,11 +34,8 @@ _KEY = re.compile(r'(?:\[(?P<section>\w+)\] )?(?P<key>\w+) = (?P<first>"[^"]*"|-
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a log.
-
-    `error` is the largest relative deviation of a parameter from the clean log, or None without an estimate. `said` are
-    the refusals on the way, and `followed` are the remedies that were applied.
-    """
+    """The outcome of a log. `error` is the largest relative deviation of a parameter from the clean log, or None
+    without an estimate. `said` are the refusals on the way, and `followed` are the remedies that were applied."""
 
     error: float | None
     said: tuple[str, ...]
@@ -80,10 +77,8 @@ def outcome(log: Log, folder: Path, reference: Floats) -> Outcome:
 
 
 def _follow(sentence: str, log: Log, keys: Keys, path: Path) -> str | None:
-    """Follow the remedy of a refusal, with the user's own units if it asks for them.
-
-    None means that the remedy names no key, and that the user cannot apply it to the file.
-    """
+    """Follow the remedy of a refusal, with the user's own units if it asks for them. None means that the remedy names
+    no key, and that the user cannot apply it to the file."""
     if "dt" in log.units and "give [record] dt" in sentence:
         keys["record"]["dt"] = BENCHES[log.bench].dt
         return f"dt = {BENCHES[log.bench].dt:g}"
@@ -115,11 +110,8 @@ def _homes() -> dict[str, set[str]]:
 
 
 def by_init(log: Log, folder: Path, reference: Floats) -> Outcome:
-    """Return the outcome of a log with the unedited AXIS.toml of `pmfid init`.
-
-    If asked for the gain and the travel of a count, the user gives those of the data sheet. Method and pole equal those
-    of the other column.
-    """
+    """Return the outcome of a log with the unedited AXIS.toml of `pmfid init`. If asked for the gain and the travel of
+    a count, the user gives those of the data sheet. Method and pole of the two compared columns are equal."""
     bench, keys = BENCHES[log.bench], log.config()
     said = gain(keys["model"]["input_gain"])
     known = {"force": said if isinstance(said, Quantity) else bench.truth.input_gain, "travel": bench.step}

@@ -33,7 +33,7 @@ TONES = (0.3, 0.7, 1.3, 2.1)  # tones of the reference, relative to the frequenc
 
 @dataclass(frozen=True)
 class Axis:
-    """A machine on its bench.
+    """A machine with its bench.
 
     `dt` is the sample period [s], and `volt` the input of the open loop [V] with its `clock` [samples]. Position
     control has `kp`, `kd` and `u_max`. Moves of `stroke` [m or rad] last `move`, rests `dwell` [s]. Further fields are
@@ -152,7 +152,7 @@ def controlled_record(
     phase: float,
     rng: np.random.Generator | None = None,
 ) -> CartRecord:
-    """Simulate one run under position control along a reference (n,); it is exact as in `driven_counts`."""
+    """Simulate one run under position control along a reference (n,). The simulation is exact as in `driven_counts`."""
     (kp, kd, u_max), dt = (axis.control[name] for name in ("kp", "kd", "u_max")), axis.dt
     if machine == Machine(machine.drive):
         moved, counts = position_control(

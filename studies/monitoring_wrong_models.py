@@ -60,8 +60,8 @@ def work_growth(bench: str, friction: str, seeds: int) -> dict[str, list[dict[st
 def _hours(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, hours: int) -> dict[str, Any]:
     """Count the alarms of every detector for every requested time in `hours` hours, at tolerance 0.
 
-    Also returns the hours, and the size and time [s] of a unit of work. By detector and requested time, it returns the
-    standard error that the calibration expects.
+    The result includes the hours, and the size and time [s] of a unit of work. The result also has the expected
+    standard error by detector and requested time.
     """
     wait, parts = start_blocks(estimator, found.theta), []
     for seed in range(FIRST_HOUR, FIRST_HOUR + hours):

@@ -14,7 +14,7 @@ TIME_CONSTANTS = (2, 3, 5, 10)
 INCREMENTS = (4096, 1024, 512, 256, 128)
 OFF_LINE = ("ls", "bcls", "known-step", "iv")
 ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
-#: Relative difference up to which an on-line method repeats its off-line one.
+#: Relative difference up to which an on-line method repeats its off-line method.
 SAME = 1e-6
 #: Largest bias of the mass by iv [%].
 GOAL = 0.3
@@ -89,7 +89,7 @@ def _efficiencies(runs: list[dict[str, Floats]], methods: list[str]) -> list[str
 
 
 def _repeated(results: Mapping[Task, Any]) -> tuple[list[str], list[str]]:
-    """Return the on-line methods that repeat the off-line ones, and the lines on this."""
+    """Return the on-line methods that repeat their off-line methods, and lines of text on the comparison."""
     same, lines = [], []
     for off, on in zip(OFF_LINE, ON_LINE, strict=True):
         apart = max(float(np.max(np.abs(run[on] / run[off] - 1))) for run in results.values())

@@ -1,4 +1,4 @@
-"""Study of a measured cart on a belt, whose records are predicted from others of them."""
+"""Study of a measured cart on a belt, in which each record is predicted from another record."""
 
 from __future__ import annotations
 

@@ -30,10 +30,8 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, wrong: str, motion: str, increments: int, seed: int) -> dict[str, tuple[float, float]]:
-    """Return for each method 100 less the fit [%] of the free run, and its error relative to standstill.
-
-    The error belongs to restarts at the shortest horizon; it is infinite without an estimate.
-    """
+    """Return for each method the free run's misfit, 100 - fit [%], and its error relative to standstill. The error
+    belongs to restarts at the shortest horizon; it is infinite without an estimate."""
     axis, found = AXES[name], {}
     model, cutoff = Drive(axis.drive.input_gain), 1 / (3 * axis.dt)
     train, test = (_motion(name, wrong, motion, increments, number) for number in (seed, seed + OTHER))
@@ -94,10 +92,8 @@ def bar_tasks(seeds: int) -> list[Task]:
 
 
 def bar_work(window: float | str, seed: int) -> Floats | None:
-    """Return errors over error bars (3,) of a window on a random machine; None without an estimate.
-
-    `window` is in filter time constants.
-    """
+    """Return errors over error bars (3,) of a window on a random machine; None without an estimate. `window` is in
+    filter time constants."""
     rng = np.random.default_rng([seed, 4])
     dt, mass, slow = 10 ** rng.uniform(-3.3, -1.9), 10 ** rng.uniform(-4, 2.5), rng.uniform(20.0, 120.0)
     clock, level = int(rng.integers(8, 30)), rng.uniform(0.1, 0.4)

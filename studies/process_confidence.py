@@ -107,9 +107,9 @@ def _closed(kind: str, noise: str, seed: int, rng: np.random.Generator) -> Said 
 def _best_chance(noise: str, seed: int) -> float:
     """Return the power of the best test for a loop whose reference is white, with false alarms as rare as in pmfid.
 
-    The test knows all spectra and the controller (Neyman and Pearson 1933). The mean of its log-likelihood ratio is
-    half of the information that input and noise share. Here that is the number of samples times the ratio of noise
-    power to reference power, which is also its variance.
+    The test knows all spectra and the controller (Neyman and Pearson 1933). The mean of the test's log-likelihood ratio
+    is half of the information that input and noise share. The information is the number of samples times the ratio of
+    noise power to reference power, which is also its variance.
     """
     rng = _generator("white", noise, seed)
     plant, samples = random_plant(rng, 3), LENGTHS[seed % len(LENGTHS)]

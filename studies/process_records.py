@@ -44,10 +44,8 @@ class RandomPlant:
 
 
 def random_plant(rng: np.random.Generator, most: int = 4) -> RandomPlant:
-    """Return a process of 1 to `most` poles within a decade, pairs with a damping of 0.1 to 0.9, and fewer zeros.
-
-    The zeros are on either side of the imaginary axis.
-    """
+    """Return a process of 1 to `most` poles within a decade, pairs with a damping of 0.1 to 0.9, and fewer zeros. The
+    zeros are on either side of the imaginary axis."""
     n, dt = int(rng.integers(1, most + 1)), float(10 ** rng.uniform(-3, 0))
     bandwidth = float(10 ** rng.uniform(-1.3, -0.6)) / dt
     roots: list[complex] = []
@@ -111,7 +109,7 @@ def closed_record(plant: RandomPlant, kind: str, noise: str, samples: int, rng: 
 
 
 def loop_noise(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> float:
-    """Return the standard deviation of the noise in that record; the reference has about one unit."""
+    """Return the standard deviation of the noise in the record of a controller. The reference has about one unit."""
     return _closed(plant, kind, noise, samples, rng)[1]
 
 

@@ -44,8 +44,8 @@ class NoisyRecord:
 def noisy_record(plant: SimulatedProcess, noise: str, seed: int) -> NoisyRecord:
     """Return the plant's input from a random place in its period, and its output with noise of 1/SNR of its power.
 
-    The quantiser rounds down to a step of this variance, with two or three levels in all. Its phase is random, because
-    the zero of the encoder is unknown.
+    The quantiser rounds down to a step of this variance, with two or three levels in all. The phase of the quantiser
+    is random, because the zero of the encoder is unknown.
     """
     rng = np.random.default_rng(seed)
     u = np.roll(plant.u, rng.integers(plant.u.size))

@@ -32,11 +32,8 @@ NORMAL_MEDIAN = 0.6745
 
 @dataclass(frozen=True)
 class Case:
-    """A process with its options.
-
-    It has the gain b_m, zeros and poles [rad/s], further options of the model, a controller or None, the dead time
-    [samples] if any, and whether the input returns integrators to zero.
-    """
+    """A process with its options. The process has the gain b_m, zeros and poles [rad/s], further options of the model,
+    a controller or None, and the dead time [samples]. A flag says whether the input returns integrators to zero."""
 
     gain: float
     zeros: tuple[complex, ...]
@@ -108,7 +105,7 @@ def simulate_run(case: Case, seed: int) -> Run:
 
 
 def _near(roots: tuple[complex, ...], rng: np.random.Generator) -> Floats:
-    """Multiply each root, a pair together, by a random number; roots at 0 stay."""
+    """Multiply each root or pair of roots by a random number. Roots at 0 stay."""
     factors = {abs(root): 1 + SPREAD * rng.uniform(-1, 1) for root in dict.fromkeys(roots)}
     return np.array([root * factors[abs(root)] for root in roots])
 
@@ -128,10 +125,8 @@ def work(name: str, seed: int) -> dict[str, Floats]:
 
 
 def bound(estimator: SRIVC, run: Run) -> Floats:
-    """Return the least standard deviations (p,) of an unbiased estimate (Ljung 1999, section 7.4).
-
-    The noise is white, the start unknown, and the input is that of the record.
-    """
+    """Return the least standard deviations (p,) of an unbiased estimate (Ljung 1999, section 7.4). The noise is white,
+    the start unknown, and the input is that of the record."""
     problem = make_problem(estimator, [replace(run.record, reference=None)])
     scale = problem.structure.scale(problem.rate)
     initial = np.zeros((len(problem.stretches), problem.structure.n))

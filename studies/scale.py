@@ -21,9 +21,9 @@ from pmfid.simulation import Schedule, prbs, quantize, simulate_drive
 from studies.machines import AXES, Axis
 from studies.paper.truth import CartRecord, table
 
-#: The new amplitude over the old one.
+#: Ratio of the new amplitude to the old amplitude.
 FACTORS = (1 / 100, 1 / 30, 1 / 10, 1 / 3, 1.0, 3.0, 10.0, 30.0, 100.0)
-#: Memories at the old amplitude, at the new one, and at the new one with another mass.
+#: Numbers of memories at the old amplitude, at the new amplitude, and at the new amplitude with another mass.
 STRETCHES = (10, 2, 3)
 #: Memory of the estimators: at least this many samples, and at least this many time constants of the axis.
 MEMORY, TIME_CONSTANTS = 500, 5
@@ -31,7 +31,7 @@ MEMORY, TIME_CONSTANTS = 500, 5
 CUTOFF = 1 / 3
 #: The force of the smaller input over the Coulomb friction.
 LEAST_FORCE = 4.0
-#: The new mass over the old one, of even and odd seeds.
+#: Ratios of the new mass to the old mass, for even and for odd seeds.
 LOADS = (1.3, 0.7)
 PRECISIONS = ("float64", "float32")
 CLASSES: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"riv": RIV, "bcrls": BCRLS, "rls": RLS})
@@ -128,10 +128,8 @@ def outcomes(name: str, factor: float, seeds: int) -> Iterator[Outcome]:
 
 
 def row(found: Sequence[Outcome]) -> list[str]:
-    """Return the cells: median, 99 % quantile and largest error [%], and the factor of the largest.
-
-    Further cells count the errors beyond the limit, and those of them without a flag.
-    """
+    """Return the cells: median, 99 % quantile and largest error [%], and the factor of the largest. Further cells count
+    the errors beyond the limit, and the unflagged errors beyond the limit."""
     errors = 100 * np.array([one.error for one in found])
     beyond = [one for one in found if not one.error <= LIMIT]
     silent = sum(not one.flagged for one in beyond)

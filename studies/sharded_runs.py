@@ -28,7 +28,7 @@ from pmfid.simulation import CART, CART_DT, prbs, quantize, simulate_drive
 __all__ = ["Cost", "Spent", "estimator", "in_a_process", "kills", "motion", "per_sample"]
 
 RESOLUTION, CUTOFF, FORGETTING = 9.1e-5, 50.0, 0.999
-#: Axes with different motions, of which the others are copies: more than any vector holds.
+#: Number of axes with different motions, larger than any vector. All other axes are copies.
 APART = 64
 #: Samples of each axis before a measurement, and samples of a measured call.
 BEFORE, CALL = 60, 10
@@ -178,9 +178,9 @@ def _child(folder: Path, axes: int) -> None:
 class Kill:
     """The outcome of a kill.
 
-    `after` is the time since the start of the current checkpoint [s], and `within` means that it was incomplete.
-    `whole` means that the states have the bits of the last complete checkpoint or of the current one, and `newer` those
-    of the current one. `damaged` counts files that were set aside.
+    `after` is the time since the start of the current checkpoint [s], and `within` means an incomplete checkpoint.
+    `whole` means that the states have the bits of the last complete or the current checkpoint, and `newer` means the
+    current one. `damaged` counts files that were set aside.
     """
 
     after: float
@@ -206,10 +206,8 @@ def kills(axes: int, times: int, seed: int = 5) -> Iterator[Kill]:
 
 
 def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str, Any]]]:
-    """Run a child and kill it in its second checkpoint, after a fraction of the first one's time.
-
-    Returns that time [s] and the child's output.
-    """
+    """Run a child and kill it in its second checkpoint, after a fraction of the first one's time. Returns that time [s]
+    and the child's output."""
     command = [sys.executable, "-m", "studies.sharded_runs", "child", str(folder), str(axes)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         output = child.stdout or sys.stdin  # always a pipe
@@ -229,10 +227,8 @@ def _killed(folder: Path, axes: int, part: float) -> tuple[float, list[dict[str,
 def per_sample(
     single: RecursiveEstimator, axes: int, samples: int, workers: int | None = 1, quantile: float = 0.0
 ) -> tuple[float, int]:
-    """Return the processor time of a sample of an axis [s], and the bytes of an axis.
-
-    The calls have `samples` samples. The time is a quantile of five calls; 0 means the least.
-    """
+    """Return the processor time of a sample of an axis [s], and the bytes of an axis. The calls have `samples` samples.
+    The time is a quantile of five calls; 0 means the least."""
     fleet = Fleet(single, axes, workers=workers)
     fleet.run(*motion(axes, 0, BEFORE))
     times = [_timed(partial(fleet.run, *motion(axes, BEFORE + k * samples, samples))) for k in range(5)]

@@ -49,7 +49,7 @@ def work(scenario: str, increments: int, wrong: str, factor: float, seed: int) -
 
 
 def start_of(wrong: str, factor: float) -> dict[str, float] | None:
-    """Return the start parameters: the truth, with the wrong ones multiplied by the factor."""
+    """Return the start parameters: the truth, with some parameters multiplied by the factor."""
     if wrong == "none given":
         return None
     return {

@@ -28,7 +28,7 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(time_constant: int, increments: int, seed: int) -> dict[str, dict[str, Any]]:
-    """Return errors in percent (k, 3) and the fraction of fallback samples; k = 1 off-line."""
+    """Return errors in percent (k, 3) and the fraction of fallback samples. Off-line methods have k = 1."""
     record = scenario_record("stop-and-go", seed, increments)
     result: dict[str, dict[str, Any]] = {}
     slow = SLOW if seed < SLOW_SEEDS and time_constant == TIME_CONSTANTS[0] else ()

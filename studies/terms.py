@@ -20,7 +20,7 @@ from studies.term_machines import HELD_BACK, KINDS, MOTIONS, SAMPLES, Bench, kin
 
 #: Seed of the halves: the first whose halves have equally many machines with none, one and two terms.
 DRAWN = 16
-#: Successive searches, each from the model of the last one.
+#: Successive searches, each from the model of the preceding search.
 MOST_SEARCHES = 3
 #: Error bars within which the truth must lie, and relative error that does not matter.
 BARS, SMALL = 3.0, 1e-3
@@ -30,10 +30,10 @@ BARS, SMALL = 3.0, 1e-3
 class Named:
     """The result of the searches.
 
-    `wrong` are terms not in the machine, and `missing` terms that were not found. `searches` counts the searches
-    until one adds nothing; 0 means that each added a term. `bars` and `worst` are the largest error in its error bars
-    and relative to the value. `outside` counts parameters beyond BARS and SMALL. `worse` are terms kept in spite of a
-    larger held-out error, and `sizeless` terms without a value or an error bar. `seconds` is the time of the first
+    `wrong` are terms not in the machine, and `missing` terms that were not found. `searches` counts the searches until
+    a search adds no term; 0 means that each search added a term. `bars` and `worst` are the largest error in its error
+    bars and relative to the value. `outside` counts parameters beyond BARS and SMALL. `worse` are terms kept in spite
+    of a larger held-out error, and `sizeless` terms without a value or an error bar. `seconds` is the time of the first
     search.
     """
 
@@ -110,10 +110,8 @@ def true_values(machine: Machine) -> dict[str, float]:
 
 
 def _errors(found: TermSearch, bench: Bench, machine: Machine) -> Iterator[tuple[str, float, float, float]]:
-    """Yield name, error, error bar and size of each parameter.
-
-    The load of a spring has no truth: its length counts from the first count, which is known to a count.
-    """
+    """Yield name, error, error bar and size of each parameter. The load of a spring has no truth: its length counts
+    from the first count, which is known to a count."""
     trial, fit, known = found.chosen.trial, found.chosen.fit, true_values(machine)
     equation = trial.model.equation
     names = [*equation.names, *dict(equation.further)]

@@ -28,7 +28,7 @@ METHODS: Mapping[str, type[Estimator]] = {
     "iv": IV, "interval": IntervalML, "output-error": OE, "riv": RIV, "bcrls": BCRLS, "rls": RLS
 }  # fmt: skip
 INCREMENTS, MOTIONS, SAMPLES = (1024, 128), ("prbs", "stop-and-go"), 3000
-TOLERANCE = 0.01  # of a parameter, as [estimator] tolerance
+TOLERANCE = 0.01  # relative error of a parameter, as [estimator] tolerance
 #: The bench of each machine, and the additional gravity of a pendulum [N m].
 MACHINES = {"cart": ("cart", 0.0), "rotary": ("rotary", 0.0), "40 kg": ("gantry", 0.0), "pendulum": ("rotary", 0.15)}
 #: Machines on which nothing was tuned.
@@ -67,7 +67,7 @@ def make_plant(bench: str, gravity: float) -> Plant:
 
 
 def move(plant: Plant, motion: str, resolution: float, steps: Floats, seed: int) -> tuple[Floats, Counts]:
-    """Return input and counts (n,) at samples with steps (n,) [s]; the motion is exact between them."""
+    """Return input and counts (n,) at samples with steps (n,) [s]. The motion between samples is exact."""
     axis, rng = plant.axis, np.random.default_rng([seed, 11])
     phase, (kp, kd, most) = rng.random(), (axis.control[name] for name in ("kp", "kd", "u_max"))
     u = prbs(SAMPLES, clock=axis.clock, amplitude=axis.volt, rng=rng)

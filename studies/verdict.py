@@ -33,10 +33,8 @@ Rng = np.random.Generator
 
 
 def random_axis(rng: Rng) -> Axis:
-    """Return a machine of 1e-5 to 500 kg or kg m2, with friction from 5 to 60 % of the force of a move.
-
-    A move has 60 to 400 samples and 50 to 30 000 counts.
-    """
+    """Return a machine of 1e-5 to 500 kg or kg m2, with friction from 5 to 60 % of the force of a move. A move has 60
+    to 400 samples and 50 to 30 000 counts."""
     mass, move = 10 ** rng.uniform(-5, 2.7), 10 ** rng.uniform(-1, 0.5)
     stroke = 10 ** rng.uniform(-1.5, 1)
     force = 5.77 * mass * stroke / move**2
@@ -80,10 +78,8 @@ BOTH = (*OPEN, *CLOSED)
 
 @dataclass(frozen=True)
 class Wrong:
-    """An unmodelled effect: further terms of the machine by name, and `zone` and `most` of the input.
-
-    `zone` and `most` are fractions of the largest input, and `motions` are the motions that show the effect.
-    """
+    """An unmodelled effect: further terms of the machine by name, and `zone` and `most` of the input. `zone` and `most`
+    are fractions of the largest input, and `motions` are the motions that show the effect."""
 
     further: Callable[[Axis, Rng], dict[str, float]]
     motions: tuple[str, ...] = BOTH
@@ -177,8 +173,8 @@ def record(axis: Axis, machine: Machine, what: Wrong, motion: str, rng: Rng) -> 
 class Report:
     """The result of `identify` on a record.
 
-    error, std and half are (3,), relative to the truth; `half` is half of the interval above the value. They are None
-    for a refusal, whose reason is the status. `shown` is whether the input can show a dead zone.
+    error, std and half are (3,), relative to the truth; `half` is half of the interval above the value. All three are
+    None for a refusal, whose reason is the status. `shown` is whether the input can show a dead zone.
     """
 
     status: tuple[str, ...]

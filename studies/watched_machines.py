@@ -20,10 +20,10 @@ from studies.friction_axes import stribeck
 from studies.machines import Axis
 from studies.monitoring.axis import random_stop_and_go
 
-#: Machines; the constants of the units of work were chosen on the first.
+#: Machines of the study. The first machine served to choose the constants of the units of work.
 MACHINES = ("cart", "slide", "heavy")
 HELD_BACK = ("slide", "heavy")
-#: Factor to the axis's resolution, which gives 1024 increments.
+#: Factor of the axis's resolution for 1024 increments.
 COARSER = 4
 #: Memory of the estimate [s].
 MEMORY = 1.0

@@ -60,7 +60,9 @@ class Slower(Cusum):
 def test_thresholds_of_other_detectors_are_not_those_of_these(
     further: dict[str, Detector], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An older file, from before a detector was added or tuned, is no calibration of it: the threshold is missing."""
+    """A file from before the addition of a detector is no calibration of this detector, because the threshold is
+    missing.
+    """
 
     def made(*_: object, **__: object) -> Calibration:
         scale = Scale(*(np.ones(3) for _ in Scale.__dataclass_fields__))
@@ -192,7 +194,7 @@ def test_the_unit_of_a_known_term_does_not_matter(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("further", [{"delay": 3}, {"only_simulated": "a reason"}, {"further": (("late", "s"),)}])
 def test_what_no_file_says_of_an_equation_is_refused(further: dict[str, object]) -> None:
-    """An earlier version dropped such a field: it ignored a dead time of three samples."""
+    """An earlier version dropped a field and thus ignored a dead time of three samples."""
     terms = (pmfid.Term("process_output", 0, "a0"), pmfid.Term("process_input", 0, "b0", coefficient=-1.0))
     known = (pmfid.Term("process_output", 1, coefficient=-1.0),)
     model = pmfid.EquationModel(pmfid.Equation(terms, known, **further))

@@ -234,7 +234,7 @@ def test_a_record_that_begins_at_rest_keeps_its_first_motion(rest):
     truth = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     assert np.all(
         np.abs(fit.theta / truth - 1) < [0.002, 0.002, 0.01]
-    )  # the error is 10 times as large without the first motion
+    )  # without the first motion the error is 10 times as large
 
 
 def test_a_record_of_another_machine_is_no_estimate(tmp_path):

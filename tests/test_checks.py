@@ -118,7 +118,7 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
         assert said == found_in(fault)
     result = plainly(log.record(), log.configuration)
     if isinstance(result, NotIdentifiableError):
-        assert str(result) == sentences[0]  # the check reports the others
+        assert str(result) == sentences[0]  # the check reports all other faults
         return
     assert [note for note in result.notes if note in sentences] == sentences
     shown = result.to_json()

@@ -100,7 +100,7 @@ def test_a_note_ends_no_search_and_is_no_fault(tmp_path: Path) -> None:
     log = limited(5044, {"slide": ALL["slide"]})
     record, axis = written(log, tmp_path)
     result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
-    assert result.exit_code == 1  # of the model, which is wrong there
+    assert result.exit_code == 1  # the model is wrong in this log
     assert "\nnote: the input column" in result.stdout
     assert "\ndoubt: an unmodelled effect" in result.stdout
     assert "doubt: the input column" not in result.stdout

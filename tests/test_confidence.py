@@ -58,7 +58,9 @@ def test_the_covariance_of_a_sum_is_that_of_the_matrix():
 
 
 def test_what_the_fit_took_of_the_noise_is_put_back():
-    """Slow columns absorb slow noise: the residual's own power is a quarter too small, the model's power is not."""
+    """Slow columns absorb slow noise, so that the residual's power is a quarter too small. The power of the noise model
+    is right.
+    """
     samples = 300
     Q = np.linalg.qr(np.cos(np.outer(np.arange(samples) + 0.5, np.arange(6)) * np.pi / samples))[0]
     found = []
@@ -111,14 +113,16 @@ def test_least_squares_of_a_filtered_equation_has_such_bars_too():
 
 
 def test_near_poles_have_the_bars_of_both():
-    """(s + 1)^2 is estimated as a pair slightly apart: to first order the bars are a tenth of the distance."""
+    """The poles of (s + 1)^2 are estimated slightly apart. To first order their error bars are a tenth of the
+    distance.
+    """
     process = Process(np.array([0.99, 2.0]), np.array([1.0]), np.diag([0.01**2, 1e-12, 1e-12]))
     assert process.poles.real == pytest.approx([-0.9, -1.1])
     assert np.all(process.poles_std[:, 0] > 0.02)
-    spread = np.sqrt([0.01 + 0.02, 0.01]) - 0.1  # with a discriminant that is two standard deviations larger
+    spread = np.sqrt([0.01 + 0.02, 0.01]) - 0.1  # the discriminant is larger by two standard deviations
     assert process.poles_std[0, 0] == pytest.approx(max(spread[0], 0.1) / 2, rel=0.05)
     apart = replace(process, a=np.array([3.0, 4.0]))
-    np.testing.assert_allclose(apart.poles_std[:, 0], 0.005, rtol=0.02)  # as the delta method gives it
+    np.testing.assert_allclose(apart.poles_std[:, 0], 0.005, rtol=0.02)  # value of the delta method
 
 
 def test_a_variance_that_rounding_makes_negative_is_no_small_bar():

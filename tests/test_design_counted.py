@@ -39,7 +39,7 @@ def test_errors_are_as_large_as_claimed(name: str) -> None:
     found = usual_claims(name)
     ratio = np.abs(found.errors / found.stds)
     assert ratio.max() < 4.0
-    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6  # from a few runs, whose parameters have common errors
+    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6  # few runs give parameters with common errors
     assert found.inside.mean() >= 0.85
     assert not found.unexplained.any()
 
@@ -63,9 +63,7 @@ def test_the_expected_deviation_is_that_of_the_estimates() -> None:
 
 
 def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float]:
-    """Simulate one trapezoid of the 1 kg axis with unmodelled effects; ask for a tenth of the mass's
-    deviation.
-    """
+    """Simulate one trapezoid of the 1 kg axis with unmodelled effects; ask for a tenth of the mass's deviation."""
     problem = replace(MACHINES["1 kg"], resolution=resolution)
     u = np.r_[np.repeat(standard_inputs(problem, names=(USUAL,))[USUAL].u, problem.samples_per_interval), 0.0]
     dt = problem.dt / problem.samples_per_interval

@@ -18,7 +18,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from studies.design_case import NOMINAL, case
 
 CASE = case("m, d, F_c")
-#: The same axis with normal noise of the position in place of counts.
+#: An axis with normal noise of the position in place of counts.
 NOISY = replace(CASE, resolution=None, noise_variance=CASE.variance)
 TRUTH = {"mass": 1.2, "viscous_friction": 7.0, "coulomb_friction": 0.5}
 U = standard_inputs(CASE, names=("minimum_time",))["minimum_time"].u

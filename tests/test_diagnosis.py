@@ -123,7 +123,9 @@ def test_the_remedy_for_forgotten_bits_names_the_width() -> None:
 
 @pytest.mark.parametrize("machine", MACHINES)
 def test_what_the_model_lacks_is_no_mistake_of_the_log(machine: str) -> None:
-    """An integral follows the input more easily than a position: a load or a dead time once made it a velocity."""
+    """An integral follows the input more easily than a position. A load or a dead time once made a position look like a
+    velocity.
+    """
     record = logged(machine, "none")
     load = 0.4 * float(np.std(record.u))
     found = named(replace(record, u=record.u + load), axis_of())
@@ -153,9 +155,7 @@ def test_a_counter_reset_once_does_not_wrap(jump: int) -> None:
 
 
 def test_friction_by_the_direction_of_a_velocity_is_refused() -> None:
-    """The direction of a velocity column is the direction of its change: friction was wrong by factors without a
-    flag.
-    """
+    """For a velocity column, the direction is that of the change. Friction was once wrong by factors without a flag."""
     terms = [
         {"signal": "output", "derivative": 1, "name": "mass"},
         {"signal": "output", "derivative": 0, "name": "drag"},

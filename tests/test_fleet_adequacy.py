@@ -52,14 +52,14 @@ def test_an_equation_that_is_off_in_some_moves_is_off_in_all_periods(bit: Status
     one = seen(np.random.default_rng(0), status)
     assert standing(one) == {bit.name.lower()}  # type: ignore[union-attr]
     assert qualities(one) == ["doubt"] * N
-    status[2 * every :] = 0  # a change leaves this status
+    status[2 * every :] = 0  # a change of a parameter leaves this status
     assert qualities(seen(np.random.default_rng(0), status)).count("good") == N - 2
 
 
 def test_what_a_second_look_finds_in_some_segments_is_said_of_all() -> None:
     status = np.zeros(N, np.int64)
     status[::10] = LOOKED_AT
-    status[0] |= MOVED  # the status of one in four segments: a change lies within
+    status[0] |= MOVED  # one in four segments contains a change
     assert standing(seen(np.random.default_rng(0), status)) == set()
     status[10] |= MOVED
     one = seen(np.random.default_rng(0), status)
@@ -121,7 +121,9 @@ def test_a_step_of_what_would_be_seen_is_seen() -> None:
     "effect", ["stribeck", *(pytest.param(one, marks=pytest.mark.long) for one in ("none", "load"))]
 )
 def test_slow_moves_of_another_integrator_are_good_or_said_to_be_wrong(effect: str) -> None:
-    """One in seven of such minutes had an estimate; some of these were called good but were wrong by 20 %."""
+    """An earlier version estimated one in seven of these minutes, and called some estimates good that were wrong by 20
+    %.
+    """
     score = run(Kind("moves", effect, dwell=(10.0, 60.0), seconds=1800), axes=2, seed=3)
     assert score.wrong + score.axes_wrong == []
     assert score.false == 0

@@ -52,7 +52,9 @@ def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_mixed_files_are_read_twice_and_leave_the_bytes(
     mixed: Path, config: Path, plain: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file is read once for the survey and once for the rows; six shards once read each file."""
+    """A file is read once for the survey and once for the rows. An earlier version read each file for each of six
+    shards.
+    """
     opened: list[str] = []
     plainly = Part.rows
     monkeypatch.setattr(Part, "rows", lambda part, columns: opened.append(part.name) or plainly(part, columns))
@@ -113,7 +115,9 @@ def test_a_damaged_mixed_file_is_named_and_the_other_is_used(mixed: Path, config
     damaged = mixed / "0.parquet"
     data = bytearray(damaged.read_bytes())
     whole = fleet.estimate(mixed / "1.parquet", axis=config, by="machine", period="1min")
-    data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)  # this hits heads of pages; Parquet has no checksum of numbers
+    data[4 : len(data) // 3] = bytes(
+        len(data) // 3 - 4
+    )  # the damage is in heads of pages, because Parquet has no checksum of numbers
     damaged.write_bytes(data)
     found = fleet.estimate(mixed, axis=config, by="machine", period="1min")
     assert found.problems.filter(pl.col("file") == "0.parquet")["code"].to_list() == ["unreadable"]

@@ -28,8 +28,8 @@ from tests.conftest import long_unless
 from tests.tuned import set_tuning
 
 AXES, SAMPLES, HALF = 12, 60_000, 300.0
-#: Axis -> its changed parameter, the factor and the time [s]. A third axis does not change, but it is no machine of
-#: this type.
+#: Axis -> its changed parameter, the factor and the time [s]. A third axis does not change, but is no machine of the
+#: same type.
 CHANGES = {
     2: Change("mass", 1.2, 190.0),
     5: Change("friction", 0.75, 310.0),
@@ -246,7 +246,7 @@ def spoilt(log: pl.DataFrame, config: Path, tmp_path_factory: pytest.TempPathFac
     parts = {f"p{k}": log[k * SAMPLES : (k + 1) * SAMPLES] for k in range(AXES)}
     row, t = pl.int_range(pl.len()), pl.col("t")
     half = pl.col("machine").is_not_null() & ((t < HALF) | (row % 2 == 0))
-    parts["p0"] = parts["p0"].filter(half)  # half the sampling rate after this time
+    parts["p0"] = parts["p0"].filter(half)  # the sampling rate halves at this time
     parts["p1"] = parts["p1"].filter(~t.is_between(100, 170) & ~t.is_between(400, 400.05))  # gaps
     parts["p3"] = pl.concat([parts["p3"], parts["p3"][1000:2000]])  # repeated rows
     wrong = parts["p4"][5000:5020].with_columns(pl.col("counts") + 99)

@@ -155,7 +155,7 @@ def test_text_of_iso_8601_is_a_time(ahead: str, ending: str) -> None:
 
 
 def test_a_long_text_is_no_time() -> None:
-    """A compressed file of 5 kB repeated a text of 20 kB in 400 000 rows: splitting it took 6 GB."""
+    """A compressed file of 5 kB repeated a text of 20 kB in 400 000 rows, whose split took 6 GB."""
     stamp = "2026-03-01 00:00:00.25"
     frame = pl.DataFrame({"t": [stamp, stamp + " " * LONGEST_CELL]})
     assert frame.select(seconds_of(pl.col("t"), "t", pl.String(), 1.0))["t"].to_list() == [1_772_323_200.25, None]
@@ -210,7 +210,7 @@ def lake(logs: list[pl.DataFrame], config: Path, tmp_path_factory: pytest.TempPa
         pl.col("short").alias("t")
     ).write_parquet(folder / "short.parquet")
     logs[6].with_columns(pl.concat_list("machine")).write_parquet(folder / "list.parquet")
-    for name in RESULTS:  # files of a history that was written there
+    for name in RESULTS:  # files of a history in the same folder
         (folder / "results" / name).mkdir(parents=True)
     logs[7].write_parquet(folder / "results" / "work" / "e.parquet")
     return estimated(folder, config)

@@ -50,7 +50,7 @@ def test_few_axes_of_a_type_are_said_to_be_judged_by_their_past_alone(tmp_path: 
 
 
 def test_why_an_axis_needs_attention_can_be_read_on_a_narrow_screen(tmp_path: Path) -> None:
-    """Long text goes over several lines; it was once cut off."""
+    """Long text goes over several lines. An earlier version cut the text off."""
     write_fleet(tmp_path, history(3, 0.1), "lake")
     page = (tmp_path / "fleet.html").read_text(encoding="utf-8")
 
@@ -70,7 +70,7 @@ def with_kinds(found: History, kinds: list[str]) -> History:
 
 
 def test_axes_without_an_estimate_are_listed_and_counted_in_the_title(tmp_path: Path) -> None:
-    """The page once pointed to a table that did not list them."""
+    """The page once pointed to a table that did not list the axes."""
     page = page_of(tmp_path, with_kinds(history(3, 0.1), ["no estimate", "", ""]))
     assert "<h1>lake: 0 of 3 axes need attention, 1 has no estimate</h1>" in page
     assert "<td>a0</td>" in page.partition("<h2>No estimate</h2>")[2].partition("<h2>")[0]
@@ -87,7 +87,7 @@ def test_axes_that_wander_are_distinguished_from_those_that_need_attention(tmp_p
 
 
 def test_one_name_that_is_a_number_does_not_push_the_reasons_off_the_page(tmp_path: Path) -> None:
-    """The number once made a numeric column of all names, and the longest name stayed on one line."""
+    """A number among the names once made their column numeric, and the longest name stayed on one line."""
     found = history(3, 0.1)
     names = pl.Series("axis", ["007", "<b>" + "long" * 40, "漢字"])
     periods = found.periods.with_columns(names)

@@ -56,10 +56,8 @@ def test_restarts_and_other_batches_give_the_same_bits(prepared: Prepared, rows:
 
 
 def test_what_a_wrong_order_of_files_loses_is_counted(prepared: Prepared) -> None:
-    """Spark reads files of the same age in any order, which does not matter within one batch.
-
-    With a batch for each file, blocks out of order by more than the window count as late.
-    """
+    """Spark reads files of the same age in any order, which does not matter within one batch. With a batch for each
+    file, blocks out of order by more than the window count as late."""
     plan = StreamPlan(prepared, PACE, 1)
     data = [encode(replace(block_of("x1", 1.0), first=first)) for first in (0, 100, 200)]
     mixed = [data[0], data[2], data[1]]
@@ -201,7 +199,7 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
 
 
 def test_a_failure_of_spark_is_said_with_what_helps(tmp_path: Path) -> None:
-    (tmp_path / "spark.log").write_text("java.lang.OutOfMemoryError: Java heap space\n")  # of an earlier run
+    (tmp_path / "spark.log").write_text("java.lang.OutOfMemoryError: Java heap space\n")  # file of an earlier run
     log = SparkLog(tmp_path)
     assert "put back a copy" in log.problem(ValueError("Incomplete log file in the offset commit log"))
     said = log.problem(ValueError("[FAILED_READ_FILE] a.parquet\n  File x\njava.io.IOException: no such file\n  at y"))

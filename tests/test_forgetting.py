@@ -67,7 +67,7 @@ def test_the_window_is_the_least_squares_solution_of_its_samples():
     theta = np.linalg.lstsq(columns.phi[-samples:], columns.z[-samples:])[0]
     np.testing.assert_allclose(
         track.theta[-1], theta, rtol=2e-6
-    )  # the delay of the regularisation causes this difference
+    )  # the late regularisation of the kernel causes a difference
     assert not np.allclose(theta, np.linalg.lstsq(columns.phi, columns.z)[0], rtol=1e-5)
 
 

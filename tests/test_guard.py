@@ -54,7 +54,9 @@ def test_wrong_counts_close_to_each_other_are_flagged_alone_and_lose_nothing(nam
 @pytest.mark.parametrize("ratio", [1.6, 1.9, 3.0])
 @pytest.mark.parametrize("name", ["rotary", "gantry"])
 def test_two_wrong_counts_in_a_row_are_no_blow(name: str, ratio: float) -> None:
-    """The second one continues the first, like a blow: it once passed, and 1500 counts returned at once."""
+    """The second wrong count continues the first one, like a blow. Such a count once passed, and 1500 counts returned
+    at once.
+    """
     record = moving_record(AXES[name], 1024)
     one = make("rls", AXES[name], record.resolution)
     clean, whole = one.run(record.u, record.counts), position(one, record.u, record.counts)
@@ -71,7 +73,7 @@ def test_two_wrong_counts_in_a_row_are_no_blow(name: str, ratio: float) -> None:
 
 @pytest.mark.parametrize("method", ["bcrls", "rls"])
 def test_a_wrong_count_as_the_axis_comes_to_rest_is_no_reversal(method: str) -> None:
-    """The prediction continues the motion, and its correction goes back: the direction at rest was once wrong."""
+    """The prediction continues the motion, and the correction goes back. The direction at rest was once wrong."""
     axis = AXES["gantry"]
     record = moving_record(axis, 4096)
     one = make(method, axis, record.resolution)
@@ -115,7 +117,7 @@ def test_one_wrong_count_of_a_hundred(axis: str) -> None:
 @pytest.mark.parametrize("largest", [30, 1000, 5000])
 @pytest.mark.parametrize("method", glitch_sizes.METHODS)
 def test_wrong_counts_of_like_sizes_do_not_widen_the_limit(method: str, largest: int, kind: str) -> None:
-    """Each accepted wrong count let a larger one in: errors of 82 to 89 % without a flag."""
+    """Each accepted wrong count once allowed a larger one, with errors of 82 to 89 % without a flag."""
     for seed, precision in ((3, "float64"), (6, "float32")):  # encoders of 4096 and 1024 increments
         case = glitch_sizes.case_of("cart", method, seed, precision)
         assert case is not None
@@ -127,7 +129,7 @@ def test_wrong_counts_of_like_sizes_do_not_widen_the_limit(method: str, largest:
 @pytest.mark.parametrize("seed", [1, 7])
 @pytest.mark.parametrize("method", glitch_sizes.METHODS)
 def test_wrong_counts_from_the_start_do_not_keep_it_learning(method: str, seed: int) -> None:
-    """Each found wrong count once restarted the learning from the first sample: with 3 % it never ended."""
+    """Each found wrong count once restarted the learning. With 3 % of wrong counts, the learning never ended."""
     case = glitch_sizes.case_of("cart", method, seed, start=True)
     assert case is not None
     for kind in ("uniform", "log-uniform"):
@@ -196,8 +198,8 @@ def test_wrong_readings_are_no_velocity() -> None:
 def test_what_wrong_counts_taught_is_put_right_before_it_counts(
     method: str, largest: int, kind: str, precision: str
 ) -> None:
-    """While the guard learns, it accepts nearly all counts: the limit once stayed wide, and a mass 28 times too
-    large had no flag.
+    """While the guard learns, it accepts nearly all counts. The limit once stayed wide, and a mass 28 times too large
+    had no flag.
     """
     for axis, seed in product(("heavy", "spindle", "stage"), (1, 2)):
         case = glitch_sizes.case_of(axis, method, seed, precision, start=True)

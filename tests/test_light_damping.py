@@ -63,7 +63,7 @@ def test_filters_of_their_own_cost_data_little():
 
 @pytest.mark.parametrize(("precision", "within"), [("float64", 1e-6), ("float32", 1e-3)])
 def test_without_noise_those_filters_make_no_error_of_the_discretisation(precision, within):
-    """The decay takes 560 samples, the filters 20: the discrete equation treats both alike."""
+    """The decay takes 560 samples and the filters take 20. The discrete equation treats both alike."""
     run = record(0.01, 6000, 1, 200.0)
     error, _, status = last(run, 0.01, forgetting=0.997, precision=precision)
     assert status == 0

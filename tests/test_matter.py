@@ -83,7 +83,7 @@ def test_noise_alone_does_not_matter_and_the_unknown_does() -> None:
 @pytest.mark.parametrize("zone", [0.03, 0.05])
 @pytest.mark.parametrize("axis", [TABLE, TURRET], ids=["table", "turret"])
 def test_a_dead_zone_under_a_binary_input_is_in_the_interval(axis: Axis, zone: float) -> None:
-    """The dead zone changes every parameter, and no motion shows it: the interval was once 0.01 % wide."""
+    """The dead zone changes every parameter, and no motion shows the dead zone. The interval was once 0.01 % wide."""
     right = record_of(axis, Machine(axis.drive), "prbs", 1024, 21)
     acts = np.sign(right.u) * (np.abs(right.u) - zone * np.max(np.abs(right.u)))
     counts = quantize(simulate_drive(axis.drive, acts, axis.dt).x, right.resolution, 0.3 * right.resolution)
@@ -111,7 +111,9 @@ def test_where_no_motion_can_be_fitted_the_interval_is_a_number(monkeypatch: pyt
 
 
 def test_a_machine_at_the_edge_of_rest_has_error_bars() -> None:
-    """At parameters a millionth off, the model moved where it had rested, and the two arrays had different sizes."""
+    """A change of the parameters by a millionth moved a resting model. The arrays of both motions then had different
+    sizes.
+    """
     rng, what = np.random.default_rng([8101, 18]), Wrong(_load, ("levels",), most=0.75)
     axis = random_axis(rng)
     rng.integers(len(what.motions))

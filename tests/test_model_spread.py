@@ -78,7 +78,7 @@ def test_the_interval_contains_what_the_machine_has(friction: str, cell: str) ->
 
 
 def test_the_standard_deviation_alone_does_not() -> None:
-    """Otherwise the cases above would prove nothing about the spread."""
+    """The standard deviation alone must miss the truth, so that the tests of the spread prove something."""
     result = identified(LIFT, record_of(LIFT, FRICTIONS["quadratic 20 %"](LIFT), "stop-and-go", 512, 11))
     std, spread = bars(result)
     assert np.max(np.abs(result.theta - truth(LIFT)) / std) > 5
@@ -87,7 +87,7 @@ def test_the_standard_deviation_alone_does_not() -> None:
 
 @pytest.mark.parametrize(("axis", "motion"), [(TABLE, "prbs"), (LIFT, "stop-and-go"), (TABLE, "multisine")])
 def test_little_is_added_where_the_model_is_right(axis: Axis, motion: str) -> None:
-    """A dead zone is allowed for in addition, because an input of one size does not show it."""
+    """The spread also allows for a dead zone, because an input of one size does not show a dead zone."""
     result = identified(axis, record_of(axis, Machine(axis.drive), motion, 1024, 11))
     std, spread = bars(result)
     unseen = ESTIMATOR_TUNING.dead_zone * result.theta if motion == "prbs" else np.zeros(3)
@@ -112,10 +112,8 @@ def test_a_method_with_an_error_of_its_own_has_it_in_the_interval() -> None:
 
 @pytest.mark.long
 def test_squares_that_a_parked_axis_misleads_have_it_in_the_interval() -> None:
-    """For one of four seeds, output error gave viscous friction 1.6 % off with an error bar of 0.07 %.
-
-    The interval likelihood of the same motion is more accurate.
-    """
+    """For one of four seeds, output error gave viscous friction 1.6 % off with an error bar of 0.07 %. The interval
+    likelihood of the same motion is more accurate."""
     gantry = BENCHES["gantry"]
     result = identified(
         gantry, record_of(gantry, Machine(gantry.drive), "stop-and-go", 128, 103), method="output-error"
@@ -156,10 +154,8 @@ def right() -> Adequacy:
 
 
 def test_friction_that_comes_and_goes_within_a_sample_is_found() -> None:
-    """At the mean velocity of a sample this friction looked like another force, which the counts did not show.
-
-    The mass was 0.12 % off with an error bar of 0.014 %, and the model was called adequate.
-    """
+    """At the mean velocity of a sample this friction looked like another force, which the counts did not show. The mass
+    was 0.12 % off with an error bar of 0.014 %, and the model was called adequate."""
     found = cart_at(0.5)
     missed = [found.forces[k].name for k in found.missed]
     assert "stribeck" in missed

@@ -105,7 +105,7 @@ def test_page_hinkley_is_the_excess_over_the_smallest_sum() -> None:
     w, memory = np.ones_like(x), 1e12
     found = statistics(PageHinkley(0.3, memory), x, w, np.zeros(3))[0]
     for sign in (1.0, -1.0):
-        total = np.cumsum(sign * x[0] - 0.3, axis=0)  # with this long memory the mean stays zero
+        total = np.cumsum(sign * x[0] - 0.3, axis=0)  # with a long memory the mean stays zero
         excess = total - np.minimum.accumulate(np.vstack([np.zeros(3), total]), axis=0)[1:]
         assert np.all(found >= excess.max(axis=1) - 1e-6)
     assert PageHinkley().start((3,))[3] == pytest.approx(100.0)
@@ -138,10 +138,8 @@ def test_chi_square_has_the_mean_of_its_degrees() -> None:
 
 @pytest.mark.parametrize("name", DETECTORS)
 def test_every_detector(name: str) -> None:
-    """Each detector sees both directions alike, ignores a block without information, and sees less with tolerance.
-
-    Many runs at once give the same as single ones.
-    """
+    """Each detector sees both directions alike, ignores a block without information, and sees less with tolerance. Many
+    runs at once give the same as single ones."""
     detector = make_detectors(0.9)[name]
     x, w = random_blocks(4)
     tolerance = np.zeros(3)
@@ -276,7 +274,7 @@ def test_the_cause_is_found_with_its_start(index: int, name: str) -> None:
 
 
 def test_a_parameter_that_was_zero_may_change() -> None:
-    """Its size is reported in standard deviations."""
+    """The size of the alarm is reported in standard deviations."""
     u, counts = normal_work(4, INCREMENTS, 0.05)
     blocks, theta = scores(front(), THETA, u, counts)[6:], THETA * [1.0, 1.0, 0.0]
     score = blocks.score.copy()
@@ -370,7 +368,7 @@ def test_wrong_wishes_are_refused(options: dict[str, Any], message: str) -> None
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_change_of_mass_is_reported_after_five_seconds_at_24_volt(calibration: Calibration, seed: int) -> None:
-    """After a violent motion the monitor still sees the normal one, which begins two seconds later."""
+    """After a violent motion, the monitor still sees the normal motion that begins two seconds later."""
     rng = np.random.default_rng((seed, 24))
     violent = np.where(np.arange(500) // 25 % 2 == 0, 3.0, -3.0)
     reference = np.concatenate([violent, np.zeros(200), random_stop_and_go(3700, rng)])

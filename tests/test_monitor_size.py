@@ -45,7 +45,7 @@ def first_alarm(calibration: Calibration, name: str, factor: float, seed: int) -
 
 @pytest.mark.parametrize(("name", "factor"), [("mass", 1.35), ("mass", 0.75), ("viscous_friction", 1.2)])
 def test_the_bar_contains_the_truth(calibration: Calibration, name: str, factor: float) -> None:
-    """Half of the sizes were once further off than two bars, some of them than 45."""
+    """Half of the sizes were once off by more than two error bars, and some by more than 45."""
     truth = (factor - 1) * getattr(CART, name)
     alarms = [first_alarm(calibration, name, factor, seed) for seed in range(SEEDS)]
     reported = [alarm for alarm in alarms if alarm is not None and alarm.parameter == name]
@@ -83,10 +83,8 @@ def test_a_change_did_not_begin_after_it_was_noticed() -> None:
 
 
 def test_reversals_that_come_at_other_instants_are_no_part_of_the_change() -> None:
-    """With much dry friction, a change of +20 % was once reported as +13 % with a bar of 0.6 %.
-
-    The reversals were taken from the reference.
-    """
+    """With much dry friction, a change of +20 % was once reported as +13 % with a bar of 0.6 %. The reversals were
+    taken from the reference."""
     axis = replace(CART, mass=1.5, viscous_friction=6.0, coulomb_friction=0.5)
     theta, dt, when = np.array([1.5, 6.0, 0.5]), 0.01, 12.0
     drive, encoder = Drive(CART.input_gain), Encoder(2e-5)

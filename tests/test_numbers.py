@@ -41,7 +41,7 @@ def coarse_cart() -> Record:
 
 @pytest.mark.parametrize("model", [{"offset": True}, {}, {"spring": True}])
 def test_a_track_that_diverges_is_refused_without_a_warning(model: dict[str, object]) -> None:
-    """Below a count per sample, the bias of the known step exceeds the information; NumPy's overflow showed in
+    """Below one count per sample, the bias of the known step exceeds the information. NumPy's overflow once appeared in
     `compare`.
     """
     with pytest.raises(
@@ -58,7 +58,7 @@ def test_equations_without_one_solution_are_refused() -> None:
 
 
 def test_a_counter_of_one_bit_is_refused() -> None:
-    """The position only falls: the instruments are linear combinations of each other."""
+    """The position only falls, so that the instruments depend linearly on each other."""
     counts = -np.cumsum(np.ones(300, np.int64))
     record = Record(np.sin(np.arange(300.0)), counts, 0.01, 1e-4, (), "one bit")
     with pytest.raises(NotIdentifiableError):

@@ -94,7 +94,7 @@ def test_online_the_level_is_in_the_constant_alone(cls: type[RecursiveEstimator]
         white = [
             np.array(one.theta_cov) / np.sqrt(np.outer(track.inflation[-1], track.inflation[-1]))
             for one, track in ((first, near), (last, far))
-        ]  # as for independent innovations
+        ]  # value for independent innovations
         np.testing.assert_allclose(white[1], lift @ white[0] @ lift.T, rtol=100 * rounding)
         np.testing.assert_allclose(far.theta_std[-1, -1], y * near.theta_std[-1, 0], rtol=0.05)
 

@@ -51,7 +51,7 @@ def identified(record: CartRecord, method: str) -> pmfid.pipeline.result.DriveRe
 
 
 def as_good(found: pmfid.pipeline.result.DriveResult, clean: pmfid.pipeline.result.DriveResult) -> bool:
-    """Return whether the estimate is within half an error bar, or two of them if auto takes another method."""
+    """Return whether the estimate is within half an error bar, or within two if auto takes another method."""
     bars = 0.5 if found.estimator.method == clean.estimator.method else 2.0
     return bool(np.all(np.abs(found.theta - clean.theta) <= bars * clean.theta_std + 1e-3 * np.abs(clean.theta)))
 
@@ -91,7 +91,7 @@ def test_no_method_gets_a_wrong_sample(method: str) -> None:
 
 @pytest.mark.parametrize("method", ["auto", "iv"])
 def test_an_input_lost_where_it_switches_is_reported_in_the_status(method: str) -> None:
-    """The input is unknown there: its replacement is wrong by half the switch, for one sample."""
+    """The lost input is unknown. For one sample, the replacement is wrong by half the switch."""
     record = recorded(AXIS, "prbs", 1024)
     u = record.u.copy()
     u[800] = -1e7

@@ -92,9 +92,9 @@ def test_the_other_hold_is_tried():
 
 
 def test_a_pole_that_may_be_anywhere_is_not_known():
-    """Two standard deviations take a pole far beyond the samples to the bound, half of it each.
+    """A pole far beyond the samples reaches its bound within two standard deviations.
 
-    A limit of one half was thus never reached, and the error bars of the other poles were 295 times too short. On some
+    A limit of one half was never reached, and the error bars of the other poles were 295 times too short. On some
     processors the search ends at an unstable pole, which is unknown as well.
     """
     plant, record = swept("AR(1) 0.9")

@@ -1,6 +1,6 @@
 """Faults of loggers at any place: the next good lines count again and a change of the mass is found.
 
-Otherwise one sentence refuses the run.
+If the good lines do not count again, one sentence refuses the run.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 CHANGE, SECONDS = 8.0, 11.5
 #: Good lines that a fault may cost.
 COST = 10
-#: Places of each fault: at the beginning, before the clock is known, and some later ones.
+#: Places of each fault: the beginning, a place before the clock is known, and some later places.
 PLACES = [*range(5), *range(5, 50, 6)]
 
 

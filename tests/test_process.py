@@ -59,7 +59,7 @@ def test_exact_with_uneven_steps_gaps_delay_and_any_start(hold):
     t = np.r_[0.0, np.cumsum(steps)]
     t[1000:] += 7.0
     y[rng.uniform(size=n) < 0.1] = np.nan
-    y[999] = np.nan  # its step is the gap
+    y[999] = np.nan  # the step of this sample is the gap
     u[500:503] = np.nan
     part = slice(40, None)
     experiment = Experiment(u[part], y[part], t=t[part], hold=hold)
@@ -76,7 +76,7 @@ def test_delay_of_whole_samples(even):
     fine = np.repeat(u, 10)
     late = np.r_[np.zeros(10 * delay), fine][: fine.size]
     y = simulate_process(SECOND.b, SECOND.a, late, dt / 10)
-    # with uneven steps the output is read at other instants than the input changes, all on the fine grid
+    # with uneven steps the output and the changes of the input have different instants on the fine grid
     rows = np.arange(n) * 10
     kept = np.unique(np.r_[rows, rng.integers(0, fine.size, 0 if even else 300)])
     experiment = Experiment(fine[kept], y[kept], t=kept * dt / 10)
@@ -126,8 +126,8 @@ def test_instrumental_variables_without_the_bias_of_least_squares():
 
 
 def closed_loop(seed: int, samples: int = 4000, dt: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return r, u, y of the second plant of Ljung's kind, 2 / (s^2 + s + 2), after a gain of 3, with coloured noise
-    in the loop.
+    """Return r, u, y of the second plant of Ljung's kind, 2 / (s^2 + s + 2), after a gain of 3, with coloured noise in
+    the loop.
     """
     from scipy.linalg import expm
 

@@ -135,7 +135,7 @@ def test_an_even_clock_stays_as_it_is() -> None:
 
 @pytest.mark.parametrize(("late", "spread"), [(0.0, 0.09), (0.0, 0.5), (0.3, 0.0), (2.0, 0.0)])
 def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: float) -> None:
-    """A jitter is found with steps of one count, and so is an even clock with late stamps."""
+    """Steps of one count suffice to find a jitter, or an even clock with late stamps."""
     rng = np.random.default_rng(5)
     time = np.arange(3000) + spread * rng.uniform(-1, 1, 3000)
     counts = np.floor(60 * np.sin(0.05 * time) + 0.3)
@@ -202,7 +202,7 @@ def test_a_scattered_stamp_soon_after_another_is_no_row_too_many(tmp_path: Path)
     stamps = np.arange(n) + 0.1 * np.abs(rng.standard_normal(n))
     stamps[700:702] = 700.75, 701.0
     path = tmp_path / "run.csv"
-    counts = np.arange(n) // 400  # too little motion to judge the stamps by
+    counts = np.arange(n) // 400  # the motion is too small to judge the stamps
     pl.DataFrame({"t": 0.01 * stamps, "u": rng.standard_normal(n), "counts": counts}).write_csv(path)
     axis = tmp_path / "axis.toml"
     axis.write_text(

@@ -66,7 +66,9 @@ def test_smaller_spread_than_bcrls_and_error_bars_of_that_size():
 
 
 def test_follows_a_plant_that_changes():
-    """The pole of a lag goes from 1 to 3 rad/s within 100 s; the estimate is 4 s late, at first 8 % of the pole."""
+    """The pole of a lag goes from 1 to 3 rad/s within 100 s. The estimate is 4 s late, which is at first 8 % of the
+    pole.
+    """
     dt, n = 0.02, 10_000
     rng = np.random.default_rng(4)
     u = rng.choice([-1.0, 1.0], n // 20 + 1).repeat(20)[:n]

@@ -82,7 +82,7 @@ def test_a_table_is_the_form(shape: Shape, form: object) -> None:
     at = np.linspace(0.0, 0.5, 20_001)
     wanted, got = form(at), shape.evaluate(at)  # type: ignore[operator]
     assert np.max(np.abs(got - wanted)) < 2e-3
-    assert abs(np.mean(got - wanted)) < 2e-5  # the mean is much closer
+    assert abs(np.mean(got - wanted)) < 2e-5  # the mean over the table is much closer
 
 
 def test_a_table_of_places_holds_at_its_ends() -> None:
@@ -130,7 +130,9 @@ def test_instruments_find_stribeck_friction() -> None:
 
 @pytest.mark.parametrize("name", ["cart", "stage"])
 def test_riv_finds_quadratic_friction_and_its_bars_hold(name: str) -> None:
-    """The direct estimate at the start takes this friction for viscous friction; the sums must forget that."""
+    """The direct estimate at the start takes quadratic friction for viscous friction. The sums must forget this
+    start.
+    """
     run, machine, case = made(name, 7, 4000, quadratic=0.2)
     own = model(machine, quadratic=True)
     track = pmfid.RIV(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).run(run.u, run.counts)

@@ -13,7 +13,7 @@ from tests.test_shapes import made, model, truth
 
 
 class Posed:
-    """A minimal problem: only the part that is examined first."""
+    """A minimal problem with only the part that is examined first."""
 
     drive = pmfid.Drive(2.0, stribeck=0.02)
 

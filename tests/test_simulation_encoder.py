@@ -74,7 +74,7 @@ def test_the_controller_sees_the_faults_and_counts_on_past_the_wrap() -> None:
     assert counts.max() > 512
     np.testing.assert_array_equal(counts, quantize(whole.x, **lattice, faults=faults))
     good, _ = position_control(CART, reference, 0.01, **CART_CONTROL, **lattice)
-    # edges are missed on the way, so that the cart goes further than commanded
+    # missed edges make the cart go further than commanded
     assert whole.x[125] > good.x[125] + 5 * lattice["resolution"]
 
 

@@ -83,7 +83,7 @@ def test_the_right_plant_moves_as_the_exact_one(scenario: str) -> None:
     record, exact = wrong_record(Machine(CART), scenario, 2, 1024), scenario_record(scenario, 2, 1024)
     assert record.resolution == exact.resolution
     difference = np.abs(record.counts - exact.counts)
-    assert difference.max() <= (1 if scenario == "prbs" else 3)  # the loop passes a count on
+    assert difference.max() <= (1 if scenario == "prbs" else 3)  # the control loop passes a difference of a count on
     assert difference.mean() < 0.1
     assert np.ptp(exact.counts) > 1000
 

@@ -1,4 +1,4 @@
-"""Files that contain more than they seem to, or something else."""
+"""Files that contain more than their form suggests, or other content."""
 
 from __future__ import annotations
 

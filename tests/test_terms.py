@@ -121,7 +121,7 @@ def test_one_term_is_named(motion: str, lacking: dict[str, float], wanted: dict[
 
 @pytest.mark.long
 def test_a_dead_time_and_stribeck_friction_are_distinguished() -> None:
-    """Each effect imitates the other at a reversal."""
+    """At a reversal, each of two effects imitates the other effect."""
     found = searched(made(samples=2000, stribeck=0.02, stribeck_speed=0.6, dead_time=1e-3))
     assert set(found.added) == {"stribeck", "dead_time"}
     late = dict(zip(found.model.equation.names, found.chosen.trial.theta, strict=False))["dead_time"]

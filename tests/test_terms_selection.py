@@ -34,7 +34,7 @@ from tests.test_terms import CUTOFF, DRIVE, DT, GAIN, STEP, Made, made, searched
 METHOD = IntervalML(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, CUTOFF)
 
 
-#: Slow filters chosen from the record, and given ones.
+#: Slow filters chosen from the record, and given filters.
 SLOW, FIXED = (axis_of(pmfid.Drive(GAIN), pmfid.Encoder(STEP), DT, {"cutoff": cutoff}) for cutoff in (None, 1.0))
 
 
@@ -65,7 +65,7 @@ def size_of(found: TermSearch, name: str) -> tuple[float, float]:
 
 
 def test_a_lag_is_judged_as_it_was_found(lag: TermSearch) -> None:
-    """The mass was once taken for the lag, which then asked for `lag = 0`."""
+    """The search once took the mass for the lag and asked for `lag = 0`."""
     best = lag.chosen.trial.best
     known = known_shapes(best)
     assert known.difference.equation.lag == pytest.approx(4e-3, rel=0.02)
@@ -111,7 +111,9 @@ def test_a_dead_time_and_a_lag_are_found_together() -> None:
 
 
 def test_a_load_is_no_directional_friction(loaded: TermSearch) -> None:
-    """Both explain every count, but directional friction, which was once named, has one parameter more."""
+    """A load and directional friction explain every count. Directional friction, which was once named, has one
+    parameter more.
+    """
     assert loaded.added == {"offset": True}
     assert "ambiguous_term" not in loaded.status
     assert size_of(loaded, "offset")[0] == pytest.approx(0.01, rel=0.01)
@@ -143,7 +145,7 @@ def test_a_term_that_turns_out_to_predict_worse_goes_again(monkeypatch: pytest.M
     (step,) = kept.without
     assert step.kept
     assert step.gain > step.needed
-    calls = iter([False])  # the term is no worse when tried, and worse when left out
+    calls = iter([False])  # the term does not worsen the prediction at its trial, but later
     monkeypatch.setattr(rules, "is_worse", lambda error, before: next(calls, True))
     found = search(bench, pmfid.Drive(GAIN), scan=False)
     assert found.added == {}

@@ -124,7 +124,7 @@ def test_a_unit_without_a_column_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
-    """A process may have any speed, so that a name alone decides nothing."""
+    """A process may have any speed, so that the name of a column alone decides nothing."""
     text = (
         '[record]\ninput = "u"\noutput = "counts"\ntime = "t_ms"\n{}[model]\nkind = "transfer_function"\nn = 1\nm = 0\n'
         "[estimator]\ncutoff = 1.0\n"
@@ -152,7 +152,7 @@ def test_lines_that_are_missing_in_turn_are_no_clock_of_their_own(every: int, dt
 
 @pytest.mark.parametrize("period", [0.00111, 0.0108, 0.01095])
 def test_rounded_stamps_of_an_even_clock_stay_even(period: float) -> None:
-    """The stamps are in whole milliseconds, or in steps of 10 ms; the period is no multiple of these."""
+    """The stamps are in whole milliseconds, or in steps of 10 ms. The period is no multiple of these units."""
     k = np.arange(3000)
     unit = 0.001 if period < 0.002 else 0.01
     found = place(np.rint(period * k / unit) * unit, np.cumsum(np.sin(0.01 * k)))

@@ -175,7 +175,7 @@ def test_the_sizes_of_columns_come_from_the_footer_of_the_file(tmp_path: Path) -
     )
     data = (tmp_path / "run.parquet").read_bytes()
     sizes = column_sizes(data)
-    assert 8 * 3 * 40 <= sizes["u"] < 2 * 8 * 3 * 40  # the heads of its pages included
+    assert 8 * 3 * 40 <= sizes["u"] < 2 * 8 * 3 * 40  # includes the heads of the pages
     assert 2 * 8 * 40 <= sizes["s"] < 2 * 2 * 8 * 40
     assert sizes["text"] >= 3 * 500  # a dictionary in each group of rows
     for end in range(len(data) - 300, len(data)):

@@ -267,7 +267,7 @@ def test_what_is_no_result_is_reported_in_one_line(tmp_path: Path, content: obje
     ("then", "now"), [("dead_time = 0.004", ""), ("", "dead_time = 0.004"), ("stribeck = 0.02", "stribeck = 0.03")]
 )
 def test_what_no_name_of_a_parameter_tells_must_be_the_same(tmp_path: Path, then: str, now: str) -> None:
-    """Otherwise a machine whose input acts late would be predicted without the delay and without a warning."""
+    """A silent change of the dead time would predict a machine with a late input without the delay."""
     before, after = (TOML.replace("input_gain = 1.5", f"input_gain = 1.5\n{key}") for key in (then, now))
     more = GOOD["parameters"] | ({"stribeck_friction": {"value": 0.1, "unit": "N"}} if "stribeck" in then else {})
     (tmp_path / "then.toml").write_text(before)
@@ -329,7 +329,9 @@ def test_arguments_in_python_that_do_not_fit() -> None:
 
 @needs_emps
 def test_the_published_parameters_predict_the_measured_drive() -> None:
-    """The record is the authors' own last third; directional friction predicts better, as they say."""
+    """The record is the last third, as in the authors' paper. Directional friction predicts better, as the
+    authors say.
+    """
     whole = measured(5e-8)
     last = whole.part(whole.u.size * 2 // 3, whole.u.size)
     runs = {model: free_run(MODELS[model], theta, 50.0, last) for model, theta in PUBLISHED.items()}

@@ -21,10 +21,8 @@ HOLD = 15.0
 
 
 def work(task: int, increments: int = INCREMENTS) -> dict[str, Any]:
-    """Count the alarms of every detector for every requested time in RUNS_PER_TASK runs, at tolerance 0.
-
-    Also returns the hours, and the correlation of blocks one and two apart.
-    """
+    """Count the alarms of every detector for every requested time in RUNS_PER_TASK runs, at tolerance 0. The result
+    includes the hours, and the correlation of blocks one and two apart."""
     made = {asked: calibration(increments, asked) for asked in ASKED}
     riv, one = make_riv(increments), made[ASKED[0]]
     seeds = [1000 + RUNS_PER_TASK * task + k for k in range(RUNS_PER_TASK)]

@@ -21,7 +21,7 @@ AFTER = 10.0  # [s]
 
 
 def off_line(name: str) -> tuple[str, ...]:
-    """Return the off-line methods for a scenario; open loop leaves out the slow one, which is no worse there."""
+    """Return the off-line methods for a scenario. Open loop leaves out the slow method, which is no worse there."""
     return tuple(m for m in OFF_LINE if m != AUTO or name != "prbs")
 
 

@@ -17,7 +17,7 @@ INCREMENTS = (4096, 1024, 512)
 METHODS = (*(m for m in ON_LINE if m != EXTENDED), AUTO)
 TIME_CONSTANT = 3  # samples: 30 ms
 FORGETTING = 0.99
-DURATION = 30.0  # [s]; the mass steps half-way
+DURATION = 30.0  # duration [s]; the mass steps half-way
 SETTLED = 5.0  # [s]: five memories after the step, and the window before it
 LIMITS = (0.9, 1.7)  # [kg]
 

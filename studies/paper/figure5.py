@@ -21,7 +21,7 @@ from studies.paper.truth import CartRecord, make_estimator
 ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
 INCREMENTS = 4096
 TIME_CONSTANT = 10  # samples: 100 ms
-#: Number of strokes in both directions; the way back has the input of the other sign.
+#: Number of strokes in both directions. The input of the way back has the opposite sign.
 ROUNDS = 3
 BAND = 0.02
 #: Inputs of the paper's picture, which are the only inputs of the off-line methods.
@@ -42,7 +42,9 @@ def tasks(seeds: int) -> list[Task]:
 
 
 def work(name: str, seed: int) -> dict[str, Score]:
-    """Return the scores after the first stroke; on-line scores have the time to stay within 2 %."""
+    """Return the scores after the first stroke. On-line scores include the time after which the error stays
+    within 2 %.
+    """
     record = record_of(name, seed)
     scores = {method: _score(method, record) for method in ON_LINE}
     off_line = OFF_LINE if name in SHOWN else ()

@@ -49,8 +49,9 @@ class Merit:
     `condition` describes the runs, `increments` the encoder, and `refused` counts runs without an estimate. bias, std,
     rms and coverage of the 95 % intervals belong to the mass [%]. `settled` is the median time to stay near the truth
     [s]; inf means never in half of the runs. `information` is the Fisher information of the input on the mass with
-    known friction (paper eq. 40), and `joint` with unknown friction [1/kg^2]. `loss` is the fraction of it that a
-    design loses by a wrong mass [%], and `terminal` the error of its end [mm]. nan means that a figure does not apply.
+    known friction (paper eq. 40), and `joint` with unknown friction [1/kg^2]. `loss` is the part of the information
+    that a design loses by a wrong mass [%], and `terminal` the error of the design's end [mm]. nan means that a figure
+    does not apply.
     """
 
     figure: str
@@ -90,7 +91,7 @@ def merit(figure: str, condition: str, method: str, increments: int, scores: Seq
 
 
 def _median(times: Sequence[float]) -> float:
-    """Return the median; inf if it is never reached, nan if it was not measured."""
+    """Return the median of the times: inf if most runs never settle, and nan without a measurement."""
     ordered = sorted(times)
     if not ordered or math.isnan(ordered[0]):
         return math.nan

@@ -64,7 +64,7 @@ def _pool(jobs: int | None) -> Pool:
     """Return a pool of new processes with one thread each, so that jobs and threads do not change a bit."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    # only the parent handles an interrupt, and ends the others
+    # only the parent process handles an interrupt, and ends all other processes
     ignored = (signal.SIGINT, signal.SIG_IGN)
     return multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, signal.signal, ignored)
 

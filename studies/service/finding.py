@@ -11,7 +11,7 @@ from pmfid.cli.serve_lines import line
 from pmfid.stream.outcome import Notice
 from studies.service.hall import Hall, Metrics, Report
 
-#: Metrics that a fault may change; the others change by themselves.
+#: Metrics that a fault may change. All other metrics change by themselves.
 REPORTED = re.compile(
     r"pmfid_(unusable|samples_(missing|dropped|without)|lines_dropped|dropped_|refused|sink_(working|errors)|events"
     r"|checkpoint_(working|errors)|page_|paused_|deliveries_slower_total\{than=.5.\})"
@@ -43,8 +43,8 @@ class Finding:
 
 
 def sentences(notices: Sequence[Report]) -> list[str]:
-    """Return the sentences of the log, equal ones once; the start, and the motion's effects on the watch, are left
-    out.
+    """Return the sentences of the log, equal ones once; the start, and the motion's effects on the watch, are
+    left out.
     """
     reported = Counter[str]()
     for one in notices:

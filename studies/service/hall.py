@@ -67,10 +67,8 @@ class Hall:
     # --- sending ------------------------------------------------------------------------------------------------------
 
     def play(self, seconds: float, speed: float = 5.0, changes: dict[int, Change] | None = None) -> None:
-        """Play some seconds of the motion of all axes, `speed` times as fast as real time.
-
-        `changes` replaces the blocks of some axes.
-        """
+        """Play some seconds of the motion of all axes, `speed` times as fast as real time. `changes` replaces the
+        blocks of some axes."""
         changes, begin, start = changes or {}, time.monotonic(), self.at
         self.struck |= changes.keys()
         while self.at < start + seconds / DT:
@@ -94,7 +92,7 @@ class Hall:
     # --- reports ------------------------------------------------------------------------------------------------------
 
     def through(self, more: int = 0) -> Metrics:
-        """Return the metrics when all sent samples, except `more`, are accounted for: taken, missing or dropped."""
+        """Return the metrics when all sent samples, except `more`, are taken, missing or dropped."""
         end = time.monotonic() + PATIENCE
         while True:
             metrics = self.served.metrics()
@@ -137,10 +135,8 @@ class Hall:
     # --- expected estimates -------------------------------------------------------------------------------------------
 
     def compared(self, since: int = 0, axes: Sequence[int] | None = None) -> tuple[int, int]:
-        """Count the rows of the page after sample `since`, and those with another bit than `pmfid monitor`.
-
-        `axes` are the numbers of the compared axes; None means all unchanged axes.
-        """
+        """Count the rows of the page after sample `since`, and those with another bit than `pmfid monitor`. `axes` are
+        the numbers of the compared axes; None means all unchanged axes."""
         others = [k for k in range(self.axes) if k not in self.struck] if axes is None else list(axes)
         fleet = MonitorFleet(prepare(self.folder / "cell.toml").setup.monitor, len(others))
         places = np.array(others)[:, None] * APART + np.arange(self.at)

@@ -145,13 +145,15 @@ def _quietly(action: Callable[..., None], *given: object) -> None:
 
 
 def _few_under_way(place: Path) -> None:
-    """Make the service request few messages at once, so that the others wait at the broker and not on the line."""
+    """Make the service request few messages at once, so that most messages wait at the broker and not on the line."""
     plant = place / "plant.toml"
     plant.write_text(plant.read_text().replace('kind = "mqtt"', 'kind = "mqtt"\nreceive_maximum = 50'))
 
 
 def stopped(place: Path, fault: str, losing: bool) -> Finding:
-    """Stop the process for a minute of samples in real time; with `losing`, the broker has less room than that."""
+    """Stop the process for a minute of samples in real time. With `losing`, the broker has no room for a minute of
+    samples.
+    """
     limits = SMALL if losing else BROKER
     with hall(place, 6, STOPPED + 40.0, limits=limits, ready=_few_under_way if losing else _as_it_is) as there:
         there.play(5.0)

@@ -26,7 +26,7 @@ INCREMENTS, DURATION = (1024, 128), 12.0
 CUTOFF, FORGETTING = 25.0, 0.99
 #: Poles and zeros of the processes, their noise, number of samples, and resolution of the output.
 PROCESSES, NOISE, SAMPLES, RESOLUTION = ((1, 0), (2, 0), (2, 1), (3, 1)), (0.0, 0.05), 600, 1e-3
-#: Number of digits that are kept. The kernel has the same bits on every target; in off-line methods a library chooses
+#: Number of digits that are kept. The kernel has the same bits on every target. In off-line methods a library chooses
 #: the order of a sum.
 DIGITS, DIGITS_OFF_LINE = 17, 7
 

@@ -37,11 +37,7 @@ HOURS, RUN_TIME = 0.04, 80.0
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on a call.
-
-    It holds command, exit code, processor time [s], and the faults of the outcome, which are empty if every promise is
-    kept.
-    """
+    """The verdict on a call. The outcome holds command, exit code, processor time [s] and the broken promises."""
 
     command: str
     code: int

@@ -69,11 +69,8 @@ def plant_of(folder: Path, axis: Path, broker: Broker) -> Plant:
 
 
 def gateway(work: Work, broker: Broker, speed: float) -> int:
-    """Fork a child that sends all samples, and return its process number.
-
-    The child sends `speed` times as fast as real time; 0 sends at once. It exits with 0 when the broker has all
-    samples.
-    """
+    """Fork a child that sends all samples, and return its process number. The child sends `speed` times as fast as real
+    time; 0 sends at once. The child exits with 0 when the broker has all samples."""
     number = os.fork()
     if number:
         return number
@@ -175,11 +172,8 @@ def run(place: Path, axis: Path, work: Work, struck: Sequence[str], speed: float
 def campaign(
     axis: Path, folder: Path, kills: int, service_kills: int, apart: float, seed: int
 ) -> tuple[Counter[str], int]:
-    """Compare a run with kills, `apart` seconds apart on average, to a run without kills.
-
-    Returns the number of kills of each kind and the number of repeated rows. Raises AssertionError if a kill changed
-    the output.
-    """
+    """Compare a run with kills, `apart` seconds apart on average, to a run without kills. Returns the number of kills
+    of each kind and the number of repeated rows. Raises AssertionError if a kill changed the output."""
     rng = random.Random(seed)
     struck = strikes(kills, service_kills, rng)
     work = work_of(seed, apart * (len(struck) + 1))

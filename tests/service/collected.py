@@ -14,7 +14,7 @@ from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.stream.groups import Prepared
 from pmfid.stream.outcome import EstimateRows, Notice
 
-#: theta, std, innovation, status, state: bit by bit.
+#: Bits of theta, std, innovation, status and state.
 Bits = tuple[Any, ...]
 
 

@@ -2,8 +2,8 @@
 
 Each incarnation is a process of its own, forked from a process that has calibrated. The first source has blocks of one
 axis and lines of another; it delivers again until it has an acknowledgement, as a broker does at QoS 1. The second
-source plays a record and continues after its mark. After some kills the last incarnation runs to the end. Its state and
-every row of all incarnations must have the bits of a run without kills.
+source plays a record and continues after its mark. After some kills the last incarnation runs to the end. The final
+state and all rows must have the bits of a run without kills.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Broker(SourceSection):
 
 
 class Played(FileSource):
-    """The record of the folder, read before the fork: its reader has threads, which a fork does not copy."""
+    """The record of the folder, read before the fork, because a fork does not copy the reader's threads."""
 
     def make(self, name: str, context: Context) -> Source:
         axis, path = context.axis(self.axis), context.folder / self.path
@@ -207,7 +207,7 @@ def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:
 
 
 def died(number: int, within: float) -> int | None:
-    """Return the exit status of a child, or None if it still lives after `within` seconds."""
+    """Return the exit status of a child, or None for a child that still lives after `within` seconds."""
     end = time.monotonic() + within
     while time.monotonic() < end:
         found, status = os.waitpid(number, os.WNOHANG)
@@ -271,10 +271,8 @@ def state_of(plant: Plant) -> Snapshot:
 
 
 def rows_of(plant: Plant) -> tuple[dict[tuple[int, int], bytes], int]:
-    """Return the bits of all rows by (axis, number), and the number of repeated rows.
-
-    Raises AssertionError if a row was repeated with other bits.
-    """
+    """Return the bits of all rows by (axis, number), and the number of repeated rows. Raises AssertionError if a row
+    was repeated with other bits."""
     data, found, again = (plant.folder / "rows").read_bytes(), dict[tuple[int, int], bytes](), 0
     for k in range(0, len(data) - _ROW.size + 1, _ROW.size):
         row = data[k : k + _ROW.size]

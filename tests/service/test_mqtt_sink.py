@@ -124,7 +124,7 @@ def test_an_alarm_stays_until_it_is_taken_back(clear: str, event: Any, over: boo
     assert (link.retained()[ALARM] == b"") == over
     before = dict(link.retained())
     link.got.clear()
-    sink.open()  # the broker may have forgotten everything, even the end of the alarm
+    sink.open()  # the broker may have lost all messages, even the end of the alarm
     assert link.retained() == before
 
 

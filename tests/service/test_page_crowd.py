@@ -93,7 +93,7 @@ def test_a_crowd_without_a_token_shuts_neither_page_nor_health(
     with page.stream("/api/stream") as lines:
         next(lines)
         with crowd(page, says=says.format(host=page.host), again=again):
-            slowest(page, 1)  # by its answer, all earlier connections are accepted
+            slowest(page, 1)  # the answer shows that all earlier connections are accepted
             found = slowest(page, 25)
             assert page.ask("/api/plant")[0] == 200
             assert page.ask("/")[0] == 200
@@ -156,7 +156,7 @@ def test_a_crowd_that_never_shakes_hands_does_not_shut_a_page_with_tls(tmp_path:
     with served(FakePlant(2), certificate=str(cert), key=str(key)) as there:
         alone = greeted(there, context)
         with crowd(there, says="\x16"):
-            greeted(there, context)  # by its answer, all earlier connections are accepted
+            greeted(there, context)  # the answer shows that all earlier connections are accepted
             assert greeted(there, context) < ALLOWED + alone
             if Path("/proc/self/fd").exists():
                 assert len(os.listdir("/proc/self/fd")) < 256 + 64 + 100

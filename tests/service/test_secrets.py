@@ -151,7 +151,7 @@ class Running:
         return Acting(Service(lambda: load_plant(self.place / "plant.toml"), NoticeLog(text, form)), text)
 
     def ask(self, acting: Acting, path: str, token: str | None, method: str = "GET") -> int:
-        """Send a request and keep the answer of the page; of a stream, keep the beginning."""
+        """Send a request and keep the page's answer, or the beginning of a stream."""
         page = acting.service._page
         assert page is not None
         connection = http.client.HTTPConnection(urlsplit(page.url).netloc, timeout=10)
@@ -320,7 +320,9 @@ def test_no_secret_comes_out_of_a_start_that_is_refused(running: Running, monkey
             with monkeypatch.context() as patch:
                 content = None if name.isupper() else (running.place / name).read_text()
                 _spoil(running.place, name, how, patch)
-                late = threading.Timer(120, os.kill, (os.getpid(), signal.SIGTERM))  # the service has no end of its own
+                late = threading.Timer(
+                    120, os.kill, (os.getpid(), signal.SIGTERM)
+                )  # the service does not end by itself
                 late.start()
                 reported = called("serve", str(running.place / "plant.toml"), "--json", "--until-end", code=2)
                 late.cancel()

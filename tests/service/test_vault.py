@@ -243,7 +243,7 @@ def test_a_large_state_is_not_written_all_the_time(
         if k == 50:
             engine.urgent = True
     keeper.offer(engine, last=True)
-    # a request of a user, as the fourth is, is saved at once
+    # the fourth request comes from a user and is saved at once
     assert [b - a for a, b in pairwise(made)] == [10.0, 10.0, 10.0, 3.0, 6.0]
 
 

@@ -54,8 +54,8 @@ def streamed(folder: Path, source: str, number: int, *more: str) -> tuple[int, s
 
 
 def test_a_stream_moves_to_another_one_and_gives_what_one_process_gives(spark: SparkSession, folder: Path) -> None:
-    """Parquet files go through one stream, and its states through a service's folder into a second one, which reads
-    growing files.
+    """Parquet files go through one stream. The stream's states go through a service's folder into a second stream,
+    which reads growing files.
     """
     plan, rows = StreamPlan(prepare(folder / "axis.toml"), PACE, SHARDS), rows_of(4, 16.0)
     before, after = parts_of(rows, 2)
