@@ -47,7 +47,7 @@ typedef int32_t integer_t;
  * known best one sample later. */
 enum {
     PMF_INPUT = 0, /* input times moving fraction */
-    PMF_VELOCITY = 1, /* mean velocity, from the counts that of the last interval */
+    PMF_VELOCITY = 1, /* mean velocity; from the counts, of the last interval */
     PMF_DIRECTION = 2, /* time moving forward minus time moving backward, as a fraction of the interval */
     PMF_MOVING = 3, /* fraction of time moving */
     PMF_FORWARD = 4, /* fraction of time moving forward */
@@ -70,7 +70,7 @@ enum {
     PMF_START = PMF_AUXILIARY +
         1, /* 1 in the first interval, delayed like the other signals, for the effect of the initial state */
     /* signal of direct methods without an auxiliary model if the step varies: */
-    PMF_TURN = PMF_AUXILIARY /* effect of a reversal inside the interval on its mean velocity, per 1/12 of m v' */
+    PMF_TURN = PMF_AUXILIARY /* effect of a reversal inside the interval on the mean velocity, per 1/12 of m v' */
 };
 
 /* Roles of parameters in the auxiliary model. */
@@ -104,8 +104,8 @@ enum {
     PMF_DEAD_TIME = 2048,
     PMF_STATUS_END, /* follows the last bit, so that the union of all bits needs no further edit */
     PMF_STATUS_BITS = 2 * (PMF_STATUS_END - 1) - 1,
-    /* Groups of bits. In the first, theta is no new estimate. In the second, the sample was left out. In the third, a
-       controller or effects outside the model move theta beyond its covariance. */
+    /* Groups of bits. In the first, theta is no new estimate. In the second, the sample was left out. In the third,
+       theta is wrong by more than its covariance, because of a controller or effects outside the model. */
     PMF_NOT_AN_ESTIMATE = PMF_STARTING | PMF_SETTLING | PMF_POOR_EXCITATION | PMF_RESET,
     PMF_SAMPLE_REJECTED = PMF_INVALID_INPUT | PMF_COUNT_JUMP,
     PMF_DISTORTED = PMF_UNMODELLED | PMF_FEEDBACK | PMF_DEAD_TIME
@@ -120,7 +120,7 @@ enum {
     PMF_SEPARATE = 4 /* every parameter has its own rate */
 };
 
-/* If the step varies, pauses are counted in these fractions of a sample period. */
+/* If the step varies, pauses are counted in ticks, which are fractions of a sample period. */
 enum { PMF_TICKS = 16 };
 
 typedef struct {
@@ -149,10 +149,10 @@ typedef struct {
 } pmf_encoder_config_t;
 
 #if PMF_WITH_STEPS
-/* Covariances of the tracker for a varying step, which give its gains; the counts have a variance of 1. */
+/* Covariances of the tracker for a varying step, for a variance of the counts of 1. The covariances give the gains. */
 typedef struct {
     real_t place, cross,
-        speed; /* covariances of the last position and velocity. The first two are also the last gains. */
+        speed; /* covariances of the last position and velocity. `place` and `cross` are also the last gains. */
     real_t start_place, start_speed; /* covariances of the earlier velocity with the last position and velocity */
 } pmf_tracker_t;
 #endif
@@ -166,7 +166,7 @@ typedef struct {
     whole_t doubt; /* doubts about the last two inputs, as bits */
     whole_t wait; /* samples until the guard learns the limits of the motion again */
     whole_t reading; /* the last count while it is suspicious */
-    integer_t change; /* the last change, read or predicted, from which the next one is predicted */
+    integer_t change; /* the last change, read or predicted, from which the next change is predicted */
     real_t rate; /* change of the last change */
     real_t scatter; /* leaking maximum of the prediction error beyond the encoder's step */
     real_t peak; /* leaking maximum of the input, with the same leak */
@@ -188,7 +188,7 @@ typedef struct {
     whole_t fast;
     whole_t started; /* 2 after the second sample of a linear process */
     integer_t change; /* change of the count in the last interval */
-    whole_t travel; /* counts since the first one, modulo 2^32 */
+    whole_t travel; /* sum of the changes of the count, modulo 2^32 */
 #if PMF_WITH_PROCESS
     integer_t first; /* first count, with its sign */
 #endif
@@ -250,7 +250,7 @@ typedef struct {
     real_t column[PMF_MAX_COLUMNS];
 #if PMF_WITH_STEPS
     real_t ratio, ratio_before; /* step ratios of the encoder */
-    real_t time, cubes; /* leaking sums of steps and of their cubes */
+    real_t time, cubes; /* leaking sums of steps and of cubes of steps */
 #endif
 } pmf_network_state_t;
 
@@ -278,8 +278,8 @@ typedef struct {
 #if PMF_WITH_SEPARATE
     scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
 #endif
-    uint32_t block; /* updates in a block with correlated errors; the spread of such blocks scales P */
-    scalar_t correlated; /* number of updates with equal errors, assumed until such blocks exist */
+    uint32_t block; /* updates in a block with correlated errors. The spread of blocks scales P. */
+    scalar_t correlated; /* number of updates with equal errors, assumed until blocks exist */
     uint32_t half_memory; /* half memory, counted in looks at the motion; 0: nothing is forgotten */
     uint32_t leading; /* index of the parameter of the highest derivative */
     scalar_t haste,
@@ -361,9 +361,9 @@ typedef struct {
 /* Variable on which a force of a given form depends. */
 enum {
     PMF_OF_SPEED = 0,
-    PMF_OF_SQUARE = 1, /* square of the speed; it has no table */
+    PMF_OF_SQUARE = 1, /* square of the speed, without a table */
     PMF_OF_PLACE = 2, /* position, as in all following forms */
-    PMF_OF_WAVE = 3 /* sine of the position; it has no table */
+    PMF_OF_WAVE = 3 /* sine of the position, without a table */
 };
 
 /* Straight lines between evenly spaced knots. The last value continues beyond the knots. */
@@ -393,15 +393,15 @@ typedef struct {
     uint32_t has_initial;
     uint32_t direct_index[PMF_ROLES]; /* index of a role's parameter in the direct recursion; PMF_NO_PARAMETER: none */
     uint32_t index[PMF_ROLES]; /* index of a role's parameter in the instrumental recursion */
-    uint32_t check_column; /* column of the measured filtered velocity; those of the model's velocity and acceleration
-                              follow */
+    uint32_t
+        check_column; /* column of the measured filtered velocity, followed by the model's velocity and acceleration */
     uint32_t
         target_column; /* column of the target, which is corrected by the filters' error for the model's acceleration */
     uint32_t mass_column; /* column of the instrument of the mass */
     uint32_t sensitivities; /* number of parameters that move the model's stops and reversals; 0: none */
     uint32_t cause[PMF_ROLES],
         role[PMF_ROLES]; /* signal of the model that each parameter multiplies, and the first role of the parameter */
-    uint32_t trial_samples; /* samples of a new start before it is judged */
+    uint32_t trial_samples; /* samples before a new start is judged */
     scalar_t dt, input_gain;
     scalar_t jump_gain; /* gain of both stages that filter a blow at a stop */
     scalar_t position_gain; /* gain of the correction of the model's position, needed only with a spring */
@@ -411,7 +411,8 @@ typedef struct {
     scalar_t mismatch_limit; /* mean square difference of the velocities, as a fraction of their mean square */
     scalar_t noise_power; /* noise power of the filtered measured velocity */
     scalar_t lag_memory; /* forgetting of the comparison that shows a model ahead of the plant, per sample */
-    scalar_t lag_samples; /* samples that count as one in this comparison, because the filters correlate neighbours */
+    scalar_t lag_samples; /* samples that count as one in the comparison of the lag, because the filters correlate
+                             neighbours */
 #if PMF_WITH_STEPS
     uint32_t steps; /* 1: the step varies */
 #endif
@@ -428,7 +429,8 @@ typedef struct {
 /* Effect of a parameter's change on the model's stops. */
 typedef struct {
     real_t momentum; /* mass times the deviation of the velocity, over dt */
-    real_t blow, filtered; /* force by which a stop removes the momentum, and the force after one and two stages */
+    real_t blow,
+        filtered; /* force by which a stop removes the momentum, and the force filtered by one and two stages */
 } pmf_jump_t;
 
 typedef struct {
@@ -440,7 +442,7 @@ typedef struct {
     whole_t running; /* 1: the model has parameters */
     whole_t trial; /* samples until the model is judged */
     whole_t trusted;
-    whole_t in_charge; /* 1: the instrumental estimate has taken over from the direct one */
+    whole_t in_charge; /* 1: the instrumental estimate has replaced the direct estimate */
     whole_t feedback; /* last verdict on feedback, as a status bit */
     pmf_lag_t lag;
     whole_t late; /* last verdict on a model ahead of the plant, as a status bit */
@@ -466,7 +468,7 @@ typedef struct {
     scalar_t dead_time; /* dead time [s], if no auxiliary model has its own */
 #if PMF_WITH_DEAD_TIME_FOUND
     uint32_t found; /* 1: the last parameter is an estimated dead time */
-    uint32_t within; /* 1: the motion within the counts also estimates it */
+    uint32_t within; /* 1: the motion within the counts also estimates the dead time */
     scalar_t counts; /* counts per unit of position */
     scalar_t growth; /* growth of the covariance of the estimated parameters, per sample */
 #endif
@@ -491,7 +493,7 @@ typedef struct {
 /* The estimate at the accepted dead time, and a motion that is held within the counts to find the dead time. */
 typedef struct {
     pmf_estimate_t believed; /* accepted estimate in the parameters of the active recursion */
-    real_t dead_time; /* dead time of this estimate */
+    real_t dead_time; /* dead time of the accepted estimate */
     real_t theta[PMF_MAX_PARAMETERS]; /* parameters of the motion */
     real_t covariance[PMF_MAX_PARAMETERS + 2]
                      [PMF_MAX_PARAMETERS + 2]; /* covariance of place, velocity and theta of the motion */
@@ -504,7 +506,7 @@ typedef struct {
     integer_t change; /* change of the counts in the last interval */
     whole_t running;
     whole_t age, near; /* samples since the beginning of the motion, and samples near an edge; saturating */
-    whole_t looks; /* 1: the motion began from its own earlier result; 2: the result also stayed */
+    whole_t looks; /* 1: the motion began from an earlier result of the motion; 2: this result also stayed */
     whole_t tries; /* beginnings since the motion was last accepted */
     whole_t believes; /* source of the accepted dead time, PMF_BELIEVES_... */
 } pmf_found_state_t;
@@ -520,7 +522,7 @@ typedef struct {
     uint32_t first_column; /* first column of regressors, target and instruments */
     uint32_t update_samples; /* samples between two computations of the filters from the copy */
     uint32_t settle_samples; /* samples in addition to the settling of the process itself */
-    uint32_t start_updates; /* updates of the direct estimate before the model starts from it */
+    uint32_t start_updates; /* updates of the direct estimate that start the model */
     scalar_t half_dt;
     scalar_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
     scalar_t limit[PMF_MAX_ORDER]; /* limit of a_i dt^(n-i), above which the process is too fast for the samples */
@@ -601,7 +603,7 @@ typedef struct {
 #endif
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_state_t auxiliary;
-    pmf_estimate_t borrowed; /* direct estimate in the parameters of the instrumental one */
+    pmf_estimate_t borrowed; /* direct estimate in the parameters of the instrumental estimate */
 #endif
 #if PMF_WITH_LINEAR
     pmf_linear_state_t linear;
@@ -614,8 +616,9 @@ typedef struct {
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
 /* Set the reading of the counter at the last sample. Estimate and filters stay. */
 void pmf_rebase(pmf_state_t *state, uint32_t count);
-/* Report lost samples before pmf_step() of the next one, which reads `count`. Filters and model restart with its
- * motion; the sums of the estimate stay. A few lost samples are better replaced by straight lines and stepped through.
+/* Report lost samples before pmf_step() of the next sample, which reads `count`. Filters and model restart with the
+ * motion after the gap. The sums of the estimate stay. A few lost samples are better replaced by straight lines and
+ * stepped through.
  */
 void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
 /* Report that the last sample was a guess. The recursion skips `samples` samples, or more in slow motion, at most the
@@ -624,8 +627,8 @@ void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
 /* Process one sample: `input` acts from the moment at which `count` is read. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 #if PMF_WITH_STEPS
-/* Set the time since the last sample [s] before pmf_step() if the configuration has a rate. The default is the sample
- * period. A step that is not positive, or longer than 100 periods, is flagged as an invalid input. */
+/* Set the time since the last sample [s] before pmf_step() if the configuration has a rate. The default of the step is
+ * the sample period. A step that is not positive, or longer than 100 periods, is flagged as an invalid input. */
 void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step);
 #endif
 /* Write P of the estimate (n x n, row by row), with theta_cov = innovation variance times P. A borrowed estimate of
@@ -644,7 +647,8 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
 /* Return the number of parameters of the estimate. */
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
 
-/* A saved state, for a restart after a loss of power, with its identity. Python's `get_state` gives the same bytes. */
+/* A saved state for a restart after a loss of power, with the identity of its configuration. Python's `get_state` gives
+ * the same bytes. */
 #define PMF_STATE_MAGIC 0x53464d50U /* "PMFS" */
 #define PMF_STATE_VERSION 1U
 

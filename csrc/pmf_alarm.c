@@ -1,4 +1,4 @@
-/* Alarm on a parameter: two-sided cumulative sum of its estimate's log-likelihood ratio (Page 1954).
+/* Alarm on a parameter by the two-sided cumulative sum of a log-likelihood ratio (Page 1954).
  * SPDX-License-Identifier: Apache-2.0
  *
  * The sums use one value of the estimate in `interval` samples, so that its errors are nearly independent. With x =

@@ -2,10 +2,10 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * The model supplies instruments without the encoder's noise, and the direction and the moving fractions of every
- * interval. Between events the motion is linear. exp() is replaced by its diagonal Pade approximant of order 3,
- * because the exp of C libraries differ in their last bits; the relative error is below 1e-9 for damping * dt <=
- * 0.15, and 1e-5 at 1. A constant force allows at most one stop in an interval, so that two phases suffice and every
- * sample takes the same work. */
+ * interval. Between events the motion is linear. A diagonal Pade approximant of order 3 replaces exp(), because the exp
+ * of C libraries differ in their last bits. The relative error is below 1e-9 for damping * dt <= 0.15, and 1e-5 at 1. A
+ * constant force allows at most one stop in an interval, so that two phases suffice and every sample takes the same
+ * work. */
 #include "pmf_shapes.h"
 
 #if PMF_WITH_AUXILIARY
@@ -124,8 +124,8 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
 }
 
 /* The velocity deviation w by each parameter follows m w' + d w = -signal, and a stop removes the rest of m w like a
- * blow. This blow is the derivative of the sum of friction and input in the equation. After the filters of the
- * equation, as two stages of their delay, it completes regressors and target. */
+ * blow. The blow is the derivative of the sum of friction and input in the equation. After two filter stages with the
+ * delay of the equation's filters, the blow completes regressors and target. */
 static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
                              real_t before, real_t after, const real_t *signal)
 {

@@ -3,7 +3,8 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * A dead time is whole samples and a fraction of a sample. The filters take the mean of the two inputs that share an
- * interval, because the mean acceleration depends only on it. The auxiliary model switches at the right instant. */
+ * interval, because the mean acceleration depends only on this mean. The auxiliary model switches at the right instant.
+ */
 #ifndef PMF_DEAD_TIME_H
 #define PMF_DEAD_TIME_H
 
@@ -15,7 +16,7 @@
 #define FAR_AWAY PMF_R(0.25)
 #define ROOT_OF_ANOTHER \
     PMF_R(0.1) /* root of the weight of distant sums after a second look of the motion within the counts */
-#define ROOT_OF_FAR_AWAY PMF_R(0.25) /* root of the weight of distant sums in other cases */
+#define ROOT_OF_FAR_AWAY PMF_R(0.25) /* root of the weight of distant sums without a second look */
 
 static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -83,8 +84,8 @@ static real_t within_reach(const pmf_late_config_t *late, real_t dead_time)
     return dead_time < most ? dead_time : most;
 }
 
-/* Move the estimate to another dead time along its direction of uncertainty. A positive variance of the other dead time
- * replaces the recursion's variance; 0 keeps it. */
+/* Move the estimate to another dead time in the direction given by the covariance. A positive variance of the other
+ * dead time replaces the recursion's variance. */
 static void move_to(const pmf_recursion_state_t *own, uint32_t p, real_t dead_time, real_t variance,
                     pmf_estimate_t *believed)
 {

@@ -7,14 +7,14 @@
 
 #if PMF_FOUND
 
-#define WIDE PMF_R(0.1) /* variance of the place above which a count is a reading of its middle */
+#define WIDE PMF_R(0.1) /* variance of the place above which a count stands for the middle of its interval */
 #define TWELFTH (PMF_R(1.0) / PMF_R(12.0))
 #define BLUR PMF_R(0.05) /* standard deviation of an edge by unmodelled effects */
 #define FIRST_BLUR PMF_R(0.5) /* error of the first linearisation */
 #define BLUR_AGE PMF_R(5.0) /* memory with which the error of the first linearisation fades */
 #define EDGE_MEMORY PMF_R(0.998)
 #define NEAR PMF_R(3.0) /* distance of a place near an edge, in standard deviations */
-#define FAR PMF_R(5.0) /* beyond this distance a count has no information */
+#define FAR PMF_R(5.0) /* distance from an edge beyond which a count has no information */
 
 /* Density over distribution of a standard normal variable, from -6 in steps of a quarter. */
 static const scalar_t mills[45] = {
@@ -52,7 +52,7 @@ static real_t mills_ratio(real_t t)
                                     at * (PMF_R(2.0) * (low - high) + fall + falls)));
 }
 
-/* Return the root of a variance between that of an edge and that of a narrow place, by Newton's method. */
+/* Return the square root of a variance by Newton's method, for variances from an edge to a narrow place. */
 static real_t deviation_of(real_t variance)
 {
     real_t root = PMF_R(0.5) * (variance / PMF_R(0.13) + PMF_R(0.13));
@@ -123,7 +123,7 @@ static void note_edge(pmf_found_state_t *found, real_t t, real_t ratio)
     found->surprise += t < PMF_R(0.0) ? square : PMF_R(0.0);
 }
 
-/* Apply a count to the place, which is between two edges. Only the nearer edge is used. */
+/* Apply a count to the place, which is between two edges. Only the nearer edge cuts the distribution. */
 static void cut_off(pmf_found_state_t *found, uint32_t n)
 {
     real_t variance = found->covariance[PLACE][PLACE], up = PMF_R(1.0) - found->place, blur, all, root, t, ratio;

@@ -3,8 +3,8 @@
  *
  * With several counts per sample, the velocities at both ends of an interval give the instant of a reversal inside
  * it. A tracker of piecewise constant acceleration estimates these velocities (Kalata 1984, fixed gains, smoothed by
- * one step). With less than two counts per sample the tracker would only follow the staircase. The last count then
- * gives the direction. */
+ * one step). With less than two counts per sample the tracker would only follow the staircase. In slow motion the last
+ * count therefore gives the direction. */
 #include "pmf_guard.h"
 
 /* The code has branches but no loop. Small code is therefore also fast on a microcontroller. */
@@ -107,8 +107,8 @@ static whole_t next_fast(whole_t fast, whole_t counts)
 #endif
 
 /* Count the pauses between counts. A pause much longer than the recent ones is a standstill. If counts came at least
- * every CLOSE samples, one further sample suffices. With a coarser encoder the pause may be a slow reversal, which
- * takes longer with larger counts. */
+ * every CLOSE samples, a pause of one further sample is a standstill. With a coarser encoder the pause may be a slow
+ * reversal, which takes longer with larger counts. */
 #if PMF_STEPS
 static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change,
                            uint32_t ticks)
@@ -266,8 +266,8 @@ static void keep_gains(const pmf_encoder_config_t *config, gains_t *gains)
     gains->smooth_start = config->smooth_start;
 }
 
-/* A reversal at the fraction x of an interval h changes the acceleration. The mean velocity then differs from the mean
- * of both ends, as by a jerk, times 6 x (1 - x) = 1.5 (1 - direction^2). */
+/* A reversal at the fraction x of an interval h changes the acceleration. A reversal makes the mean velocity differ
+ * from the mean of both ends, as a jerk does, times 6 x (1 - x) = 1.5 (1 - direction^2). */
 static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real_t velocity)
 {
     real_t turn = PMF_R(1.0) - direction * direction;

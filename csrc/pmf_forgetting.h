@@ -57,7 +57,7 @@ PMF_INLINE void forget_direction(const pmf_recursion_config_t *config, pmf_recur
  * (1 - f) / p in each. */
 PMF_INLINE scalar_t directions(const pmf_recursion_config_t *config)
 {
-    (void)config; /* an export has these values as constants */
+    (void)config; /* an export has scheme and number of parameters as constants */
     return SCHEME(config) == PMF_DIRECTIONAL ? (scalar_t)PARAMETERS(config) : PMF_SCALAR(1.0);
 }
 
@@ -69,8 +69,8 @@ PMF_INLINE void forget_weight(const pmf_recursion_config_t *config, pmf_recursio
 }
 
 #if PMF_WITH_SEPARATE
-/* Forget by parameter (Saelid and Foss 1983): P = D^-1 P D^-1, which is D R D for the information and for its sums.
- * Returns the remaining weight of the past. */
+/* Forget by parameter (Saelid and Foss 1983). P becomes D^-1 P D^-1, so that the information R and its sums become D R
+ * D. Returns the remaining weight of the past. */
 PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t f,
                                     uint32_t p, uint32_t instrumental)
 {
@@ -93,9 +93,9 @@ PMF_INLINE real_t forget_separately(const pmf_recursion_config_t *config, pmf_re
 }
 #endif
 
-/* Return the weight of the past at the next sample. With constant trace, it is the fraction of P by which the last
- * sample lowered P, but at most twice the normal forgetting. Motions that excite the axis are forgotten at least
- * normally, so that the information of larger motions does not stay for ever. */
+/* Return the weight of the past at the next sample. With constant trace, the weight drops by the fraction by which the
+ * last sample lowered P, but at most by twice the normal forgetting. Motions that excite the axis are forgotten at
+ * least normally, so that the information of larger motions does not stay for ever. */
 PMF_INLINE real_t weight_of_past(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     real_t least = PMF_ALIKE(config->forgetting * config->forgetting), weight = PMF_ALIKE(config->forgetting);
@@ -270,8 +270,8 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
     state->updates += PMF_BIT(state->updates < SATURATED, 1U);
 }
 
-/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps the trace of P from the end of the first memory, or of the
- * first one of smaller motions. Each parameter counts in its own units. */
+/* Constant trace (Goodwin and Sin 1984, section 3.3) keeps the trace of P from the end of the first memory, or from the
+ * end of the first memory of smaller motions. Each parameter counts in its own units. */
 static void note_trace(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        whole_t status)
 {

@@ -13,15 +13,15 @@
  * largest recent input is judged two samples later, before the filters receive it. If neither the counts responded nor
  * the input stayed, the preceding input replaces it. A sample without a suspicion is never changed.
  *
- * A wrong count below the limit is accepted. The next one then misses by three times as much in the other direction,
- * and returns to the earlier motion: the prediction removes the first one, and the filters settle. Wrong counts must
- * not widen the limit, because each would let a larger one in. So the guard does not learn from a swing back, nor
- * within CALM samples after a suspicious one, and it withdraws a lesson that a suspicion follows.
+ * A wrong count below the limit is accepted. The next count misses by three times as much in the other direction, and
+ * returns to the earlier motion. The prediction then replaces the wrong count, and the filters settle. Wrong counts
+ * must not widen the limit, because each wrong count would admit a larger one. The guard therefore does not learn from
+ * a swing back or within CALM samples after a suspicious sample. A suspicion withdraws the preceding lesson.
  *
- * While the guard learns, it accepts all but the wildest counts. A motion is missed with the same sign, sample after
- * sample, until the prediction follows it. A wrong count gives the errors J, -3 J, 3 J, -J. So motion alone explains
- * the largest error without a neighbour of the other sign. If the limit is far beyond that, or an accepted count is
- * found wrong, the estimator begins again. */
+ * The guard accepts all but the wildest counts while it learns. A motion is missed with the same sign, sample after
+ * sample, until the prediction follows it. A wrong count gives the errors J, -3 J, 3 J, -J. Motion alone therefore
+ * explains the largest error without a neighbour of the other sign. If the limit is far beyond that, or an accepted
+ * count is found wrong, the estimator begins again. */
 #ifndef PMF_GUARD_H
 #define PMF_GUARD_H
 
@@ -288,7 +288,7 @@ PMF_SELDOM whole_t judge_change(const pmf_encoder_config_t *config, pmf_encoder_
     guard->scatter = PMF_IF(lost, PMF_R(2.0) * guard->scatter + STEP, guard->scatter);
     guard->wait = PMF_IF(ends & (suspected | undone),
                          PMF_IF(guard->wait > 0U, PMF_W(2U * CALM(config)), PMF_W(CALM(config))), guard->wait);
-    undone = undone | (wild & (guard->seen > CALM(config))); /* before this point, the filters settle anyway */
+    undone = undone | (wild & (guard->seen > CALM(config))); /* before the end of settling, no correction is needed */
     rough = real | undone | (ends & (guard->suspect > 1U));
     guard->reading = PMF_IF(sound, guard->reading, count);
     guard->suspect = PMF_IF(ends, PMF_W(0), guard->suspect + 1U);

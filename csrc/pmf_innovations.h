@@ -6,7 +6,8 @@
 #include "pmf_forgetting.h"
 
 #define MIN_BLOCKS 8.0
-#define SKIPPED_INNOVATIONS 4U /* number of first innovations that are skipped, because they do not show the noise */
+#define SKIPPED_INNOVATIONS \
+    4U /* number of first innovations that are skipped, because early innovations do not show the noise */
 #define JUDGED 16U /* updates between two verdicts on the model (a power of two), half-way between two looks */
 #define NEGLIGIBLE PMF_R(1e-6) /* fraction of the target's mean square that a model may leave unexplained */
 #define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
@@ -104,10 +105,10 @@ PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recurs
 }
 #endif
 
-/* Compare the spread of theta by blocks of innovations to that of white ones (batch means). With weights w, the
- * covariance of theta is P (sum w^2) S P, where S is the long-run covariance of the scores. White innovations with
- * equal weights give P times their variance. Blocks missing from MIN_BLOCKS count as blocks of equal innovations over
- * the memory of the filters. `move` is a block's sum after the gain. */
+/* Compare the spread of theta by blocks of innovations to the spread by white innovations (batch means). With weights
+ * w, the covariance of theta is P (sum w^2) S P, where S is the long-run covariance of the scores. White innovations
+ * with equal weights give P times their variance. Blocks missing from MIN_BLOCKS count as blocks of equal innovations
+ * over the memory of the filters. `move` is a block's sum after the gain. */
 static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                        real_t move[N])
 {
@@ -142,7 +143,7 @@ PMF_INLINE void solve(pmf_recursion_state_t *state, uint32_t p, real_t move[N])
     backward(p, state->factor, move);
 }
 
-/* Compare the effect of a block on theta to that of white innovations, at the end of the block. */
+/* Compare the effect of a block on theta to the effect of white innovations, at the end of the block. */
 PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where, uint32_t p,
                           uint32_t instrumental, projection_t *projection)
 {

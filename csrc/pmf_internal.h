@@ -1,4 +1,4 @@
-/* The internal interface of the kernel, which its sources share. Firmware includes only pmf.h. SPDX-License-Identifier:
+/* The internal interface between the kernel's sources. Firmware includes only pmf.h. SPDX-License-Identifier:
  * Apache-2.0 */
 #ifndef PMF_INTERNAL_H
 #define PMF_INTERNAL_H
@@ -55,7 +55,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #else
 #define PMF_STEPS PMF_WITH_STEPS
 #endif
-/* Return whether the step varies. In an export with steps it always does. */
+/* Return whether the step varies. In an export with steps the step always varies. */
 #if PMF_LAYOUT != 0U
 #define PMF_STEPPED(truth) ((void)(truth), 1)
 #else
@@ -108,7 +108,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_MOST_RATIO PMF_R(100.0)
 #define PMF_LONGEST 4U /* largest ratio of a step to the sample period, above which the step is a gap */
 #define PMF_LOOK 4U /* updates between two looks at the size of the motion, because no column changes much faster */
-#define PMF_SWING_BITS 15U /* bits of the looks in this half memory and in the last */
+#define PMF_SWING_BITS 15U /* bits of the looks in this half memory and the last */
 /* Internal status bit for the filters: a wrong count was put back to its true place. */
 #define PMF_BRIDGED 0x80000000U
 #define PMF_BEGIN_AGAIN 0x40000000U /* internal status bit: the guard accepted wrong counts while it learned */
@@ -126,7 +126,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
 #endif
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
-/* Values that each step computes before it reads them are zero in a saved state. */
+/* A saved state has zeros for values that each step computes before their use. */
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state);
 /* Copy byte by byte, because an assignment need not copy the padding, which a checksum covers. */
 void pmf_copy(const void *from, void *to, uint32_t size);
@@ -181,7 +181,7 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
 #if PMF_LINEAR
 /* Compute the columns of the linear process from the network's nodes of the same step. */
 void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column);
-/* Run the recursion on the columns of a settled model, otherwise use the direct estimate. Returns the status. */
+/* Run the recursion on the columns of a settled model, otherwise use the direct estimate. Returns status bits. */
 uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled);
 /* Multiply all accumulated sums by a factor <= 1. */
 void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);

@@ -1,20 +1,20 @@
-/* A linear process, simulated from the input alone, and its own filters: refined instrumental variables.
+/* Refined instrumental variables from a linear process that is simulated from the input alone.
  * SPDX-License-Identifier: Apache-2.0
  *
  * With a slow copy A, B of the estimate the columns are (Young and Jakeman 1980; Garnier and Young 2008)
  *     s^i / A(s) y   and, for the instruments,   s^i / A(s) x,  x = B(s) / A(s) u,   and   s^j / A(s) u.
- * The filters of y and x are trapezoidal, and those of u are exact for its hold. With F_T = 1 / A(s_T) the equation
+ * The filters of y and x are trapezoidal. The filters of u are exact for the hold. With F_T = 1 / A(s_T) the equation
  * A(s_T) F_T y = sum b_j ZOH{s^j / A} u has no error of the discretisation at the true A.
  *
  * The equation also holds after any other filters. If 1 / A rings for too long, data pass fixed filters of a more
- * damped polynomial, and only the instruments keep 1 / A. For a resonance this costs at most a factor 2 of the
- * variance, however fast the filters are. These filters, and a step of the copy, cause no transient in the data.
- * After them the equation holds exactly with the coefficients of the copy's sampled form (`bend`).
+ * damped polynomial, and only the instruments keep 1 / A. For a resonance, even very fast filters cost at most a factor
+ * 2 of the variance. The fast filters and a step of the copy cause no transient in the data. After the fast filters the
+ * equation holds exactly with the coefficients of the copy's sampled form (`bend`).
  *
  * Time counts in samples: state j is dt^(j-n) s^j / A(s) of its signal, and A has the coefficients a_i dt^(n-i). States
  * move by increments, which keeps float32 accurate for slow poles. The states are converted when A moves. The matrix
- * exponential is a Taylor polynomial after six halvings, so that no libm changes the bits. It is computed once in
- * update_samples; all other work is the same for every sample. */
+ * exponential is a Taylor polynomial after six halvings, so that no libm changes the bits. The filter is computed once
+ * in update_samples. All other work is the same for every sample. */
 #include "pmf_linear_filters.h"
 
 #if PMF_LINEAR
@@ -80,8 +80,8 @@ static const pmf_linear_filter_t *data_filter(const pmf_linear_state_t *state)
     return state->damped != 0U ? &state->fast : &state->own;
 }
 
-/* Check whether the step response of the data's 1 / A has stayed at its end. A transient of the size of the change of A
- * decays with it. */
+/* Check whether the step response of the data's 1 / A has settled. The transient after a change of A decays with the
+ * step response. */
 static void note_settling(const pmf_linear_config_t *config, pmf_linear_state_t *state)
 {
     const pmf_linear_filter_t *filter = data_filter(state);
@@ -248,8 +248,8 @@ static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t
 
 /* Begin a model from an estimate. The filters for data must settle in as many samples as have passed, as the model's
  * own filters may do. Other filters of the same order lose little if the instruments keep the model's filters, because
- * the equation holds after every filter. If the model rings for long, or noise makes it unstable, the data have filters
- * of a more damped model. */
+ * the equation holds after every filter. If the model rings for long or is unstable by noise, the data have filters of
+ * a more damped model. */
 static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta, real_t samples)
 {
     real_t a[M];
@@ -270,9 +270,9 @@ static uint32_t begin(const pmf_linear_config_t *config, pmf_linear_state_t *sta
     return 1U;
 }
 
-/* Move the copy towards an estimate, as far as it stays stable, before the filters are computed again. If the filters
- * of the copy do not settle in time, data leave these filters, and the function returns 1 once. Without forgetting,
- * slower filters later replace fast filters, because they average more noise. */
+/* Move the copy towards an estimate, as far as the copy stays stable, before the filters are computed again. If the
+ * filters of the copy do not settle in time, data leave these filters, and the function returns 1 once. Without
+ * forgetting, slower filters later replace fast filters, because slower filters average more noise. */
 static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *theta,
                        real_t samples, uint32_t forgets)
 {
@@ -297,8 +297,8 @@ static uint32_t follow(const pmf_linear_config_t *config, pmf_linear_state_t *st
     return leaving;
 }
 
-/* While the direct estimate is active, the model starts from it. The model starts again if it gives no refined estimate
- * within twice the samples, because the first copy may have been wrong. */
+/* While the direct estimate is active, the model starts from this estimate. The model starts again if it gives no
+ * refined estimate within twice the samples, because the first copy may have been wrong. */
 static void start(const pmf_linear_config_t *config, pmf_linear_state_t *state, const pmf_recursion_state_t *direct)
 {
     uint32_t wait = 2U * state->since;
@@ -336,7 +336,7 @@ uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uin
 {
     const pmf_linear_config_t *linear = &config->linear;
     uint32_t status = PMF_STARTING;
-    if (is_lost(&state->linear) != 0U) { /* begin again from the direct estimate */
+    if (is_lost(&state->linear) != 0U) { /* the model begins again from the direct estimate */
         pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
         pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
     } else if (settled != 0U && state->linear.settled != 0U) {

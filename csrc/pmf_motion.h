@@ -12,7 +12,7 @@
 #define FIRST 2U /* index of the first parameter, after place and velocity */
 #define MOST_KNOWN (PMF_MAX_PARAMETERS + 2)
 
-/* The end of a sample, and its derivatives by place, velocity and theta at the start. */
+/* The motion at the end of a sample, and its derivatives by place, velocity and theta at the start. */
 typedef struct {
     real_t velocity, distance; /* distance in counts */
     real_t place_by[MOST_KNOWN], velocity_by[MOST_KNOWN];
@@ -31,7 +31,7 @@ static void roles_of(const pmf_config_t *config, const real_t *theta, real_t rol
     }
 }
 
-/* Return the acceleration of a body at a velocity. At rest it is the acceleration after breaking away. */
+/* Return the acceleration of a body at a velocity. At rest, the result is the acceleration after breaking away. */
 static real_t acceleration_of(const body_t *body, real_t velocity)
 {
     uint32_t way = velocity < PMF_R(0.0) ? 1U : 0U;

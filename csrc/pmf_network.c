@@ -1,4 +1,4 @@
-/* A network of first-order stages, and the columns tapped from it.
+/* A network of first-order stages, and the columns tapped from the network.
  * SPDX-License-Identifier: Apache-2.0
  *
  * A chain of first-order stages keeps float32 accurate, while direct-form sections of the same filter lose three

@@ -33,8 +33,8 @@ static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
  * information on the other parameters for given theta_i stays. In L D L^T with parameter i first, only the pivot of i
  * shrinks.
  *
- * Least squares takes R from the sums. The factors of the last step also hold the regularisation, which may exceed
- * the kept part: the diagonal would become negative. */
+ * Least squares takes R from the sums. The factors of the last step also hold the regularisation. It may exceed the
+ * kept part, so that the diagonal would become negative. */
 static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one, real_t keep)
 {
     uint32_t p = config->n_parameters, i, j;
@@ -62,7 +62,7 @@ static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_sta
     }
 }
 
-/* With instruments, W - (1 - sqrt keep) W e_i r^T / R_ii has this R; it has a solution for any r. */
+/* With instruments, W - (1 - sqrt keep) W e_i r^T / R_ii has this R, for any r. */
 static void open_instruments(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one,
                              real_t keep, real_t root)
 {
@@ -129,7 +129,7 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
 #endif
     state->weight *= keep; /* the innovations since the change do not show the noise */
     state->innovation_square *= keep;
-    state->blocks = 0U; /* they do not show the colour of the noise either */
+    state->blocks = 0U; /* the blocks before the change do not show the colour of the noise */
     state->block_updates = 0U;
     pmf_clear(state->score, (uint32_t)sizeof state->score);
     for (i = 0; i < config->n_parameters; ++i) {
@@ -138,7 +138,8 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
 }
 
 #if PMF_WITH_AUXILIARY
-/* Return the direct estimate's parameter that is part of the instrumental one's; without one, open all. */
+/* Return the parameter of the direct estimate that belongs to a parameter of the instrumental estimate. Without one,
+ * all parameters are opened. */
 static uint32_t direct_part(const pmf_auxiliary_config_t *config, uint32_t parameter)
 {
     uint32_t role;

@@ -3,8 +3,8 @@
  *
  * A checksum shows that a state was not damaged, not that it is valid: any writer of the bytes can compute it. Before a
  * state is accepted, every integer is therefore compared to its limits, because one of the integers is an index. Every
- * real number must be finite and have its sign. An accepted state may still be wrong. It cannot write outside its
- * memory, block the estimator, or hold a value that is no number. */
+ * real number must be finite and have a valid sign. An accepted state may still be wrong. An accepted state cannot
+ * write outside its memory, block the estimator, or hold NaN. */
 #include "pmf_internal.h"
 
 #ifdef PMF_FLOAT32

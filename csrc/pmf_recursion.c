@@ -4,11 +4,11 @@
  * The recursion keeps the sums that define the estimate, discounted by the forgetting factor,
  *     W = sum zeta phi^T,  Z = sum zeta zeta^T,  v = sum zeta z          (least squares: zeta = phi, Z = W)
  * and moves theta by  theta += R^-1 W^T Z^-1 zeta (z - phi^T theta),  R = W^T Z^-1 W + regularisation. Without the
- * regularisation this is exactly theta = W^-1 v. Sums cannot lose their symmetry or wind up: without excitation W
- * decays. The regularisation is a small fraction of the largest information so far (Levenberg-Marquardt recursive
- * least squares, Ljung and Soderstrom 1983). It slows theta in hardly excited directions. If a direction has only
- * the regularisation, theta is held and the status says so. With forgetting = 1 no regularisation is used, and theta
- * equals the batch solution.
+ * regularisation the recursion gives exactly theta = W^-1 v. Sums cannot lose their symmetry, and cannot wind up
+ * because W decays without excitation. The regularisation is a small fraction of the largest information so far
+ * (Levenberg-Marquardt recursive least squares, Ljung and Soderstrom 1983). The regularisation slows theta in hardly
+ * excited directions. If a direction has only the regularisation, theta is held and the status says so. With forgetting
+ * = 1 no regularisation is used, and theta equals the batch solution.
  *
  * Every loop has a fixed number of turns: n_parameters is a constant of the configuration. */
 #include "pmf_innovations.h"
@@ -180,7 +180,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         }
     }
     state->started += PMF_BIT(PMF_NOT(waits) & (state->started < SATURATED), 1U);
-    /* otherwise noise alone would slowly move theta */
+    /* noise alone must not move theta slowly */
     moves = PMF_NOT(waits) & ((status == 0U) | (state->started == 1U));
     if (PMF_ANY(moves)) {
         solve(state, p, move);
@@ -231,7 +231,7 @@ PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, 
     return sum - sum == PMF_R(0.0);
 }
 
-/* Return the status of the update, or PMF_RESET if it left the number format. */
+/* Return the status of the update, or PMF_RESET after an overflow. */
 PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
                            uint32_t p, uint32_t instrumental)
 {
@@ -326,7 +326,7 @@ void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_
         discount_sums(&state->window[block], PARAMETERS(config), factor);
     }
 #endif
-    (void)config; /* an export has its values as constants */
+    (void)config; /* an export has the number of parameters as a constant */
     discount_sums(&state->sums, PARAMETERS(config), factor);
 }
 #endif

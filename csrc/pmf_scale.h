@@ -1,5 +1,5 @@
-/* The scale of information, by which information from larger than recent motions is outdated. Only pmf_recursion.c
- * includes this file. SPDX-License-Identifier: Apache-2.0 */
+/* The scale of information. Information from motions that were larger than recent ones is outdated. Only
+ * pmf_recursion.c includes this file. SPDX-License-Identifier: Apache-2.0 */
 #ifndef PMF_SCALE_H
 #define PMF_SCALE_H
 
@@ -9,8 +9,8 @@
 #define SOME PMF_R(0.0625) /* fraction of the encoder's squared error above which the axis moves */
 #define LITTLE PMF_SCALAR(0.25) /* fraction of the starting limit that ends the fast forgetting */
 
-/* Sum the squares of the acceleration in motion, in units of the encoder's error, over this half memory of motion and
- * the last. Returns whether a half memory is complete. */
+/* Sum the squares of the acceleration in motion over this and the last half memory, in units of the encoder's error.
+ * Returns whether a half memory is complete. */
 PMF_INLINE truth_t note_swing(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t lead,
                               real_t square, truth_t moves)
 {

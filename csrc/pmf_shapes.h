@@ -1,10 +1,10 @@
 /* Shapes are forces of a given form and an unknown size in the auxiliary model (for pmf_auxiliary.c).
  * SPDX-License-Identifier: Apache-2.0
  *
- * A shape is friction at a speed, friction at a place, or a force at a place. Its form is a sine, a square, or a
- * table of the configuration with straight lines between its knots. In an interval a shape acts with its mean along
- * the motion. The mean over the speeds is exact for a constant acceleration. A friction that falls within a fraction of
- * a sample's speed change therefore needs no smaller steps. */
+ * A shape is friction at a speed, friction at a place, or a force at a place. The form is a sine, a square, or a table
+ * of the configuration with straight lines between its knots. In an interval a shape acts with its mean along the
+ * motion. The mean over the speeds is exact for a constant acceleration. A friction that falls within a fraction of a
+ * sample's speed change therefore needs no smaller steps. */
 #ifndef PMF_SHAPES_H
 #define PMF_SHAPES_H
 
@@ -35,7 +35,7 @@ typedef struct {
     real_t value[PMF_MAX_SHAPES]; /* values of the shapes of a place, only at the beginning of a motion */
 } shape_end_t;
 
-/* Return the number of knots from the first one, within the table. */
+/* Return the distance from the first knot, in knots, within the table. */
 static real_t knots_from_first(const pmf_shape_t *shape, real_t at)
 {
     real_t x = (at - shape->start) * shape->knots_per_unit, last = PMF_ALIKE((scalar_t)shape->intervals);

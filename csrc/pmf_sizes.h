@@ -31,8 +31,8 @@
 
 #define PMF_LAYOUT 0U /* CRC-32 of the state's fields. Python computes the number for the module. */
 
-/* An export also defines the number of parameters of every recursion (PMF_PARAMETERS), whether it has instruments
- * (PMF_INSTRUMENTAL), its forgetting (PMF_SCHEME), and PMF_FLOAT32 for float32 arithmetic. The build defines these
+/* An export also defines the number of parameters of every recursion (PMF_PARAMETERS), the use of instruments
+ * (PMF_INSTRUMENTAL), the forgetting (PMF_SCHEME), and PMF_FLOAT32 for float32 arithmetic. The build defines these
  * macros for the module. */
 
 #endif

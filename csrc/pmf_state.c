@@ -115,7 +115,7 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
 #define LEAST_NORMAL PMF_R(0x1p-1022)
 #endif
 
-/* The values are volatile, so that the target computes them and not the compiler. */
+/* The values are volatile, so that the target and not the compiler computes the results. */
 uint32_t pmf_arithmetic(void)
 {
     volatile real_t above = PMF_R(1.0) + SMALL, below = PMF_R(1.0) - SMALL, one = PMF_R(1.0), zero = PMF_R(0.0);
@@ -126,7 +126,7 @@ uint32_t pmf_arithmetic(void)
         wrong |= PMF_CONTRACTED;
     }
     a = large;
-    if ((a + c) - a != PMF_R(0.0)) { /* the sum rounds to its large part; rearranged, it is one */
+    if ((a + c) - a != PMF_R(0.0)) { /* the sum rounds to its large part, but a rearranged sum is one */
         wrong |= PMF_REARRANGED;
     }
     nothing = nothing / nothing;

@@ -1,4 +1,4 @@
-/* One sample through encoder, network and recursion. SPDX-License-Identifier: Apache-2.0 */
+/* The step of one sample through encoder, network and recursion. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_dead_time.h"
 
 #define TAKE_OVER PMF_R(3.0) /* ratio of samples, or of variances, at which an estimate takes over */
@@ -12,7 +12,7 @@
 PMF_API void pmf_clear(void *memory, uint32_t size)
 {
     volatile unsigned char *byte =
-        (volatile unsigned char *)memory; /* otherwise compilers call memset of the C library */
+        (volatile unsigned char *)memory; /* without volatile, compilers call memset of the C library */
     uint32_t i;
     for (i = 0; i < size; ++i) {
         byte[i] = 0;
@@ -25,7 +25,7 @@ void pmf_copy(const void *from, void *to, uint32_t size)
 {
     const unsigned char *source = (const unsigned char *)from;
     volatile unsigned char *target =
-        (volatile unsigned char *)to; /* otherwise compilers call memcpy of the C library */
+        (volatile unsigned char *)to; /* without volatile, compilers call memcpy of the C library */
     uint32_t i;
     for (i = 0; i < size; ++i) {
         target[i] = source[i];
@@ -195,7 +195,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
 }
 
 #if PMF_WITH_AUXILIARY
-/* Write the direct estimate in the parameters of the instrumental one. */
+/* Write the direct estimate in the parameters of the instrumental estimate. */
 static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *direct, pmf_state_t *state)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
@@ -259,8 +259,8 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
-/* Forget the early residuals of the instrumental estimate, which are not noise. Without forgetting they would stay in
- * the error bars, and may be orders of magnitude larger than the direct residuals. */
+/* Forget the early residuals of the instrumental estimate, which are not noise. Without forgetting these residuals
+ * would stay in the error bars. They may be orders of magnitude larger than the direct residuals. */
 static void forget_start(pmf_state_t *state, truth_t where)
 {
     real_t limit = state->instrument.weight * state->direct.estimate.innovation_variance;
@@ -296,7 +296,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
 #if PMF_FOUND
-    if (config->late.within == 0U) /* other configurations have more samples for the verdict */
+    if (config->late.within == 0U) /* an estimated dead time within the counts has its own verdict, from more samples */
 #endif
         status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
                                      trusted & settled & (state->auxiliary.in_charge != 0U));
@@ -392,7 +392,7 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
 }
 #endif
 
-/* Run the recursions on the columns of this sample, unless it is suspicious. */
+/* Run the recursions on the columns of this sample, unless the sample is suspicious. */
 static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, whole_t filtered)
 {
     whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);

@@ -2,15 +2,15 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Under control through a coarse encoder the input follows the encoder's error, so that instruments from the input
- * fail. The likelihood of the counts does not suffer. It says that a body moved by the input alone lies between two
- * edges at every sample. Its place, velocity and parameters have a normal distribution. The model carries this
+ * fail. The likelihood of the counts does not suffer. A body moved by the input alone must lie between two edges at
+ * every sample. The place, velocity and parameters of the body have a normal distribution. The model carries the
  * distribution from sample to sample. Each count cuts off the distribution at the nearest edge. The mean and covariance
  * of the remainder are kept (assumed density filtering). A count far from an edge has no information, a count near an
  * edge more than a variance of a twelfth. Standard errors therefore shrink with the number of edges instead of its
  * root.
  *
- * The method assumes a right model. If the place is too often too far beyond an edge, in its own standard deviations,
- * the motion begins again. */
+ * The method assumes a right model. If the place is too often too many standard deviations beyond an edge, the motion
+ * begins again. */
 #ifndef PMF_WITHIN_H
 #define PMF_WITHIN_H
 
@@ -21,7 +21,7 @@
 #define GROWING PMF_R(100.0) /* memory [samples], which gives less weight to samples linearised further away */
 #define SURPRISED PMF_R(1.3) /* ratio to the expectation above which the motion is wrong */
 #define STRAYED PMF_R(6.0) /* squared deviations above which a moved dead time had too small a variance */
-#define WIDENED PMF_R(4.0) /* factor of the covariance after such a move */
+#define WIDENED PMF_R(4.0) /* factor of the covariance after a dead time that moved too far */
 #define SLACK PMF_R(0.1)
 #define WHILE PMF_R(0.25) /* fraction of the variance that ends an interval of comparison */
 #define STAYED PMF_R(0.25) /* [samples] */
@@ -67,7 +67,7 @@ static real_t unknown_of(const pmf_config_t *config, const pmf_found_state_t *fo
     }
 }
 
-/* Set the place to an arbitrary one within its count, at the measured velocity. */
+/* Set the place to an arbitrary value within the last count, and the velocity to the measured one. */
 static void anchor(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_found_state_t *found = &state->found;
@@ -109,7 +109,7 @@ static void begin_at(const pmf_config_t *config, pmf_state_t *state, const real_
     found->running = role[PMF_MASS] > PMF_R(0.0) ? 1U : 0U;
 }
 
-/* Begin from the accepted dead time. Without an accepted dead time, every beginning tries that of an uncertain
+/* Begin from the accepted dead time. Without an accepted dead time, every beginning tries the dead time of an uncertain
  * estimate. */
 static void begin(const pmf_config_t *config, pmf_state_t *state)
 {
@@ -124,8 +124,8 @@ static void begin(const pmf_config_t *config, pmf_state_t *state)
     begin_at(config, state, role, 0U);
 }
 
-/* The data so far were linearised further away, and their error would stay. Begin once more from the result until the
- * result stays. The auxiliary model may already use the result. */
+/* Earlier data were linearised further away, and the error of this linearisation would stay. The motion begins once
+ * more from its result, until the result stays. The auxiliary model may already use the result. */
 static void look_again(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_found_state_t *found = &state->found;

@@ -2,7 +2,7 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Python fills the structure and passes it as a whole. Every number of turns and every index is compared here to the
- * available memory, whatever program filled the structure. An exported configuration has passed this check. */
+ * available memory, whatever program filled the structure. An exported configuration has passed the check. */
 #include "pmf_many.h"
 
 #define NODES (PMF_SIGNALS + PMF_MAX_STAGES)
@@ -121,7 +121,7 @@ static uint32_t one_level(const pmf_config_t *config)
                : 0U;
 }
 
-/* An estimated dead time is the last parameter, and the only one. */
+/* An estimated dead time is the last parameter, and only one dead time is estimated. */
 static uint32_t late_fits(const pmf_config_t *config)
 {
     uint32_t last = config->instrument.n_parameters - 1U;

@@ -2,10 +2,10 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * Every operation on a vector is the same IEEE operation on each element, so that each axis has the bits of the
- * scalar kernel. If axes take different branches, both sides are computed and one is chosen. The file needs the
- * vector extensions of gcc or clang. PMF_LANES is the number of axes, PMF_LANE_BYTES the number of bytes. Whole
- * numbers are as wide as the reals, so that one kind of truth (all bits set or none) fits both. Values that count
- * modulo 2^32 are masked. */
+ * scalar kernel. If axes take different branches, both branches are computed, and each axis chooses one. The file needs
+ * the vector extensions of gcc or clang. PMF_LANES is the number of axes, PMF_LANE_BYTES the number of bytes. Integers
+ * are as wide as reals, so that one kind of truth (all bits set or none) fits both. Values that count modulo 2^32 are
+ * masked. */
 #ifndef PMF_LANES_H
 #define PMF_LANES_H
 

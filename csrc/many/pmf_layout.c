@@ -1,7 +1,8 @@
 /* Words of a state that a configuration uses, and their packing.
  * SPDX-License-Identifier: Apache-2.0
  *
- * The sizes in pmf.h are those of the largest model. A drive with three parameters uses a tenth of such a state. */
+ * The sizes in pmf.h are those of the largest model. A drive with three parameters uses a tenth of the largest state.
+ */
 #include "pmf_many.h"
 
 #include <stddef.h>
@@ -29,7 +30,8 @@ static void leave_out(unused_t *unused, uint32_t from, uint32_t to)
     }
 }
 
-/* Mark elements or rows from number `p` of an array at `at` as unused; it has PMF_MAX_PARAMETERS of `size` bytes each.
+/* Mark elements or rows from number `p` of an array at `at` as unused. The array has PMF_MAX_PARAMETERS elements of
+ * `size` bytes each.
  */
 static void leave_tail(unused_t *unused, uint32_t at, uint32_t p, size_t size)
 {

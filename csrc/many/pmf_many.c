@@ -125,7 +125,7 @@ void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const 
     uint64_t axis = lanes != 0 ? lanes->run[pmf_method_of(config)](config, layout, many, first, end, packed) : first;
     pmf_stepper_t *step = pmf_fastest_step(config);
     pmf_state_t state;
-    if (axis < end) { /* this step takes as long as some samples */
+    if (axis < end) { /* clearing a state takes as long as some samples */
         pmf_clear(&state, (uint32_t)sizeof state);
     }
     for (; axis < end; ++axis) {

@@ -47,9 +47,9 @@ typedef struct {
 } pmf_many_t;
 
 /* Scores of blocks of `size` samples for a deviation from reference parameters, after the filters. With e = z - phi^T
- * theta they are the sums of zeta e, zeta phi^T and zeta zeta^T, p + 2 p^2 numbers. `first` is the first of the columns
- * phi, z, zeta. Samples with a bit of `left_out` do not count. Samples with a bit of `disturbed` must not fill a block
- * alone. */
+ * theta the scores are the sums of zeta e, zeta phi^T and zeta zeta^T, p + 2 p^2 numbers. `first` is the first of the
+ * columns phi, z, zeta. Samples with a bit of `left_out` do not count. Samples with a bit of `disturbed` must not fill
+ * a block alone. */
 typedef struct {
     uint32_t first, parameters, size, left_out, disturbed;
 } pmf_scoring_t;
@@ -97,7 +97,7 @@ extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 uint32_t pmf_fits(const pmf_config_t *config);
 uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
 /* Compute the layout. For every four bytes of a pmf_state_t, `is_whole` has 1 for an integer, otherwise 0.
- * `version` is that of packed states. Returns 0 if the words exceed a layout. */
+ * `version` is the version of packed states. Returns 0 if the words exceed a layout. */
 #define PMF_WITHOUT_COMPUTED 3U /* from this version on, values that each step computes again are not packed */
 uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, uint32_t version, pmf_layout_t *layout);
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);

@@ -6,8 +6,8 @@
 #include "../pmf_internal.h"
 
 /* Arguments of the motions. `hold` is the number of simulation steps for each sample of the input, `parts` for each
- * kept mean. The lengths are `samples` for the input and samples hold / parts for the means. The dt of `config` is that
- * of a step. */
+ * kept mean. The lengths are `samples` for the input and samples hold / parts for the means. The dt of `config` is the
+ * length of a simulation step. */
 typedef struct {
     const pmf_auxiliary_config_t *config;
     uint64_t motions, samples, hold, parts;

@@ -57,7 +57,7 @@ void pmf_many_scores(const pmf_config_t *config, const pmf_layout_t *layout, con
     const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
     uint64_t axis = lanes != 0 ? lanes->score(config, layout, scoring, many, axes, packed) : 0U;
     pmf_state_t state;
-    if (axis < axes) { /* this step takes as long as some samples */
+    if (axis < axes) { /* clearing a state takes as long as some samples */
         pmf_clear(&state, (uint32_t)sizeof state);
     }
     for (; axis < axes; ++axis) {

@@ -14,7 +14,7 @@ typedef union {
     uint32_t bits;
 } narrow_t;
 
-/* Write the lowest bytes of a value, the last one first; return the next position. */
+/* Write the lowest bytes of a value, the lowest first, and return the next position. */
 static uint8_t *put(uint8_t *out, uint64_t value, uint32_t bytes)
 {
     for (; bytes > 0U; --bytes, value >>= 8) {

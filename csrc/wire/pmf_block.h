@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  *
- * It needs no kernel, no heap and no library. All drives of one program share it: compile it once. */
+ * It needs no kernel, no heap and no library. All drives of one program share this code, which is compiled once. */
 #ifndef PMF_BLOCK_H
 #define PMF_BLOCK_H
 
@@ -28,7 +28,8 @@ typedef struct {
     const int32_t *counts; /* counts; a counter of 32 bits that wraps is sent unchanged */
 } pmf_block_t;
 
-/* Write a block into `room` bytes at `out`; return its size, or 0 if it does not fit or its sizes are wrong. */
+/* Write a block into `room` bytes at `out`. Returns the size of the block, or 0 if the block does not fit or has wrong
+ * sizes. */
 uint32_t pmf_block(const pmf_block_t *block, uint8_t *out, uint32_t room);
 
 #ifdef __cplusplus

@@ -6,5 +6,5 @@
 
 The engine's thread owns all estimators. Sources hand deliveries over through a bounded inbox, and wait while the inbox
 is full. The engine offers outcomes to outlets, which never make the engine wait. Each outlet has a bounded queue, and
-counts dropped outcomes.
+counts the outcomes that the queue drops.
 """

@@ -140,7 +140,7 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
 
 
 def pauses(first: float = 0.5, longest: float = 10.0) -> Iterator[float]:
-    """Yield the seconds to wait before each attempt after a failure; each pause is twice the previous one."""
+    """Yield the pause [s] before each attempt after a failure. Each pause is twice the previous pause."""
     while True:
         yield first
         first = min(2 * first, longest)

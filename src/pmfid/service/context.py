@@ -29,10 +29,10 @@ class Source(Protocol):
     """A source of deliveries, which runs in its own thread.
 
     `name` is the name in PLANT.toml. `run` hands data over until the source ends, `stop` is called or `take` returns
-    False. After an error `run` connects again by itself, with growing pauses, and reports the error through `tell` (an
-    object with "event": "source", "source": name, "problem": ...). `mark` is the position in the last checkpoint, or
-    None at the first start. Where possible, `run` requests all later data again. `stop` may be called from any thread,
-    at any time, twice.
+    False. After an error `run` connects again by itself, with growing pauses. `tell` reports the error as an object
+    with "event": "source", "source": name, "problem": ... `mark` is the position in the last checkpoint, or None at the
+    first start. Where possible, `run` requests all later data again. `stop` may be called from any thread, at any time,
+    twice.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Source(Protocol):
 class RefusedError(PmfidError):
     """Raised by a sink for an outcome that it will never take, for example if a server rejects its content.
 
-    The outcome is dropped and counted, and the others go on.
+    The outcome is dropped and counted, and the other outcomes are delivered.
     """
 
 
@@ -101,7 +101,7 @@ class ProblemReport:
 
 
 class SourceSection(FileSection):
-    """[sources.NAME]: the key `kind`, and the keys of this kind."""
+    """The key `kind` of [sources.NAME], and the keys of this kind."""
 
     def make(self, name: str, context: Context) -> Source:
         """Return the source, not yet running. Raises UsageError for errors that the file alone does not show."""

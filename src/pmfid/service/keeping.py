@@ -1,4 +1,4 @@
-"""Checkpoints: the engine copies its states, and another thread writes them."""
+"""Checkpoints, for which the engine copies its states and another thread writes the copies."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Checkpoints:
     """A `Keeper` that writes checkpoints to the disk.
 
     `period` is the time between two checkpoints [s], which is longer if writing takes long. `tell` receives notices on
-    the disk. If the disk fails or is too slow, deliveries are acknowledged without a checkpoint. Otherwise their source
-    and the monitoring would stop. A notice reports this state, and the checkpoint that a restart would use.
+    the disk. If the disk fails or is too slow, deliveries are acknowledged without a checkpoint. Waiting for the disk
+    would stop source and monitoring. A notice reports this state, and the checkpoint that a restart would use.
     """
 
     vault: Vault

@@ -52,7 +52,7 @@ HELP: dict[str, str] = {
     "pmfid_unusable_total": "What came and was no sample, by reason.",
 }
 
-#: Time of the import of this module, for a system that does not report the start of the process.
+#: Import time of this module, in place of the process start on systems that do not report it.
 _LOADED = time.time()
 
 

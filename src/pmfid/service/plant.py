@@ -50,18 +50,18 @@ REMOVED: dict[str, str] = {
     "plotjuggler": "use the kind mqtt, to which PlotJuggler subscribes",
 }
 
-#: Pattern of the names of the service, of axes, sources and sinks, which occur in topics and in names of files.
+#: Pattern of names of the service, axes, sources and sinks, because these names occur in topics and file names.
 _PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 Word = Annotated[str, Field(pattern=f"^{_PATTERN}$")]
 _WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
 
 
-#: A pattern of names with one number: "{}", "{:d}", or "{:05d}" for five digits or more.
+#: A pattern of names with one number, written "{}", "{:d}", or "{:05d}" for at least five digits.
 _NUMBER = re.compile(r"([^{}]*)\{(?::0?(\d?)d)?\}([^{}]*)")
 
 
 class ServiceSection(FileSection):
-    """[service]: its name, its state, and its waiting times."""
+    """The section [service] with the name, the state folder, and the waiting times of the service."""
 
     name: Word = Field("pmfid", description=f"the name of the service: {_WORD}")
     state: Name | None = Field(None, description='the folder of the checkpoints, as "state"; left out: nothing is kept')
@@ -84,7 +84,7 @@ class AxisSection(FileSection):
 
 
 class FleetSection(FileSection):
-    """[fleets.NAME]: equal axes, named by a pattern."""
+    """The section [fleets.NAME] of equal axes, which a pattern names."""
 
     config: Name = Field(description='the AXIS.toml of all of them, as "cell.toml"')
     names: Name = Field(description='a pattern with one number, as "cell-{:05d}"')

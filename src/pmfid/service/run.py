@@ -1,4 +1,4 @@
-"""The running service, and its process: signals, systemd, pauses."""
+"""The running service, with the signals, the systemd messages and the pauses of its process."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class Service:
         self._page: Page | None = None
         self._stopping = self._reload_due = False
         self._reloading: Thread | None = None
-        self._prepare(plant)  # may take minutes; a signal ends it immediately, because no thread runs yet
+        self._prepare(plant)  # Opening may take minutes. A signal ends it immediately, because no thread runs yet.
         with catch_signals(self._handle_signal):
             try:
                 self._start(plant)
@@ -158,7 +158,7 @@ class Service:
             raise failed
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal: SIGINT and SIGTERM end the service, SIGHUP reads PLANT.toml again."""
+        """Handle a signal. SIGINT and SIGTERM end the service, and SIGHUP reads PLANT.toml again."""
         self._stopping |= number in (signal.SIGINT, signal.SIGTERM)
         self._reload_due |= number not in (signal.SIGINT, signal.SIGTERM)
 

@@ -17,7 +17,7 @@ class ServiceTuning:
     arrangement_most: int = 1000
 
     # board.board
-    #: Number of kept notices, and of rows that wait for a viewer of an axis.
+    #: Number of kept notices, and number of rows that wait for a viewer.
     board_notices: int = 2000
     board_waiting: int = 50_000
 
@@ -92,7 +92,7 @@ class ServiceTuning:
     # sinks.webhook
     #: Number of bytes that are read of an answer.
     most_answer: int = 1 << 16
-    #: Number of notices that are remembered as delivered, while others of the same time are tried again.
+    #: Number of notices remembered as delivered while earlier notices are tried again.
     webhook_remembered: int = 2048
 
     # Interval of `sources.execd` between checks for the end of the service while no data arrive [s].
@@ -133,7 +133,7 @@ class ServiceTuning:
     hub_overview: int = 2
     overview_of_many: int = 4
     hub_many: int = 2000
-    #: Number of pieces of an axis that wait for slow browsers: 15 s.
+    #: Number of pieces of an axis that wait for slow browsers, which are 15 s.
     hub_pieces: int = 60
     #: Largest number of notices in a line.
     hub_notices: int = 300
@@ -152,7 +152,7 @@ class ServiceTuning:
     security_addresses: int = 4096
 
     # web.server
-    #: Number of connections in addition to the streams: files, histories, metrics.
+    #: Number of connections for files, histories and metrics, in addition to the streams.
     server_further: int = 64
     #: Times until the page answers, and until it has ended [s].
     server_started: float = 10.0

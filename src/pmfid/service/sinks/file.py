@@ -41,10 +41,10 @@ class FileSinkSection(SinkSection):
 
 
 class FileSink:
-    """A sink that writes a line of JSON for each row and each notice; the line of a notice has an `event`.
+    """A sink that writes a line of JSON for each row and each notice. The line of a notice has an `event`.
 
-    If the file was renamed or removed, for example by a rotation of logs, it is made again. The same lines may come
-    twice after an error or a restart; axis and number identify repeated lines.
+    If the file was renamed or removed, for example by a rotation of logs, it is made again. After an error or a
+    restart, lines may repeat. Axis and number identify repeated lines.
     """
 
     def __init__(self, name: str, path: Path) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class BrokerLink:
-    """One connection at a time to a broker, each with its own client.
+    """A connection to a broker, one at a time. Each connection has its own client.
 
     `new` makes a client that is not connected. `address` and `keepalive` [s] belong to the broker. `will` is the topic
     and text that the broker publishes, retained, when the connection ends without a farewell. All methods raise OSError
@@ -83,7 +83,7 @@ class BrokerLink:
         return self._client
 
     def publish(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
-        """Hand over a message; `flush` reports the result."""
+        """Hand over a message, whose result `flush` reports."""
         info = self.check().publish(topic, payload, qos, retain)
         if info.rc != 0:
             raise OSError(self._problem or "the connection to the broker ended")
@@ -152,8 +152,8 @@ class MqttSink:
 
     The topics are `status` (retained; `offline` is the last will), `estimates/AXIS` and `alarms/AXIS` (retained, empty
     after the alarm). Alarms on silence have `alarms/AXIS/silent`, `alarms/_source/NAME/silent` and
-    `alarms/_sink/NAME/silent`. Rows of many axes go to `batches/CONFIG`, events to `events`. Messages may come twice
-    after an error or a restart; their numbers identify repeated messages.
+    `alarms/_sink/NAME/silent`. Rows of many axes go to `batches/CONFIG`, events to `events`. After an error or a
+    restart, messages may repeat. Numbers identify repeated messages.
     """
 
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSinkSection) -> None:
@@ -189,7 +189,7 @@ class MqttSink:
         self._link.flush()
 
     def _topic(self, what: str, of: str) -> str:
-        """Return a topic with a name as one level, whatever characters the name has."""
+        """Return a topic in which any name takes exactly one level."""
         return f"{self._base}/{what}/{quote(of, safe='')}"
 
     def _notice(self, notice: Notice) -> None:
@@ -236,7 +236,9 @@ class MqttSink:
 
 
 def batches_of(rows: EstimateRows) -> Iterator[dict[str, Any]]:
-    """Yield objects for JSON with columns of up to `mqtt_batch` rows each; theta and std are lists of lists."""
+    """Yield objects for JSON with columns of up to `mqtt_batch` rows each. The columns theta and std are lists of
+    lists.
+    """
     named = ("number", "time", "u", "counts", "theta", "std", "innovation", "status")
     for start in range(0, rows.axis.size, TUNING.mqtt_batch):
         part = slice(start, start + TUNING.mqtt_batch)

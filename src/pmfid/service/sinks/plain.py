@@ -1,4 +1,4 @@
-"""Rows and notices as plain values for texts: numbers and names in place of arrays, in strict JSON."""
+"""Rows and notices as plain numbers and names for texts and strict JSON."""
 
 from __future__ import annotations
 

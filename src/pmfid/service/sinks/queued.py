@@ -26,7 +26,7 @@ MOST_ENTRIES = 1024
 
 @dataclass(frozen=True)
 class QueueLimits:
-    """Limits of the queue of one sink: numbers of rows and notices, and bytes of rows, each at least 1.
+    """Limits of a sink's queue, each at least 1, as numbers of rows and notices and as bytes of rows.
 
     `take` is the number of rows that the sink gets together.
     """
@@ -38,7 +38,7 @@ class QueueLimits:
 
 
 class Lost(NamedTuple):
-    """Numbers of dropped rows and notices; `urgent` has the numbers of the urgent notices among them."""
+    """Numbers of dropped rows and notices. `urgent` has the numbers of dropped urgent notices."""
 
     rows: int = 0
     notices: int = 0
@@ -73,7 +73,7 @@ def size_of(rows: EstimateRows) -> int:
 class OutcomeQueue:
     """A queue with separate lines for rows, urgent notices and other notices, which are taken in the order of arrival.
 
-    The newest block always stays: a block of rows that exceeds the limits is kept until the next block arrives.
+    The newest block of rows always stays, even above the limits, until the next block arrives.
     """
 
     limits: QueueLimits
@@ -169,11 +169,11 @@ class Queued:
 
     An offer takes microseconds, because no write and no comparison holds the lock. After an OSError of the sink, the
     outcomes are tried again with growing pauses, each time after `open`. The error is reported once. After another
-    error each outcome is tried alone, and dropped if it causes the error again. Levels and totals have the label
-    `sink`: pmfid_sink_waiting_rows, pmfid_sink_working, pmfid_sink_rows_total, pmfid_sink_errors_total,
+    error the outcomes are tried one by one. An outcome that causes the error again is dropped. Levels and totals have
+    the label `sink`: pmfid_sink_waiting_rows, pmfid_sink_working, pmfid_sink_rows_total, pmfid_sink_errors_total,
     pmfid_dropped_rows_total, pmfid_dropped_notices_total, pmfid_refused_total.
 
-    `rows_wanted` is true if this sink takes rows. `events` has the notices for this sink; None means all notices.
+    `rows_wanted` is true if this sink takes rows. `events` has the notices for this sink. None means all notices.
     """
 
     def __init__(
@@ -251,7 +251,8 @@ class Queued:
         self._thread.start()
 
     def close(self, within: float) -> bool:
-        """Let the sink write the waiting outcomes for at most `within` seconds, then drop and count the rest.
+        """Let the sink write the waiting outcomes for at most `within` seconds, then drop and count the remaining
+        outcomes.
 
         Returns False if the sink has not ended by then.
         """
@@ -359,7 +360,7 @@ class Queued:
         self._count_lost(lost)
 
     def _drop_refused(self, error: Exception, batch: Sequence[Entry]) -> None:
-        """Try each outcome alone after a lasting error, and drop the outcome that causes the error."""
+        """Try the outcomes one by one after a lasting error, and drop the outcome that causes the error."""
         if len(batch) > 1:
             self._alone = len(batch)
             self._give_back(batch)

@@ -93,7 +93,7 @@ class SqliteSection(SinkSection):
 
 @contextmanager
 def _raise_os_errors(path: Path) -> Iterator[None]:
-    """Convert errors of SQLite to OSError, because they may pass: a full disk, a damaged file, or a file in use."""
+    """Convert errors of SQLite to OSError, because full disks, damaged files and files in use may be temporary."""
     try:
         yield
     except sqlite3.Error as error:
@@ -104,7 +104,7 @@ class SqliteSink:
     """A sink that writes all given notices in one transaction, or none of them.
 
     When `put` returns, the notices are on the disk. A notice with the same number, axis and content is not written
-    again. The number alone does not suffice: a service that lost its state counts from 1 again. The alarms of such a
+    again. The number does not suffice, because a service that lost its state counts from 1 again. The alarms of such a
     service must not look like old alarms.
     """
 
@@ -136,7 +136,7 @@ class SqliteSink:
                     _insert(cursor, one)
 
     def close(self) -> None:
-        """Close the file; all outcomes of `put` are on the disk already."""
+        """Close the file. All outcomes of `put` are already on the disk."""
         database, self._database = self._database, None
         if database is not None:
             with _raise_os_errors(self._path):

@@ -22,16 +22,16 @@ from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
-#: Answers that concern the content of a request, and would be the same next time.
+#: Answers to the content of a request, which another attempt would not change.
 ABOUT_CONTENT = (400, 413, 414, 415, 422, 431)
 
 
 def check_address(url: str, secret: str | None, label: str) -> SplitResult:
     """Return the parts of an address.
 
-    Raises UsageError for an invalid address, for a user or password in it, and for a secret that would go unencrypted
-    to another machine. `label` is the name of the section in messages. No message contains the address, because it may
-    be a secret.
+    Raises UsageError for an invalid address, for a user or password in the address, and for a secret that would go
+    unencrypted to another machine. `label` is the name of the section in messages. No message contains the address,
+    because it may be a secret.
     """
     try:
         parts = urlsplit(url)
@@ -53,7 +53,7 @@ class Poster:
     """A client that posts to one address.
 
     `headers` are sent with every request. `timeout` is the time for a whole exchange [s]. `ca` is the file of the
-    trusted certificates; None takes the certificates of the system. Raises UsageError if the file cannot be read.
+    trusted certificates. None takes the certificates of the system. Raises UsageError if the file cannot be read.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Poster:
         return http.client.HTTPConnection(host, port, timeout=self._timeout)
 
     def close(self) -> None:
-        """Close the connection; the next `post` opens another one."""
+        """Close the connection. The next `post` opens a new connection."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
@@ -193,7 +193,7 @@ class WebhookSection(SinkSection):
 class WebhookSink:
     """A sink that sends each notice once during the life of this process.
 
-    A notice that comes again after a restart is sent again, with the same `Idempotency-Key`.
+    A notice that repeats after a restart is sent again with its old `Idempotency-Key`.
     """
 
     def __init__(self, name: str, service: str, poster: Poster) -> None:

@@ -1,4 +1,4 @@
-"""Files as sources: a record played at a given speed, a growing file, and standard input."""
+"""Sources of samples from a record played at a given speed, a growing file, or standard input."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Speed = Annotated[float, AfterValidator(_usable)]
 
 
 class FileSource(SourceSection):
-    """[sources.NAME] kind = "file": lines of a growing file, or a record that is played."""
+    """The keys of [sources.NAME] with kind = "file", for lines of a growing file or a played record."""
 
     kind: Literal["file"] = Field(description='"file"')
     path: Name = Field(description='the file, as "logs/x1.csv"')
@@ -56,7 +56,7 @@ class FileSource(SourceSection):
 
 
 class StdinSource(SourceSection):
-    """[sources.NAME] kind = "stdin": lines of CSV as `pmfid monitor -` takes them."""
+    """The keys of [sources.NAME] with kind = "stdin", for lines of CSV as in `pmfid monitor -`."""
 
     kind: Literal["stdin"] = Field(description='"stdin"')
     axis: Name = Field(description="the name of the axis that the lines are of")
@@ -76,7 +76,7 @@ def _axis(context: Context, name: str) -> Axis:
 class Player:
     """A record in blocks, as if it were measured now.
 
-    `speed` is a multiple of the machine's speed; 0 means as fast as possible.
+    `speed` is a multiple of the machine's speed. 0 means as fast as possible.
     """
 
     name: str
@@ -126,7 +126,7 @@ class _Text:
         self._parse = LineParser(self.header, self.config) if self.header else None
 
     def take(self, chunk: bytes) -> list[Line]:
-        """Return the samples of the lines that end in the chunk; an unfinished line waits.
+        """Return the samples of the lines that end in the chunk. An unfinished line waits for the next chunk.
 
         Raises UsageError without a header.
         """
@@ -201,7 +201,7 @@ class Piped:
 class Follower:
     """The lines of a growing file, as `tail -F` follows it.
 
-    A new file of the same name is read from its start, and so is a truncated file.
+    A replaced or truncated file is read from its start.
     """
 
     name: str
@@ -215,7 +215,7 @@ class Follower:
         self._report = ProblemReport(self.name, self.context.tell)
 
     def run(self, take: Take, mark: Mark | None) -> None:
-        """Hand over the lines as they come, starting at the mark if the file is still the same."""
+        """Hand over the lines as they arrive. The first line is at the mark unless the file was replaced."""
         while not self._stop.is_set():
             try:
                 with open(self.path, "rb", buffering=0) as file:

@@ -1,8 +1,8 @@
 """Messages of a broker by MQTT 5, each acknowledged when it is durable.
 
-The broker sends again what the service loses. The session is persistent, has a fixed name, and uses quality of service
-1. The broker sends at most `receive_maximum` messages without an acknowledgement. This number also limits the messages
-between two checkpoints.
+The broker repeats messages that the service loses. The session is persistent, has a fixed name, and uses quality of
+service 1. The broker sends at most `receive_maximum` messages without an acknowledgement. The broker's number of
+unacknowledged messages also limits the messages between two checkpoints.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 
 #: A level of a topic that names the axis.
 AXIS_LEVEL = "{axis}"
-#: Number of consecutive brief connections, and their longest duration [s], that reveal two services with one name. Such
-#: services end each other's connections, which Mosquitto does not report. Later attempts have growing pauses.
+#: Number of consecutive brief connections, and their longest duration [s], that reveal two services with one name. Two
+#: services with one client name end each other's connections, which Mosquitto does not report. Later attempts have
+#: growing pauses.
 _TAKEN_OVER, _BRIEF = 3, 1.0
 
 

@@ -1,4 +1,4 @@
-"""A serial port with lines of CSV of one axis, or with binary blocks of any axis."""
+"""A serial port that receives CSV lines of one axis, or binary blocks of any axes."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def pack_array(array: NDArray[np.generic], kind: str) -> str:
 
 
 def pack_rows(rows: Records) -> dict[str, object]:
-    """Return the columns of rows by name; theta and std have a list with one column for each parameter.
+    """Return the columns of rows by name. The columns of theta and std are lists with one column for each parameter.
 
     Whole numbers are f8, exact to 2^53, because a browser computes with this type.
     """
@@ -133,7 +133,7 @@ class Hub:
         return not self.ended
 
     def _changes(self, since: int, groups: bool) -> tuple[int, bytes]:
-        """Return a version and a line with the changes, shared by all browsers that request it in the same tick."""
+        """Return a version and a line with the changes. All browsers that ask in one tick share the line."""
         key = since, self._ticks, groups
         if key not in self._written:
             while len(self._written) >= TUNING.hub_written:
@@ -173,7 +173,7 @@ class Hub:
                 return
 
     async def axis(self, name: str) -> AsyncIterator[bytes]:
-        """Yield the lines of the stream of one axis: every row, and news without the other axes."""
+        """Yield the lines for one axis, with every row of the axis and all notices."""
         feed = self._feeds.get(name) or Feed(self._board.follow(name))
         self._feeds[name] = feed
         feed.viewers += 1
@@ -352,7 +352,7 @@ class LineResponse(StreamingResponse):
 
 
 def csv_of(record: Record) -> bytes:
-    """Return the reference record of an axis for the comparison on the page: columns t [s] from 0, u and counts.
+    """Return the reference record of an axis for the page, with the columns t [s] from 0, u and counts.
 
     A long record is cut to its beginning, because a comparison needs every sample.
     """

@@ -1,4 +1,4 @@
-"""The board: the present state of the plant for its viewers, an outlet that the page reads from its own thread."""
+"""The board is an outlet with the present state of the plant, which the page reads from its own thread."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Records = NDArray[np.void]
 
 
 def row_type(parameters: int) -> np.dtype[np.void]:
-    """Return the data type of a stored row: the fields of `EstimateRows`, little endian, as they are sent."""
+    """Return the data type of a stored row, with the fields of `EstimateRows` in little endian, as for browsers."""
     return np.dtype(
         [
             *(("number", "<i8"), ("time", "<f8"), ("u", "<f8"), ("counts", "<i8")),
@@ -39,7 +39,7 @@ class Overview:
     """Changes in a group, for m axes.
 
     `axis` (m,) is the number within the group. `received` (m,) is `time.monotonic()` of the last data. `value`, `std`
-    and `deviation` (m,) belong to the leading parameter; the deviation is relative to nominal. `status` and `state` are
+    and `deviation` (m,) belong to the leading parameter. The deviation is relative to nominal. `status` and `state` are
     as in `EstimateRows`.
     """
 
@@ -56,8 +56,8 @@ class Overview:
 class Panel:
     """The panel of one group.
 
-    `depth` is the number of kept rows of each axis. `every` is the time between two rows [s]. Several threads must not
-    call a panel together; the board holds its lock around every call.
+    `depth` is the number of kept rows of each axis. `every` is the time between two rows [s]. The board holds its lock
+    around every call of a panel, because threads must not call a panel together.
     """
 
     group: Kindred
@@ -174,7 +174,7 @@ class Panel:
         return np.concatenate([self._kept[axis, start:], self._kept[axis, :start]])
 
     def overview(self, since: int) -> Overview:
-        """Return the overview of the axes that changed after version `since`; 0 gives all axes with data."""
+        """Return the overview of the axes that changed after version `since`. 0 gives all axes with data."""
         axis = np.flatnonzero(self._changed > since)
         rows = self.last[axis]
         lead = self.leading
@@ -229,7 +229,7 @@ class Board:
     """The board of all `groups`.
 
     `budget` is the number of bytes for the history of all axes. `every` is the time between two kept rows [s]. The
-    engine's thread calls `rows`, `notice`, `arrange` and `list_followed`; any thread may call the other methods. A
+    engine's thread calls `rows`, `notice`, `arrange` and `list_followed`. Any thread may call the other methods. A
     reader holds the lock while it copies arrays, which takes less than a millisecond with 10 000 axes. A reader never
     holds the lock while it writes to a browser.
     """
@@ -251,7 +251,7 @@ class Board:
     # --- for the engine ---
 
     def arrange(self, groups: Sequence[Kindred], referred: Mapping[str, Sequence[float]] | None = None) -> None:
-        """Replace the groups. The rows of an axis stay if its parameters are the same.
+        """Replace the groups. The rows of an axis stay unless its parameters change.
 
         `referred` maps an axis to its reference (q,), if the axis does not have the reference of its group. None leaves
         the references unchanged.
@@ -318,7 +318,7 @@ class Board:
         return self._layout
 
     def news(self, since: int = 0, groups: bool = True) -> News:
-        """Return the changes after version `since`; 0 gives everything.
+        """Return the changes after version `since`, or everything for 0.
 
         With `groups`, the changes include the axes in addition to notices and alarms.
         """
@@ -382,7 +382,7 @@ class Board:
 
 
 class Subscription:
-    """Every row of one axis for a viewer: a bounded queue that drops and counts its oldest rows.
+    """A bounded queue of every row of one axis for a viewer. A full queue drops and counts its oldest rows.
 
     `axis` is the name of the axis. `most` is the largest number of waiting rows. `close` is called when the viewer
     leaves.

@@ -1,4 +1,4 @@
-"""[page] of PLANT.toml: the address of the page, its users, and its memory."""
+"""The section [page] of PLANT.toml, with the address, the users and the memory of the page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HERE, PORT = "127.0.0.1", 8127
 
 
 class PageConfig(FileSection):
-    """[page]; without this section the page is on `HERE` and `PORT`.
+    """The section [page]. Without this section the page is on `HERE` and `PORT`.
 
     Keys that end in `_env` or `_file` name the tokens, which never stand in this section.
     """

@@ -35,8 +35,8 @@ READ, WRITE = "read", "write"
 class Tokens:
     """The tokens of the page, which never appear in a printed form of this object.
 
-    `write` allows everything. `read` allows only viewing; it is None without such a token. `made` is true if this start
-    made the token. The start line may then show the token.
+    `write` allows everything. `read` allows only viewing, and is None without a token for viewers. `made` is true if
+    this start made the token. The start line may then show the token.
     """
 
     write: str = field(repr=False)
@@ -46,8 +46,7 @@ class Tokens:
     def scope(self, header: str | None) -> str | None:
         """Return WRITE, READ, or None for an `Authorization` that allows nothing.
 
-        The duration of this call reveals nothing about the tokens, because all digests have the same length and are
-        compared.
+        The duration of this call reveals nothing about the tokens, because all digests are compared and equally long.
         """
         scheme, _, given = (header or "").partition(" ")
         found = None
@@ -135,15 +134,15 @@ class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
 class Brake:
     """A brake on guesses, which counts wrong tokens by the address of their sender, in bounded memory.
 
-    `clock` returns a monotonic time [s]. Only wrong tokens are counted, so a valid token works even if someone guesses
-    from the same address.
+    `clock` returns a monotonic time [s]. Only wrong tokens are counted, so that a valid token works even if someone
+    guesses from the same address.
     """
 
     clock: Callable[[], float] = time.monotonic
     _wrong: dict[str, tuple[int, float]] = field(default_factory=dict, init=False)  # number, start; oldest first
 
     def wrong(self, address: str) -> float:
-        """Count a wrong token, and return the time until the address is answered again [s]; 0 if it is not blocked."""
+        """Count a wrong token, and return the time [s] for which the address is blocked."""
         now, key = self.clock(), _network(address)
         number, since = self._wrong.pop(key, (0, now))
         if now - since >= TUNING.security_window:
@@ -164,7 +163,7 @@ def _network(address: str) -> str:
 
 
 def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
-    """Return the accepted values of Host in small letters: names of the address, and configured names."""
+    """Return the accepted values of Host in small letters, which are names of the address and configured names."""
     literal = f"[{address}]" if ":" in address else address
     names = {literal}
     if address in ("127.0.0.1", "::1", "localhost"):

@@ -37,7 +37,7 @@ from pmfid.stream.outcome import Counters
 
 
 def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
-    """Return the application inside the guard: files of the page, and the API."""
+    """Return the application inside the guard, which serves the files of the page and the API."""
     mimetypes.add_type("text/javascript", ".js")  # the type must not depend on the system
     files = StaticFiles(directory=Path(__file__).parent / "static", html=True)
 

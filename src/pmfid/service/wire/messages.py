@@ -65,7 +65,7 @@ class Point:
 class PointColumns:
     """Samples of one axis as columns.
 
-    `fields` has lists of at least `rows` values; any other value holds for all rows.
+    `fields` has lists of at least `rows` values. A value that is no list holds for all rows.
     """
 
     axis: str
@@ -75,7 +75,7 @@ class PointColumns:
 
 @dataclass
 class Readers:
-    """The readers of the fields of each axis, by the [record] of its AXIS.toml.
+    """The readers of each axis's fields, according to [record] in AXIS.toml.
 
     `find` is called for each sample, because the axis may change. Axes that share an object share a reader.
     """
@@ -120,7 +120,7 @@ AXIS_KEY = "axis"
 
 
 def decode_json(data: bytes, axis: str = "") -> list[Point | PointColumns | Unusable]:
-    """Return the samples of a message. `axis` is the name of their axis; with "", the objects name it by AXIS_KEY."""
+    """Return the samples of a message. `axis` names the axis. With "", the objects name the axis by AXIS_KEY."""
     found: list[Point | PointColumns | Unusable] = []
     left = MOST_POINTS
     for item in _parse_json(data, axis):
@@ -191,7 +191,7 @@ Form = Literal["auto", "block", "json", "line"]
 class Messages:
     """A reader of messages.
 
-    `readers` interpret the fields. `form` is the form of all messages; with "auto" each message reveals its form. `tag`
+    `readers` interpret the fields. `form` is the form of all messages. With "auto" each message reveals its form. `tag`
     names the axis in line protocol, and `precision` is the unit of its time stamps. `largest` is the largest size of a
     message [bytes].
     """
@@ -205,7 +205,7 @@ class Messages:
     def items(self, data: bytes, axis: str = "") -> Sequence[Item]:
         """Return the items of a message, without an exception.
 
-        `axis` is the only axis that the message may contain; "" allows any axis.
+        `axis` is the only axis that the message may contain. "" allows any axis.
         """
         if len(data) > self.largest:
             return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
@@ -242,8 +242,8 @@ PRECISIONS: Mapping[Precision, int] = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 1
 
 Field = float | int | bool | str
 
-# A backslash takes the next character with it, whatever the character is. No pattern therefore reads a character in two
-# ways, and the time for a line depends only on its length.
+# A backslash escapes any next character. No pattern therefore reads a character in two ways, and the time for a line
+# depends only on its length.
 _NAME = re.compile(r"(?:[^\\, ]|\\.)+", re.DOTALL)
 _KEY = re.compile(r"((?:[^\\,= ]|\\.)+)=", re.DOTALL)
 _TAG_VALUE = re.compile(r"(?:[^\\,= ]|\\.)+", re.DOTALL)

@@ -43,7 +43,7 @@ class _Axis:
 
 @dataclass
 class Numbering:
-    """A numbering of the samples of each axis from 0, which also makes blocks of them.
+    """A numbering of each axis's samples from 0, which also makes blocks from the samples.
 
     `dt` is the sample period [s], `epoch` the epoch of all blocks. `samples` is the number of samples in a block.
     Raises UsageError for a number of samples that no receiver takes.
@@ -122,7 +122,7 @@ class Outbox:
     """A store that keeps messages until they are safe.
 
     A message is safe if it is acknowledged and the connection has since held for `keep` [s]. The store has at most
-    `most` bytes; above this limit, the oldest messages are dropped. `dropped` counts the dropped messages that were
+    `most` bytes. Above this limit, the oldest messages are dropped. `dropped` counts the dropped messages that were
     never acknowledged. `clock` returns the time [s].
     """
 
@@ -156,7 +156,7 @@ class Outbox:
         self._open = len(self._log)
 
     def end(self) -> None:
-        """Note that the connection is over: no message is sent, and none becomes safe."""
+        """Note the end of the connection, after which no message is sent or becomes safe."""
         self._room = 0
 
     def pump(self, publish: Callable[[bytes], int]) -> bool:
@@ -192,13 +192,13 @@ class Outbox:
 
 
 class Sender:
-    """A sender of samples with the period dt [s] to a topic; a context manager, which flushes at its end.
+    """A sender of samples with the period dt [s] to a topic. As a context manager it flushes at the end.
 
-    `epoch` rises whenever the numbers restart; None takes the time of day. `samples` is the number of samples in a
+    `epoch` rises whenever the numbers restart. None takes the time of day. `samples` is the number of samples in a
     block. A message is sent at `size` bytes, at the latest after `delay` [s]. An acknowledged message is forgotten when
-    the connection has since held for `keep` [s]. This time must be longer than the broker's autosave_interval. `most`
-    is the largest number of kept bytes; above it, the oldest messages are dropped, and counted in `dropped`. Methods
-    may be called from any thread. Raises UsageError for sizes that no receiver takes, and without paho-mqtt.
+    the connection has since held for `keep` [s]. `keep` must be longer than the broker's autosave_interval. `most` is
+    the largest number of kept bytes. Above this limit, the oldest messages are dropped and counted in `dropped`.
+    Methods may be called from any thread. Raises UsageError for sizes that no receiver takes, and without paho-mqtt.
     """
 
     def __init__(
@@ -243,7 +243,7 @@ class Sender:
         self.close()
 
     def add(self, axis: str, u: ArrayLike, counts: ArrayLike, time: float = math.nan) -> None:
-        """Add samples of an axis that follow its last ones: u, counts (n,), or a single sample.
+        """Add the next samples u, counts (n,) of an axis, or a single sample.
 
         `time` is the time of the first sample [s], or NaN. Raises UsageError for values that no block takes.
         """
